@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.oscillation import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware

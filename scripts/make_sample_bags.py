@@ -16,9 +16,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back

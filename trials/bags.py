@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import typestore
 from straightcomp_ros.bags.folder import bag_files
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.topics import TopicQos, typestore
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cell.launcher import Graph, ros_available
 from straightcomp_ros.cli.options import check_range

@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.course import encoder_count
+from straightcomp_ros.analysis.run_verdict import encoder_count
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT
-from straightcomp_ros.bags.intake import Message
-from straightcomp_ros.bags.origin import ORIGIN_METADATA
+from straightcomp_ros.bags.information import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.bags.writer import BagWriter, Message
 from straightcomp_ros.contract import ALWAYS_PUBLISHED, ENCODER, Stream
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.offline.simulation import Simulation

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
-from straightcomp_ros.analysis.host_stalls import PAUSE
+from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures, true_error
-from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
+from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_bag, partial_run
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
@@ -165,8 +165,7 @@ def _gaps(time: NDArray[np.float64]) -> list[Interval]:
 
 
 def _intervals(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[Interval]:
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
-    return [Interval(float(time[start]), float(time[stop - 1]), stop - start) for start, stop in edges]
+    return [Interval(float(time[a]), float(time[b - 1]), b - a) for a, b in runs_of(mask).tolist()]
 
 
 class LimitsError(ValueError):

@@ -1,4 +1,4 @@
-"""The coil current between two samples: through the amplifier, with each command from its arrival on.
+"""Position, coil current and command of one unbroken stretch of a bag, without the truth, and the path of the current.
 
 A first-order amplifier under the old command until the new one arrives, a time d after the sample, gives
 
@@ -6,20 +6,169 @@ A first-order amplifier under the old command until the new one arrives, a time 
 
 with bandwidth ω and period T. With ω known, the measured currents give d for each sample: latency jitters, and a late
 command arrives after the next sample. If d hardly changes, ω follows from the regression of i[k+1] on i[k] and on all
-commands that a delay of less than :data:`_LATEST` samples may leave in action: the record tells which of them act.
+commands that a delay of less than :data:`_LATEST` samples may leave in action: the record shows which of them act.
+
+The regression is Huber's M-estimate, least squares that a few wild residuals hardly move. A command that comes late
+once leaves a residual hundreds of times as large as the others. By plain least squares, ten of 20,000 move the
+amplifier's bandwidth by a fifth. P. Huber, Robust Statistics, 1981, sections 7.6 and 7.8.
 """
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.huber import robust_regression
-from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters
+from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.parameters.node_parameters import node_parameters
+
+
+def readback_lag(bag: Path) -> int:
+    """Samples; 0 where the bag does not say it.
+
+    Raises:
+        BagError: the bag cannot be read.
+        ParameterError: its parameters, or the DBC file that they name, cannot be used here.
+    """
+    driver = recorded_parameters(bag, read_attachments(bag)).get("driver", {})
+    if driver.get("hardware") != "can":
+        return 0
+    lag: int = node_parameters("driver", {"driver": driver}).readback_lag
+    return lag
+
+
+def advanced(current: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
+    """``current`` (n,) moved to the samples at which it was measured; the last ones are not known yet: NaN."""
+    return np.concatenate([current[lag:], np.full(lag, np.nan)]) if lag else current
+
+
+SHORTEST, LONGEST = 2000, 60_000
+"""Samples of a stretch: from a second to half a minute at 2 kHz; more would cost much and improve little."""
+LEAST_TRAVEL = 2e-6
+"""Travel of the platform in m below which it only creeps on its bristles."""
+SWITCH_ON = 10
+"""Samples after the switch-on that are left out, while the bias current rises."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """An unbroken stretch with the amplifier on; all arrays (n,), one entry for each sample.
+
+    Attributes:
+        period_ns: sampling period in ns.
+        x, y: encoder readings of stage and platform, m.
+        current: measured control current of the coils, A.
+        command: commanded control current in answer to the sample, A.
+        total: samples in the bag.
+    """
+
+    period_ns: int
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    current: NDArray[np.float64]
+    command: NDArray[np.float64]
+    total: int
+
+    @property
+    def duration(self) -> float:
+        """Length of the stretch in s."""
+        return len(self.y) * self.period_ns * 1e-9
+
+
+def read_recording(bag: Path) -> Recording:
+    """The longest stretch of a bag in which the amplifier is on and no sample is missing.
+
+    Raises:
+        BagError: the bag cannot be read.
+        IdentificationError: a stream is missing, the amplifier is never on long enough, or nothing moves.
+    """
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)})
+    for stream in (ENCODER, COMMAND):
+        if stream.topic not in streams:
+            raise IdentificationError(f"bag {bag}: has no messages on '{stream.topic}'; record driver and controller")
+    encoder = streams[ENCODER.topic].by_stamp()
+    stamps = encoder.stamp
+    x, y, current = (encoder.columns[name] for name in ("x", "y", "coil_current"))
+    current = advanced(current, readback_lag(bag))
+    if not np.isfinite(current).any():
+        raise IdentificationError(
+            f"bag {bag}: the amplifier is off throughout (coil_current is NaN in all {len(current)} samples); "
+            "record with the amplifier on"
+        )
+    period_ns = round(float(np.median(np.diff(stamps)))) if len(stamps) > 1 else 0
+    start, stop = _longest_stretch(stamps, np.isfinite(current) & np.isfinite(y), period_ns)
+    if stop - start < SHORTEST:
+        raise IdentificationError(
+            f"bag {bag}: the longest stretch with the amplifier on and no sample lost has {stop - start} samples; "
+            f"allowed: >= {SHORTEST}"
+        )
+    stretch = slice(start, min(stop, start + LONGEST))
+    travel = float(np.ptp(y[stretch]))
+    if travel < LEAST_TRAVEL:
+        raise IdentificationError(
+            f"bag {bag}: nothing moves: the platform stays within {travel * 1e6:.2g} µm, the stage within "
+            f"{float(np.ptp(x[stretch])) * 1e3:.3g} mm; allowed: platform >= {LEAST_TRAVEL * 1e6:g} µm; move the stage"
+        )
+    command = _held(stamps[stretch], streams[COMMAND.topic])
+    return Recording(period_ns, x[stretch], y[stretch], current[stretch], command, len(stamps))
+
+
+def _longest_stretch(stamps: NDArray[np.int64], usable: NDArray[np.bool_], period_ns: int) -> tuple[int, int]:
+    """First sample and the one after the last, of the longest run of usable samples a period apart."""
+    broken = np.concatenate([[True], (np.diff(stamps) > 1.5 * period_ns) | ~usable[:-1] | ~usable[1:], [True]])
+    edges = np.flatnonzero(broken)
+    longest = int(np.argmax(np.diff(edges)))
+    start, stop = int(edges[longest]), int(edges[longest + 1])
+    # At the start of the bag the amplifier may have been on for long, but nothing says so.
+    return min(start + SWITCH_ON, stop), stop
+
+
+def _held(stamps: NDArray[np.int64], stream: StreamColumns) -> NDArray[np.float64]:
+    """The command for each stamp; the one before replaces a missing one, as in the amplifier."""
+    own = stream.by_stamp()
+    before = np.searchsorted(own.stamp, stamps, side="right") - 1
+    return np.where(before >= 0, own.columns["control_current"][np.maximum(before, 0)], 0.0)
+
 
 Array = NDArray[np.float64]
+
+_TUNING = 1.345
+"""Standard deviations from which a residual counts less: of normal residuals, 95 % of the information is used."""
+_NORMAL = 0.6745
+"""Median of the magnitude of a normal variable, in standard deviations."""
+_ROUNDS, _SETTLED = 50, 1e-9
+
+
+def huber_weights(residuals: Array, least: float) -> Array:
+    """Weights (n,) of squares, 1 for most.
+
+    Args:
+        residuals: (n,).
+        least: smallest standard deviation that is assumed, in their unit; greater than 0.
+    """
+    limit = _TUNING * max(least, float(np.median(np.abs(residuals))) / _NORMAL)
+    return np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))
+
+
+def robust_regression(terms: Array, wanted: Array, least: float) -> tuple[Array, float]:
+    """Factors (m,) of ``terms`` (n, m) that give ``wanted`` (n,), and the standard deviation of residuals that theirs
+    follow from; ``least`` as for `huber_weights`."""
+    weights: Array = np.ones(len(wanted))
+    found: Array = np.zeros(terms.shape[1])
+    for _ in range(_ROUNDS):
+        root, before = np.sqrt(weights), found
+        found = np.asarray(np.linalg.lstsq(terms * root[:, None], wanted * root, rcond=None)[0])
+        residuals = wanted - terms @ found
+        weights = huber_weights(residuals, least)
+        if np.abs(found - before).max() < _SETTLED:
+            break
+    return found, float(np.sqrt(np.mean((weights * residuals) ** 2)) / np.mean(weights == 1.0))
+
 
 _EXPLAINED = 0.2
 """Largest residual of an accepted fit, as a fraction of the current's steps."""

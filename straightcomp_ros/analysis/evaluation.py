@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,40 +12,50 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.attached_map import attached_map
-from straightcomp_ros.analysis.host_stalls import PAUSE, Stall, stalls_of
 from straightcomp_ros.analysis.interruption import (
     ENDS_APART,
+    PAUSE,
     EncoderRun,
     LatchedFault,
+    Stall,
     clock_jump,
     encoder_run,
     interruption,
     latched_faults,
+    stalls_of,
 )
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
-from straightcomp_ros.analysis.survey_series import values_at
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.messages import Messages
-from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_diagnostics import reports_in
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters
+from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.topics import resolved
-from straightcomp_ros.contract import (
-    COMMAND,
-    DIAGNOSTICS,
-    DISPLACEMENT,
-    DRIVER_STATE,
-    ENCODER,
-    REFERENCE,
-    TRUTH,
-    Stream,
-)
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.node_timing import Report
+
+
+def attached_map(
+    attachments: Mapping[str, bytes], parameters: Mapping[str, Mapping[str, Any]]
+) -> StraightnessMap | None:
+    """The map of the attached survey; None without one, or where it makes no map by the recorded parameters."""
+    section = parameters.get("feedforward", {})
+    own = {
+        name.removeprefix("stage.guide."): value for name, value in section.items() if name.startswith("stage.guide.")
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        survey = unpacked_map(attachments, Path(folder))
+        if survey is None:
+            return None
+        try:
+            return load_map(from_mapping(MapParameters, {**own, "file": str(survey)}))
+        except (ParameterError, SurveyError):
+            return None
+
 
 FOR_EVER = int(np.iinfo(np.int64).max)
 """The last stamp, ns."""
@@ -72,7 +83,7 @@ class BagEvaluation:
         coil_current: (m,) measured control current of the coils in A at the samples of ``record``; NaN without it.
         guide: (m,) m, the guide's deviation by the displacement sensor at the samples of ``record``, up to a constant,
             NaN where it was not recorded; None without a sensor.
-        latency_stamps: stamps in ns of the driver's records that tell ``latency``, as many.
+        latency_stamps: stamps in ns of the driver's records that have ``latency``, as many.
         encoder: all samples of the run, as the encoder saw the stage move; None for a run that was not recorded.
         reports: what each node reported in its diagnostics, by its name.
         faults: that were latched in the run, or after it.
@@ -129,74 +140,79 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     """
     wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, DISPLACEMENT)
     diagnostics = Messages(DIAGNOSTICS)
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
-    reports, finished = _reports(bag, diagnostics, (remap or {}).get(ENCODER.topic, ENCODER.topic))
-    attachments = read_attachments(bag)
+    with opened(bag) as files:
+        streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
+        attachments = attachments_of(files)
+        encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
+        finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
+    try:
+        reports = reports_in(bag, diagnostics, encoder_topic)
+    except BagError as error:
+        # Every node of a machine reports there: others' messages do not make a run's samples unreadable.
+        warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
+        reports = {}
     parameters = recorded_parameters(bag, attachments)
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
-    jump = clock_jump(streams[ENCODER.topic])
-    # By stamp and without repetitions: lockstep repeats a sample that got no answer.
-    unique = {topic: np.unique(stream.stamp, return_index=True) for topic, stream in streams.items()}
-    encoder, rows = unique[ENCODER.topic]
-    on = np.isfinite(streams[ENCODER.topic].columns["coil_current"][rows])
+    jump, driver = clock_jump(streams[ENCODER.topic]), streams.get(DRIVER_STATE.topic)
+    unique = {topic: stream.by_stamp() for topic, stream in streams.items()}
+    samples, reference, command, truth = (unique.get(one.topic) for one in (ENCODER, REFERENCE, COMMAND, TRUTH))
+    assert samples and reference and command
+    on = np.isfinite(samples.columns["coil_current"])
     first = int(on.argmax())
-    encoder, rows, on = encoder[first:], rows[first:], on[first:]
-    unique[ENCODER.topic] = encoder, rows
+    encoder, x, on = samples.stamp[first:], samples.columns["x"][first:], on[first:]
     common = encoder
-    for stream in (REFERENCE, COMMAND, TRUTH):
-        if stream.topic in unique:
-            common = np.intersect1d(common, unique[stream.topic][0], assume_unique=True)
+    for own in (reference, command, *([truth] if truth else [])):
+        common = np.intersect1d(common, own.stamp, assume_unique=True)
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
     if (np.diff(common) >= PAUSE * 1e9).any():
-        common = common[_judged(common, streams[ENCODER.topic].columns["x"][rows[np.searchsorted(encoder, common)]])]
+        common = common[_judged(common, x[np.searchsorted(encoder, common)])]
 
-    def column(stream: Stream, name: str) -> NDArray[np.float64]:
-        stamps, rows = unique[stream.topic]
-        return streams[stream.topic].columns[name][rows[np.searchsorted(stamps, common)]]
+    def column(stream: StreamColumns, name: str) -> NDArray[np.float64]:
+        return stream.columns[name][np.searchsorted(stream.stamp, common)]
 
-    known = ("true_x", "true_y", "guide_deviation") if TRUTH.topic in streams else ()
-    truth = {name: column(TRUTH, name) for name in known}
     record = StrokeRecord(
         time=(common - common[0]) * 1e-9,
-        x=column(ENCODER, "x"),
-        y=column(ENCODER, "y"),
-        r=column(REFERENCE, "r"),
-        current=column(COMMAND, "control_current"),
-        true_x=truth.get("true_x"),
-        true_y=truth.get("true_y"),
-        guide=truth.get("guide_deviation"),
+        x=column(samples, "x"),
+        y=column(samples, "y"),
+        r=column(reference, "r"),
+        current=column(command, "control_current"),
+        true_x=column(truth, "true_x") if truth else None,
+        true_y=column(truth, "true_y") if truth else None,
+        guide=column(truth, "guide_deviation") if truth else None,
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
-    driver = streams.get(DRIVER_STATE.topic)
+    guide, sensor = None, unique.get(DISPLACEMENT.topic)
+    if sensor and len(sensor) > 1:
+        values, known = FieldValues(sensor.stamp, sensor.columns["deviation"], True).at(common)
+        guide = np.where(known, values, np.nan)
     columns = driver.columns if driver else {}
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
-    answered = unique[COMMAND.topic][0]
-    state = driver.stamp if driver else answered[:0]
-    told = np.isfinite(latency)
-    answers = max(int(unique[topic][0][-1]) for topic in (REFERENCE.topic, COMMAND.topic))
+    state = driver.stamp if driver else encoder[:0]
+    recorded = np.isfinite(latency)
+    answers = max(int(reference.stamp[-1]), int(command.stamp[-1]))
     reported = max((own[-1].time_ns for own in reports.values()), default=0)
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
         begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
         warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
     run = encoder_run(
         encoder,
-        streams[ENCODER.topic].columns["x"][rows],
+        x,
         on,
         int(common[-1]),
         goes_on=answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9,
         silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
     )
-    stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
+    stalls = stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
         expected_samples=samples_taken(encoder),
         received_samples=len(encoder),
-        lost_references=_missing(run, unique[REFERENCE.topic][0]),
-        lost_commands=_missing(run, answered),
-        latency=latency[told],
+        lost_references=_missing(run, reference.stamp),
+        lost_commands=_missing(run, command.stamp),
+        latency=latency[recorded],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
         amplifier_on=on,
@@ -204,27 +220,14 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         map=attached_map(attachments, parameters),
         stalls=tuple(stalls),
         begin_ns=int(common[0]),
-        coil_current=column(ENCODER, "coil_current"),
-        guide=_guide(streams, unique, common),
-        latency_stamps=state[told],
+        coil_current=column(samples, "coil_current"),
+        guide=guide,
+        latency_stamps=state[recorded],
         encoder=run,
         reports=reports,
         faults=latched_faults(reports, int(encoder[0])),
         clock_jump=jump,
     )
-
-
-def _reports(bag: Path, diagnostics: Messages, encoder: str) -> tuple[Mapping[str, Sequence[Report]], bool]:
-    """What the nodes reported, and whether the recording was finished."""
-    with opened(bag) as files:
-        full = resolved(encoder, topic_names(files), str(bag))
-        finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
-    try:
-        return reports_in(bag, diagnostics, full), finished
-    except BagError as error:
-        # Every node of a machine reports there: others' messages do not make a run's samples unreadable.
-        warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
-        return {}, finished
 
 
 def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -241,18 +244,6 @@ def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.boo
                 if before.size and after.size and before[-1] <= pause:
                     judged[before[-1] : after[0]] = False
     return judged
-
-
-def _guide(
-    streams: Mapping[str, StreamColumns], unique: Mapping[str, Sequence[NDArray[Any]]], at: NDArray[np.int64]
-) -> NDArray[np.float64] | None:
-    topic = DISPLACEMENT.topic
-    if topic not in streams or len(unique[topic][0]) < 2:
-        return None
-    stamps, rows = unique[topic]
-    readings = FieldValues(stamps, streams[topic].columns["deviation"][rows], True)
-    values, known = values_at(readings, at)
-    return np.where(known, values, np.nan)
 
 
 def samples_taken(stamps: NDArray[np.int64]) -> int:

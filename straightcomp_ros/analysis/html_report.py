@@ -1,23 +1,23 @@
 """The report of a run: one HTML file with interactive plots that needs no network and can be printed."""
 
 import math
-from collections.abc import Sequence
-from html import escape
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck, displayed_error
-from straightcomp_ros.analysis.html_document import (
+from straightcomp_ros.analysis.html_page import (
     BLACK,
     BLUE,
     GREEN,
     GREY,
     VERMILION,
-    html_document,
+    blocks,
+    html_page,
     html_plot,
-    html_table,
     line_figure,
 )
 from straightcomp_ros.analysis.metrics import residual_over
@@ -26,34 +26,38 @@ from straightcomp_ros.straightness.survey import Direction
 _POINTS = 6000
 """Points that a curve is drawn with: each pixel column still shows its smallest and its largest value."""
 _BINS = 200
+_SHOWN = 40
+"""Events in a list."""
 
 
 def report_html(assessment: Assessment, other: Assessment | None = None, checks: Sequence[LimitCheck] = ()) -> str:
-    """The document for ``assessment``, compared with the run ``other``, and with the ``checks`` of its limits."""
-    law = assessment.evaluation.record.law
+    """The page for ``assessment``, compared with the run ``other``, and with the ``checks`` of its limits."""
+    verdict, bag = assessment.verdict, str(assessment.bag)
     plots = (
-        ("Straightness over the stroke, beside the least squares line", _straightness(assessment)),
+        ("Straightness over the stroke, relative to the least squares line", _straightness(assessment)),
         ("What is left of it, enlarged", _straightness(assessment, before=False)),
         ("Compensation error", _error(assessment, other)),
         ("Spectrum of the error", _spectrum(assessment, other)),
         ("Control current", _current(assessment)),
         ("Loop timing", _timing(assessment)),
     )
-    sections = "".join(
-        f"<section class=plot><h2>{title}</h2>{html_plot(figure)}</section>"
-        for title, figure in plots
-        if figure is not None
+    notes = [(bag, "note"), (f"Verdict: {verdict}", "note" if verdict.in_order else "fail")]
+    notes += [(text, "fail") for text in assessment.warnings]
+    limits = [{"verdict": one.passed, "limit": str(one)} for one in checks]
+    runs = {"this run": assessment.figures()} | ({} if other is None else {str(other.bag): other.figures()})
+    figures = [{"figure": name, **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
+    return html_page(
+        bag,
+        f"Straightness compensation, law “{assessment.evaluation.record.law}”",
+        Markup("").join(blocks.paragraph(*note) for note in notes),
+        [
+            ("Limits", blocks.table(limits) if limits else ""),
+            *((title, blocks.plots([html_plot(plot)])) for title, plot in plots if plot is not None),
+            ("Strokes", blocks.table([stroke.to_display() for stroke in assessment.strokes])),
+            *_events(assessment),
+            ("Figures", blocks.table(figures, columns=other is None)),
+        ],
     )
-    warnings = "".join(f"<p class=fail>{escape(text)}</p>" for text in assessment.warnings)
-    bag = escape(str(assessment.bag))
-    verdict = (
-        f"<p class={'note' if assessment.verdict.in_order else 'fail'}>Verdict: {escape(str(assessment.verdict))}</p>"
-    )
-    head = f"<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{bag}</p>{verdict}{warnings}"
-    body = f"""{head}{_limits(checks)}
-{sections}<h2>Strokes</h2>{html_table([stroke.to_display() for stroke in assessment.strokes])}
-{_events(assessment)}<h2>Figures</h2>{_figures(assessment, other)}"""
-    return html_document(str(assessment.bag), body)
 
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
@@ -104,7 +108,7 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
             name = "this run" if one is assessment else str(one.bag)
             figure.add_scatter(x=one.spectrum.frequency[1:], y=density, name=name, line={"color": colour, "width": 1})
     figure.update_xaxes(type="log")
-    # Powers of ten: a prefix such as µ would stand beside the µ of the unit.
+    # Powers of ten: a prefix such as µ would stand next to the µ of the unit.
     figure.update_yaxes(type="log", exponentformat="power")
     return figure
 
@@ -168,12 +172,8 @@ def _mark(figure: go.Figure, intervals: Sequence[Interval], name: str, colour: s
         figure.add_vrect(interval.start, interval.end, fillcolor=colour, opacity=0.3, line=line, **text)
 
 
-def _limits(checks: Sequence[LimitCheck]) -> str:
-    rows = [{"verdict": "passed" if one.passed else "FAILED", "limit": str(one)} for one in checks]
-    return "<h2>Limits</h2>" + html_table(rows).replace("<td>FAILED", "<td class=fail>FAILED") if rows else ""
-
-
-def _events(assessment: Assessment) -> str:
+def _events(assessment: Assessment) -> Iterator[tuple[str, Markup]]:
+    """A section for each kind of event."""
     intervals = {
         "Samples lost": assessment.gaps,
         "Command at the current limit": assessment.saturated,
@@ -184,18 +184,7 @@ def _events(assessment: Assessment) -> str:
         {"time_s": e.time, "x_mm": e.x * 1e3, "stuck_ms": e.duration * 1e3, "slip_um": e.slip * 1e6}
         for e in assessment.stick_slips
     ]
-    shown = 40
-    return "".join(
-        f"<h2>{title}: {len(rows)}</h2>{html_table(rows[:shown])}"
-        + (f"<p class=note>and {len(rows) - shown} more</p>" if len(rows) > shown else "")
-        for title, rows in events.items()
-        if rows
-    )
-
-
-def _figures(assessment: Assessment, other: Assessment | None) -> str:
-    runs = {"this run": assessment.figures()}
-    if other is not None:
-        runs[str(other.bag)] = other.figures()
-    rows = [{"figure": name, **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
-    return f"<div{' class=columns' if other is None else ''}>{html_table(rows)}</div>"
+    for title, rows in events.items():
+        more = blocks.paragraph(f"and {len(rows) - _SHOWN} more") if len(rows) > _SHOWN else ""
+        if rows:
+            yield f"{title}: {len(rows)}", blocks.table(rows[:_SHOWN]) + more

@@ -3,28 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-IN_ORDER = "in_order"
-CLOCK_JUMPED = "clock_jumped"
-INTERRUPTED = "interrupted"
-STARVED = "starved"
-AT_STOP = "at_stop"
-LEFT_MAP = "left_map"
-SATURATED = "saturated"
-WRONG_GUIDE = "wrong_guide"
-OSCILLATES = "oscillates"
-INACCURATE = "inaccurate"
 WORDS = (
-    IN_ORDER,
-    CLOCK_JUMPED,
-    INTERRUPTED,
-    STARVED,
-    AT_STOP,
-    LEFT_MAP,
-    SATURATED,
-    WRONG_GUIDE,
-    OSCILLATES,
-    INACCURATE,
+    *("in_order", "clock_jumped", "interrupted", "starved", "at_stop"),
+    *("left_map", "saturated", "wrong_guide", "oscillates", "inaccurate"),
 )
+IN_ORDER, CLOCK_JUMPED, INTERRUPTED, STARVED, AT_STOP, LEFT_MAP, SATURATED, WRONG_GUIDE, OSCILLATES, INACCURATE = WORDS
 
 
 class Verdict(NamedTuple):

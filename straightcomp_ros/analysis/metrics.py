@@ -1,8 +1,9 @@
-"""The figures of a run and of its strokes: compensation error, residual straightness, control current."""
+"""The figures of a run and of its strokes: compensation error, residual straightness, control current, friction."""
 
 import itertools
+import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +91,7 @@ class StrokeFigures(_Figures):
         start, duration, travel: of the movement, travel in x.
         encoder_pp, encoder_rms: compensation error as the encoder sees it.
         true_pp, true_rms: the true one, None without truth.
-        before_least_squares, before_end_points: straightness of the guide by ISO 230-1, beside either line.
+        before_least_squares, before_end_points: straightness of the guide by ISO 230-1, relative to either line.
         after_least_squares, after_end_points: straightness of the workpiece, likewise. True positions where they are
             known, else the map's and the encoder's.
     """
@@ -175,7 +176,7 @@ def stroke_figures(
 def residual_of_stroke(
     time: NDArray[np.float64], x: NDArray[np.float64], deviation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """``deviation`` (n,) over ``x`` (n,) in m of one movement beside its least squares line, weighed by the speed as in
+    """``deviation`` (n,) over ``x`` (n,) in m of one movement, from its least squares line, weighed by the speed as in
     :func:`residual_over`."""
     return least_squares_residual(x, deviation, np.abs(np.gradient(x, time)))
 
@@ -190,7 +191,7 @@ def true_error(record: StrokeRecord, straightness: ReferenceMap) -> NDArray[np.f
 def residual_over(
     x: NDArray[np.float64], deviation: NDArray[np.float64], record: StrokeRecord, motion: Motion
 ) -> NDArray[np.float64]:
-    """``deviation`` (n,) over ``x`` (n,) in m beside its least squares line, (m,) for the samples ``motion.samples()``.
+    """``deviation`` (n,) over ``x`` (n,) in m, from its least squares line, (m,) for the samples ``motion.samples()``.
 
     Samples are weighed by the speed, since the stage lingers where it starts and stops.
     """
@@ -209,3 +210,47 @@ def _resting_rms_step(record: StrokeRecord, motion: Motion) -> float | None:
 
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values * values)))
+
+
+_SPAN = 0.05
+"""Time in s over which ẏ is taken: longer than a count of the encoder takes."""
+_SLIDING = 0.2
+"""Fraction of the 90th percentile of |ẏ| from which the platform counts as sliding."""
+_BENDING = 2e-6
+"""Travel in m after a reversal in which the bristles bend: four times that of the shipped stage."""
+_LEAST = 500
+"""Samples of sliding in each direction."""
+_LEAST_TRAVEL = 2.0 * _BENDING
+"""Travel of the platform in m below which hardly any of it is sliding."""
+
+
+class ForceBalance(NamedTuple):
+    """Friction in A and K̄_y/K̄_i in A/m; NaN where they are not identifiable."""
+
+    friction: float
+    stiffness: float
+
+
+def force_balance(time: NDArray[np.float64], y: NDArray[np.float64], coil_current: NDArray[np.float64]) -> ForceBalance:
+    """The balance of a stroke; ``time`` in s, ``y`` in m and measured ``coil_current`` in A, (n,) each.
+
+    Samples with NaN are left out. The values are NaN where the platform does not slide long enough both ways.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    known = np.isfinite(y) & np.isfinite(coil_current)
+    time, y, coil_current = time[known], y[known], coil_current[known]
+    if time.size < 2 * _LEAST or np.ptp(y) < _LEAST_TRAVEL:
+        return ForceBalance(math.nan, math.nan)
+    width = max(3, round(_SPAN / float(np.median(np.diff(time)))))
+    velocity = uniform_filter1d(np.gradient(uniform_filter1d(y, width, mode="nearest"), time), width, mode="nearest")
+    turned = np.diff(np.sign(velocity), prepend=0.0) != 0.0
+    turning_point = np.maximum.accumulate(np.where(turned, np.arange(y.size), 0))
+    sliding = np.abs(velocity) > _SLIDING * float(np.percentile(np.abs(velocity), 90))
+    sliding &= np.abs(y - y[turning_point]) > _BENDING
+    way = np.sign(velocity[sliding])
+    if min(np.count_nonzero(way > 0.0), np.count_nonzero(way < 0.0)) < _LEAST:
+        return ForceBalance(math.nan, math.nan)
+    terms = np.stack([np.ones(way.size), -y[sliding], way], axis=1)
+    (_, stiffness, friction), *_ = np.linalg.lstsq(terms, coil_current[sliding], rcond=None)
+    return ForceBalance(float(friction), float(stiffness))

@@ -19,7 +19,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.map_building import BuiltMap
 
-# Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
+# Okabe and Ito's palette: distinguishable with any colour vision, and by lightness on a black-and-white print.
 BLACK, BLUE, VERMILION, GREY = "#000000", "#0072B2", "#D55E00", "#A8A8A8"
 PALE_BLUE, PALE_VERMILION = "#9CCBE6", "#F2BE9A"
 LENGTH_OF_MEAN_MM = 10.0
@@ -77,7 +77,7 @@ def save_whole(figure: Figure, path: Path) -> None:
 
 
 def plot_map(built: BuiltMap, path: Path) -> None:
-    """Draw the map over its runs, and below on their own scale the runs beside the mean, with the band of ± 2 s.
+    """Draw the map over its runs, and below on their own scale the runs relative to the mean, with the band of ± 2 s.
 
     OSError or ValueError if the picture ``path`` cannot be written, or has an ending that is no picture's.
     """
@@ -89,23 +89,25 @@ def plot_map(built: BuiltMap, path: Path) -> None:
     for run in built.survey.runs:
         pale = PALE_BLUE if run.direction == "forward" else PALE_VERMILION
         upper.plot(run.x * 1e3, run.deviation * 1e6, color=pale, linewidth=0.8)
-        beside = run.deviation - np.interp(run.x, found.x, mean)
-        lower.plot(run.x * 1e3, beside * 1e6, ".", color=pale, markersize=2.0)
-    label = f"mean: {figures['straightness_least_squares_um']:.2f} µm p-p beside its least squares line"
+        difference = run.deviation - np.interp(run.x, found.x, mean)
+        lower.plot(run.x * 1e3, difference * 1e6, ".", color=pale, markersize=2.0)
+    label = f"mean: {figures['straightness_least_squares_um']:.2f} µm p-p from its least squares line"
     upper.plot(x_mm, mean * 1e6, color=BLACK, linewidth=1.2, label=label)
     ways = ((found.forward, "forward", BLUE, PALE_BLUE), (found.backward, "backward", VERMILION, PALE_VERMILION))
     for directed, name, colour, pale in ways:
         if directed is None:
             continue
-        beside = (directed.mean - mean) * 1e6
-        lower.plot(x_mm, beside, color=colour, linewidth=1.2, label=f"{name}, mean of {directed.runs}")
+        difference = (directed.mean - mean) * 1e6
+        lower.plot(x_mm, difference, color=colour, linewidth=1.2, label=f"{name}, mean of {directed.runs}")
         if directed.s is not None:
             band = 2e6 * directed.s
-            lower.fill_between(x_mm, beside - band, beside + band, color=pale, alpha=0.35, label=f"{name} ± 2 s")
+            lower.fill_between(
+                x_mm, difference - band, difference + band, color=pale, alpha=0.35, label=f"{name} ± 2 s"
+            )
     for _, x in built.rejected_points:
         lower.axvline(x * 1e3, color=GREY, linewidth=0.6)
     r = figures["repeatability_bidirectional_um"]
-    lower.set_title("Runs beside the mean" + ("" if r is None else f"; R = {r:.3f} µm (ISO 230-2)"), fontsize=10)
+    lower.set_title("Runs relative to the mean" + ("" if r is None else f"; R = {r:.3f} µm (ISO 230-2)"), fontsize=10)
     upper.set_title("Survey of the guide", fontsize=10)
     lower.set_xlabel("slider position x / mm")
     for axes in (upper, lower):

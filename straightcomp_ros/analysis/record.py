@@ -145,11 +145,7 @@ def find_motion(record: StrokeRecord) -> Motion:
 
 
 def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
-    """The strokes in a motion: ``time`` (n,) in s and ``x`` (n,) in m, finite.
-
-    Speed is taken over :data:`SPEED_SPAN`, which hides the quantisation of x, but makes a stroke seem longer at both
-    ends. The ends are then moved in to where x leaves its resting value by :data:`ARRIVED`. At 0.2 m/s² that is 3 ms
-    after the stage began to move.
+    """The strokes in a motion: ``time`` (n,) in s and ``x`` (n,) in m, finite; see :func:`strokes_and_jumps`.
 
     Raises:
         MetricsError: time does not rise, or there is no stroke.
@@ -161,22 +157,33 @@ def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
     if not (steps > 0.0).all():
         at = int(np.flatnonzero(steps <= 0.0)[0]) + 1
         raise MetricsError(f"record: time does not rise at sample {at}: {time[at]:.9g} s; allowed: > the one before")
-    half = max(1, round(0.5 * SPEED_SPAN / float(np.median(steps))))
-    jumps = jumps_of(time, x)
-    edges = [0, *jumps.tolist(), n]
-    strokes = [stroke for start, stop in itertools.pairwise(edges) for stroke in _strokes(time, x, start, stop, half)]
+    strokes, jumps = strokes_and_jumps(time, x)
     if not strokes:
         jumped = [f"x jumps by {abs(x[at] - x[at - 1]) * 1e3:.6g} mm at {time[at]:.6g} s, and " for at in jumps[:1]]
         raise MetricsError(
             f"record: {''.join(jumped)}the stage does not move: x stays within {np.ptp(x) * 1e3:.6g} mm; "
             f"allowed: at least one stroke of {SHORTEST_STROKE * 1e3:g} mm at {MOVING * 1e3:g} mm/s"
         )
-    return Motion(tuple(strokes))
+    return Motion(strokes)
 
 
-def jumps_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.intp]:
+def strokes_and_jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[tuple[Stroke, ...], NDArray[np.intp]]:
+    """The strokes in a motion of at least three samples, ``time`` (n,) in s rising and ``x`` (n,) in m finite, and the
+    samples (m,) at which x jumps.
+
+    Speed is taken over :data:`SPEED_SPAN`, which hides the quantisation of x, but makes a stroke seem longer at both
+    ends. The ends are then moved in to where x leaves its resting value by :data:`ARRIVED`. At 0.2 m/s² that is 3 ms
+    after the stage began to move.
+    """
+    half = max(1, round(0.5 * SPEED_SPAN / float(np.median(np.diff(time)))))
+    jumps = _jumps(time, x)
+    pieces = itertools.pairwise([0, *jumps.tolist(), time.size])
+    return tuple(stroke for start, stop in pieces for stroke in _strokes(time, x, start, stop, half)), jumps
+
+
+def _jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.intp]:
     """The samples (m,) at which ``x`` (n,) in m is not where a stage can have gone since the sample before: an encoder
-    that failed, a driver that was started again, or two drivers. Samples beside a gap of ``time`` (n,) are not judged.
+    that failed, a driver that was started again, or two drivers. Samples next to a gap of ``time`` (n,) are not judged.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -207,6 +214,11 @@ def _strokes(time: NDArray[np.float64], x: NDArray[np.float64], first: int, end:
             if away.size:
                 direction: Direction = "forward" if way[start] > 0.0 else "backward"
                 yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
+
+
+def runs_of(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(m, 2) first sample and the one after the last of each run of True in ``mask`` (n,)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
 
 
 def speed_at_end(time: NDArray[np.float64], x: NDArray[np.float64]) -> float:

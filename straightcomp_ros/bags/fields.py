@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import typestore
-from straightcomp_ros.bags.messages import Messages, decoded, read_messages
-from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_streams
+from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 
 _IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
 """Line between the types of a definition in encoding ``ros2idl``."""
+_LONGEST_GAP_NS = 100_000_000
+"""Time between two samples up to which their values are interpolated."""
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 
 
@@ -50,13 +51,21 @@ class Field:
 class FieldValues:
     """Stamps (n,) int64 in ns since the epoch, and values (n,) float64 in the unit of the messages.
 
-    ``stamped`` tells whether the stamps are those of the messages' headers; without headers they are the times of
-    sending.
+    ``stamped``: whether the stamps are those of the messages' headers; without headers they are the times of sending.
     """
 
     stamp: NDArray[np.int64]
     values: NDArray[np.float64]
     stamped: bool
+
+    def at(self, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart. Its own
+        stamps must rise."""
+        first, last = self.stamp[0], self.stamp[-1]
+        place = np.searchsorted(self.stamp[:-1], stamps)
+        near = np.diff(self.stamp, prepend=first)[place] <= _LONGEST_GAP_NS
+        usable = (self.stamp[place] == stamps) | (near & (stamps > first) & (stamps < last))
+        return np.interp((stamps - first) * 1e-9, (self.stamp - first) * 1e-9, self.values), usable
 
 
 def read_field(bag: Path, field: Field) -> FieldValues:
@@ -104,14 +113,15 @@ def _register_type(bag: Path, messages: Messages) -> None:
     if name in store.fielddefs:
         return
     where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
-    if not messages.definition.strip():
+    text = str(messages.described.text) if messages.described else ""
+    if not text.strip():
         raise BagError(f"{where}; record again where the package of that type is installed")
     try:
-        if messages.definition_encoding == "ros2idl":
-            texts = _IDL_HEAD.split(messages.definition)
-            described = {key: value for text in texts if text for key, value in get_types_from_idl(text).items()}
+        if messages.described and messages.described.encoding == "ros2idl":
+            parts = filter(None, _IDL_HEAD.split(text))
+            described = {key: value for part in parts for key, value in get_types_from_idl(part).items()}
         else:
-            described = get_types_from_msg(messages.definition, name)
+            described = get_types_from_msg(text, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
         store.hash_rihs01(name)  # needs the types of all its fields
     except Exception as error:  # The parser raises errors of many kinds on a malformed text.

@@ -1,33 +1,25 @@
-"""metadata.yaml: what rosbag2 knows of a bag before it opens the files. Version 9, as ROS 2 Jazzy writes it.
+"""What a bag says of itself: metadata.yaml, which rosbag2 reads before the files, and which program made the bag.
 
-Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and ``convert<TopicMetadata>``.
+Version 9, as ROS 2 Jazzy writes it. Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and
+``convert<TopicMetadata>``.
 """
 
+import importlib.metadata
+import subprocess
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 
-from straightcomp_ros.bags.definitions import ROS_DISTRO, Definition
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.topics import ROS_DISTRO, Topic
+from straightcomp_ros.contract import PACKAGE
 
 VERSION = 9
 ROOT_KEY = "rosbag2_bagfile_information"
 """The only key at the top of metadata.yaml."""
 _NO_TIME = 2**63 - 1
 """Start of a bag without messages, in ns: rosbag2 writes the end of time."""
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A recorded topic: full name, ROS type, quality of service, definition of the type, encoding of its messages."""
-
-    name: str
-    type_name: str
-    qos: TopicQos
-    described: Definition
-    encoding: str = "cdr"
 
 
 class BagFile(NamedTuple):
@@ -59,7 +51,7 @@ def bag_information(
                     "type": topic.type_name,
                     "serialization_format": topic.encoding,
                     "offered_qos_profiles": topic.qos.as_profiles(),
-                    "type_description_hash": topic.described.type_hash,
+                    "type_description_hash": topic.definition.type_hash,
                 },
                 "message_count": sum(file.message_counts.get(topic.name, 0) for file in files),
             }
@@ -94,3 +86,27 @@ def _duration(time_range: tuple[int, int] | None) -> dict[str, int]:
 def as_yaml(information: Mapping[str, object]) -> str:
     """YAML in the order of rosbag2; without anchors, since no object occurs twice in it."""
     return str(yaml.safe_dump(dict(information), sort_keys=False, allow_unicode=True))
+
+
+ORIGIN_METADATA = "origin"
+"""Metadata record of a bag with what :func:`origin` gives."""
+
+
+def origin() -> dict[str, str]:
+    """Package, version, and ``revision`` (with ``-dirty`` after changes) or ``unknown``."""
+    try:
+        version = importlib.metadata.version(PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        version = "unknown"
+    return {"package": PACKAGE, "version": version, "revision": _revision()}
+
+
+def _revision() -> str:
+    git = ["git", "-C", str(Path(__file__).resolve().parent)]
+    describe = ["describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        # Where the package is installed inside another repository, git would give that one's revision.
+        subprocess.run([*git, "ls-files", "--error-unmatch", __file__], capture_output=True, timeout=5, check=True)
+        return subprocess.run([*git, *describe], capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

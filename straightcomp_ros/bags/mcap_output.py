@@ -22,9 +22,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from straightcomp_ros.bags.definitions import Definition
-from straightcomp_ros.bags.information import Topic
-from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE, MESSAGE_FIELDS
+from straightcomp_ros.bags.mcap_input import FRAME, MESSAGE, MESSAGE_FIELDS
+from straightcomp_ros.bags.topics import Definition, Topic
 from straightcomp_ros.contract import PACKAGE
 
 ChannelMessage = tuple[int, int, int, bytes]
@@ -105,12 +104,7 @@ class _OpenChunk:
 
 
 class McapOutput:
-    """A new MCAP file of profile ``ros2``.
-
-    Args:
-        path: the file; must not exist.
-        compression: ``zstd``, ``lz4`` or ``none``.
-        chunk_size: bytes of messages, before compression, that fill a chunk.
+    """A new MCAP file of profile ``ros2``, in chunks of ``chunk_size`` bytes of messages before compression.
 
     Attributes:
         time_range: first and last log time in the file in ns; None without messages.
@@ -134,12 +128,12 @@ class McapOutput:
         self.size, self._crc = self._put(MAGIC + _packed(records.Header("ros2", PACKAGE)))
 
     def add_channel(self, topic: Topic, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its channel id. One of no type has no schema. It is written beside the chunks, not into
+        """Add a topic; returns its channel id. One of no type has no schema. It is written between the chunks, not into
         one, so that a damaged chunk costs its own messages only."""
         schemas, channels = self._summary[Opcode.SCHEMA], self._summary[Opcode.CHANNEL]
-        key = (topic.type_name, topic.described)
+        key = (topic.type_name, topic.definition)
         schema_id = self._schema_ids.get(key, len(schemas) + 1) if topic.type_name else 0
-        text, _, encoding = topic.described
+        text, _, encoding = topic.definition
         data = text if isinstance(text, bytes) else text.encode()
         known = key in self._schema_ids or not schema_id
         schema = [] if known else [_packed(records.Schema(schema_id, data, encoding, topic.type_name))]

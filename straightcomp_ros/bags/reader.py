@@ -1,20 +1,227 @@
-"""Reads a bag: streams as columns, attachments, metadata."""
+"""Reads a bag: streams as columns, messages of any type as they are, attachments, metadata."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Metadata
+from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import opened, topic_names
-from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.mcap_records import UNREADABLE, parsed
-from straightcomp_ros.bags.messages import Messages
-from straightcomp_ros.bags.sqlite_input import SqliteInput
-from straightcomp_ros.bags.stream_columns import StreamColumns, StreamDecoder
-from straightcomp_ros.bags.topics import RecordedTopic, chosen_topics, resolved
-from straightcomp_ros.messages.cdr import Layout
+from straightcomp_ros.bags.folder import BagInput, SqliteInput, compressed_messages, opened, topic_names
+from straightcomp_ros.bags.mcap_input import FRAME, HEAD, UNREADABLE, McapInput, parsed, rows
+from straightcomp_ros.bags.topics import Definition, Topic, chosen_topics, resolved, typestore
+from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
+
+COMPRESSIONS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
+"""Compressions by the first bytes of what they make; no message in CDR begins so."""
+
+
+@dataclass
+class Messages:
+    """Messages of one topic in the order in which they were recorded.
+
+    Attributes:
+        topic, type_name, described: as in :class:`straightcomp_ros.bags.topics.Topic`.
+        log_time, publish_time: when each was received, and made by its source, ns since the epoch.
+        data: each as CDR.
+    """
+
+    topic: str
+    type_name: str = ""
+    described: Definition | None = None
+    log_time: list[int] = field(default_factory=list)
+    publish_time: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+    def describe(self, topic: Topic) -> None:
+        """Take type and definition of the first entry that has them."""
+        self.type_name = self.type_name or topic.type_name
+        if topic.described and topic.described.text and not self.described:
+            self.described = topic.described
+
+    def add(self, block: bytes, starts: NDArray[np.int64]) -> None:
+        """Take the message records at ``starts`` (n,) in ``block``."""
+        heads = rows(block, starts, HEAD)
+        self.log_time += heads["log_time"].tolist()
+        self.publish_time += heads["publish_time"].tolist()
+        ends = starts + FRAME.size + heads["length"].astype(np.int64)
+        data = zip((starts + HEAD.itemsize).tolist(), ends.tolist(), strict=True)
+        self.data += [block[first:end] for first, end in data]
+
+
+def read_messages(bag: Path, topic: str) -> Messages:
+    """All messages of ``topic``, named as :func:`straightcomp_ros.bags.topics.resolved` takes it.
+
+    Raises BagError when the bag cannot be read, is damaged, lacks the topic, or has no messages on it. Warns
+    (UserWarning) when the bag was not finished.
+    """
+    with opened(bag) as files:
+        names = topic_names(files)
+        full = resolved(topic, names, str(bag))
+        if full is None:
+            raise BagError(f"bag {bag}: has no topic '{topic}'; it has {', '.join(sorted(names))}")
+        found = messages_on(full, files)
+    if not found.data:
+        raise BagError(f"bag {bag}: topic '{full}' has no messages; was its publisher running?")
+    return found
+
+
+def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
+    """All messages of the topic with this full name. Raises BagError when the bag is damaged."""
+    found = Messages(topic)
+    for file in files:
+        ours = [entry for entry in file.topics.values() if entry.name == topic]
+        for entry in ours:
+            if found.type_name not in ("", entry.type_name):
+                kinds = f"'{found.type_name}' and '{entry.type_name}'"
+                raise BagError(f"bag {file.path}: topic '{topic}' has messages of types {kinds}; allowed is one type")
+            found.describe(entry)
+        for block, places in file.blocks([topic]) if ours else ():
+            if topic in places:
+                found.add(block, places[topic])
+    return found
+
+
+def decoded(where: str, data: bytes, type_name: str) -> Any:
+    """The message in ``data``, decoded by rosbags. Raises BagError when the bytes are no such message; the text begins
+    with ``where``."""
+    if compression := COMPRESSIONS.get(data[:4]):
+        raise BagError(f"{where}: {compressed_messages(compression)}")
+    try:
+        return typestore().deserialize_cdr(data, type_name)
+    except Exception as error:  # The decoder raises errors of many kinds on malformed bytes.
+        raise BagError(f"{where} does not decode ({error}); allowed is a {type_name}") from error
+
+
+@dataclass(frozen=True)
+class StreamColumns:
+    """Messages of one topic, in the order in which they were recorded.
+
+    Attributes:
+        log_time, publish_time, stamp: (n,) int64, when each was received, when its source made it, and the stamp of its
+            header, ns since the epoch.
+        columns: (n,) float64 for each column of the layout, in the units of the stream.
+    """
+
+    log_time: NDArray[np.int64]
+    publish_time: NDArray[np.int64]
+    stamp: NDArray[np.int64]
+    columns: dict[str, NDArray[np.float64]]
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def by_stamp(self) -> StreamColumns:
+        """In the order of the stamps, the first message of each: lockstep repeats a sample that got no answer."""
+        _, rows = np.unique(self.stamp, return_index=True)
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return StreamColumns(self.log_time[rows], self.publish_time[rows], self.stamp[rows], columns)
+
+
+class StreamDecoder:
+    """Gathers the messages of one topic, which should have ``layout``; ``topic`` names it, and the bag, in errors."""
+
+    def __init__(self, topic: str, layout: Layout) -> None:
+        self._topic, self._layout, self._dtype = topic, layout, layout.dtype
+        self._template = np.frombuffer(layout.pack(0, *(0.0 for _ in layout.columns)), np.uint8)
+        self._constants = constant_places(layout)
+        self._batches: list[tuple[NDArray[Any], ...]] = []
+
+    def add(self, data: bytes, places: NDArray[np.int64]) -> None:
+        """Decode the message records at ``places`` in ``data``. Raises BagError when a message is neither of the layout
+        nor decodes to its joints and arrays."""
+        heads = rows(data, places, HEAD)
+        lengths = heads["length"].astype(np.int64)
+        stamp = np.empty(len(places), np.int64)
+        numbers = np.empty((len(self._layout.columns), len(places)))
+        fits = lengths >= HEAD.itemsize - FRAME.size + self._layout.size
+        messages = rows(data, places[fits] + HEAD.itemsize, self._dtype)
+        same = self._same_constants(messages)
+        fits[fits] = same
+        if not same.all():
+            messages = messages[same]
+        stamp[fits] = messages["sec"].astype(np.int64) * NANOSECONDS + messages["nanosec"]
+        for column, name in zip(numbers, self._layout.columns, strict=True):
+            column[fits] = messages[name]
+        for odd in np.flatnonzero(~fits):
+            message = data[places[odd] + HEAD.itemsize : places[odd] + FRAME.size + lengths[odd]]
+            stamp[odd], numbers[:, odd] = self._by_names(message, int(odd))
+        log_time, publish_time = heads["log_time"].astype(np.int64), heads["publish_time"].astype(np.int64)
+        self._batches.append((log_time, publish_time, stamp, *numbers))
+
+    def finished(self) -> StreamColumns | None:
+        """All messages so far; None when there was none."""
+        if not self._batches:
+            return None
+        log_time, publish_time, stamp, *numbers = map(np.concatenate, zip(*self._batches, strict=True))
+        return StreamColumns(log_time, publish_time, stamp, dict(zip(self._layout.columns, numbers, strict=True)))
+
+    def _same_constants(self, messages: NDArray[np.void]) -> NDArray[np.bool_]:
+        content = messages.view(np.uint8).reshape(len(messages), self._layout.size)
+        template = self._template
+        # One comparison of memory for the whole block; message by message only where it fails.
+        if all(
+            content[:, first:end].tobytes() == template[first:end].tobytes() * len(messages)
+            for first, end in self._constants
+        ):
+            return np.ones(len(messages), np.bool_)
+        mask = meaningful(self._layout)
+        return np.asarray((content[:, mask] == template[mask]).all(axis=1), np.bool_)
+
+    def _by_names(self, message: bytes, place: int) -> tuple[int, list[float]]:
+        number, type_name = sum(len(stamp) for _, _, stamp, *_ in self._batches) + place, self._layout.type_name
+        where = f"{self._topic}: message {number}"
+        try:
+            return read_by_names(self._layout, decoded(where, message, type_name))
+        except LayoutMismatch as error:
+            allowed = f"allowed is a {type_name} with {', '.join(self._layout.columns)}"
+            raise BagError(f"{where} lacks {error}; {allowed}") from error
+
+
+def constant_places(layout: Layout) -> list[tuple[int, int]]:
+    """(first, end) byte of the encapsulation and of each run of constants in a message."""
+    places, place = [(0, len(ENCAPSULATION))], len(ENCAPSULATION) + 8  # the stamp
+    for constant, run in zip(layout.constants, layout.runs, strict=True):
+        places.append((place, place + len(constant)))
+        place += len(constant) + 8 * run
+    return places
+
+
+@cache
+def meaningful(layout: Layout) -> NDArray[np.bool_]:
+    """For each byte of a message, True where it is constant and a decoder looks at it. Bytes of CDR's alignment gaps
+    are not: other writers fill them with whatever was in memory.
+
+    Found by trial: a byte means nothing when the message decodes to the same with any other byte in its place.
+    """
+    template = layout.pack(0, *(0.0 for _ in layout.columns))
+    expected = _text(template, layout)
+    mask = np.zeros(layout.size, np.bool_)
+    for first, end in constant_places(layout):
+        mask[first:end] = True
+    for place in np.flatnonzero(mask)[len(ENCAPSULATION) :]:
+        # Gaps are zero in a layout's constants; anything else is a letter or a number.
+        if template[place] == 0:
+            changed = bytearray(template)
+            changed[place] = 0xFF
+            mask[place] = _text(bytes(changed), layout) != expected
+    mask.setflags(write=False)
+    return mask
+
+
+def _text(message: bytes, layout: Layout) -> str:
+    try:
+        return repr(typestore().deserialize_cdr(message, layout.type_name))
+    except Exception as error:  # Of any kind: the byte meant something.
+        return repr(error)
+
 
 __all__ = ["StreamColumns", "read_attachments", "read_metadata", "read_streams"]
 
@@ -44,24 +251,35 @@ def read_streams(
         UserWarning: the bag was not finished; what is whole is read.
     """
     with opened(bag) as files:
-        names = topic_names(files)
-        wanted = chosen_topics(layouts, names, str(bag), remap or {})
-        decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
-        found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
-        count = 0
-        for file in files:
-            for topic in file.topics.values():
-                if topic.name in wanted:
-                    _check_kind(file.path, topic, layouts[wanted[topic.name]])
-                elif topic.name in found:
-                    found[topic.name].describe(topic)
-            for data, places in file.blocks([*wanted, *found]):
-                for name, starts in places.items():
-                    count += len(starts)
-                    if name in wanted:
-                        decoders[name].add(data, starts)
-                    elif name in found:
-                        found[name].add(data, starts)
+        return streams_of(bag, files, layouts, remap, whole)
+
+
+def streams_of(
+    bag: Path,
+    files: Sequence[BagInput],
+    layouts: Mapping[str, Layout],
+    remap: Mapping[str, str] | None = None,
+    whole: Sequence[Messages] = (),
+) -> dict[str, StreamColumns]:
+    """As :func:`read_streams`, from the open files of a bag."""
+    names = topic_names(files)
+    wanted = chosen_topics(layouts, names, str(bag), remap or {})
+    decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+    found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
+    count = 0
+    for file in files:
+        for topic in file.topics.values():
+            if topic.name in wanted:
+                _check_kind(file.path, topic, layouts[wanted[topic.name]])
+            elif topic.name in found:
+                found[topic.name].describe(topic)
+        for data, places in file.blocks([*wanted, *found]):
+            for name, starts in places.items():
+                count += len(starts)
+                if name in wanted:
+                    decoders[name].add(data, starts)
+                elif name in found:
+                    found[name].add(data, starts)
     finished = ((key, decoders[full].finished()) for full, key in wanted.items())
     streams = {key: columns for key, columns in finished if columns is not None}
     if not streams and any(isinstance(file, SqliteInput) for file in files):
@@ -74,12 +292,17 @@ def read_streams(
 def read_attachments(bag: Path) -> dict[str, bytes]:
     """The files attached to a bag, by name; of two with one name the later. A SQLite bag has none. Raises BagError when
     the bag is absent or damaged."""
-    found: dict[str, bytes] = {}
     with opened(bag) as files:
-        for file in (file for file in files if isinstance(file, McapInput)):
-            for record in file.records(Opcode.ATTACHMENT):
-                attachment = file.attachment(record)
-                found[attachment.name] = attachment.data
+        return attachments_of(files)
+
+
+def attachments_of(files: Sequence[BagInput]) -> dict[str, bytes]:
+    """As :func:`read_attachments`, from the open files of a bag."""
+    found: dict[str, bytes] = {}
+    for file in (file for file in files if isinstance(file, McapInput)):
+        for record in file.records(Opcode.ATTACHMENT):
+            attachment = file.attachment(record)
+            found[attachment.name] = attachment.data
     return found
 
 
@@ -101,10 +324,20 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
     return found
 
 
-def _check_kind(path: Path, topic: RecordedTopic, layout: Layout) -> None:
+def _check_kind(path: Path, topic: Topic, layout: Layout) -> None:
     # Some tools write the type without its namespace: sensor_msgs/JointState.
     if layout.type_name not in (topic.type_name, topic.type_name.replace("/", "/msg/", 1)) or topic.encoding != "cdr":
         raise BagError(
             f"bag {path}: topic '{topic.name}' has messages of type '{topic.type_name}' in encoding "
             f"'{topic.encoding}'; allowed is {layout.type_name} in encoding 'cdr'"
         )
+
+
+def values_at(stream: StreamColumns | None, name: str, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Column ``name`` of ``stream`` at ``stamps`` (n,) in ns, (n,); NaN where it has none, or is not there. Of messages
+    with the same stamp the first counts."""
+    if stream is None or not len(stream):
+        return np.full(len(stamps), np.nan)
+    own = stream.by_stamp()
+    places = np.minimum(np.searchsorted(own.stamp, stamps), len(own) - 1)
+    return np.where(own.stamp[places] == stamps, own.columns[name][places], np.nan)

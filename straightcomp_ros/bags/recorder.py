@@ -3,19 +3,116 @@
 import shutil
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Collection
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import Definition
-from straightcomp_ros.bags.intake import BREAK, Intake, Message
-from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
+from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
+from straightcomp_ros.bags.topics import Topic
+from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter, Message
+from straightcomp_ros.messages.cdr import NANOSECONDS
+
+BREAK: Message = ("", b"", 0, 0)
+"""Marks in the queue where messages were left out on purpose: they do not count as lost."""
+
+
+class Intake:
+    """Messages on their way to the bag. One thread adds, another takes from ``queue``.
+
+    Args:
+        limit: messages that may wait for the disk; beyond it they are dropped and counted.
+        snapshot_s: 0 records all; otherwise the messages of the last ``snapshot_s`` seconds stay in memory, and only
+            :meth:`snapshot` sends them to the disk.
+
+    Attributes:
+        queue: messages for the disk, oldest first.
+        received, dropped, passed_over: messages that came, had no room in the queue, came while paused.
+    """
+
+    def __init__(self, limit: int, snapshot_s: float = 0.0) -> None:
+        self.queue: deque[Message] = deque()
+        self.received = self.dropped = self.passed_over = 0
+        self._paused = False
+        self._limit, self._keep_ns = limit, round(snapshot_s * 1e9)
+        self._memory: deque[Message] = deque()
+
+    def add(self, topic: str, data: bytes, received_ns: int, source_ns: int) -> None:
+        """A message came."""
+        self.received += 1
+        if self._paused:
+            self.passed_over += 1
+        elif self._keep_ns:
+            memory = self._memory
+            memory.append((topic, data, received_ns, source_ns))
+            while received_ns - memory[0][2] > self._keep_ns:
+                memory.popleft()
+        elif len(self.queue) < self._limit:
+            self.queue.append((topic, data, received_ns, source_ns))
+        else:
+            self.dropped += 1
+
+    def snapshot(self) -> int:
+        """Send what is in memory to the disk; returns how many messages that is."""
+        room = max(self._limit - len(self.queue), 0)
+        kept = list(self._memory)[-room:] if room else []
+        self.dropped += len(self._memory) - len(kept)
+        self._memory.clear()
+        self.queue += [BREAK, *kept]
+        return len(kept)
+
+    @property
+    def paused(self) -> bool:
+        """While true, messages are ignored and counted."""
+        return self._paused
+
+    @paused.setter
+    def paused(self, value: bool) -> None:
+        if value and not self._paused:
+            self.queue.append(BREAK)
+        self._paused = value
+
+
+_STAMP = slice(4, 12)
+"""A header's stamp follows the four bytes of the CDR encapsulation."""
+_STAMP_TYPE = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
+
+
+class Losses:
+    """Gaps in streams whose stamps lie on a grid: every stream of the loop carries its sample's stamp. The sampling
+    period is the smallest step between two stamps of the same topic."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, int] = {}
+        self._steps: dict[str, Counter[int]] = {}
+
+    def add(self, topic: str, messages: Iterable[bytes]) -> None:
+        """Serialised messages of one topic, in their order; each begins with a header."""
+        stamps = np.frombuffer(b"".join([data[_STAMP] for data in messages if len(data) >= _STAMP.stop]), _STAMP_TYPE)
+        if not len(stamps):
+            return
+        times = stamps["sec"].astype(np.int64) * NANOSECONDS + stamps["nanosec"]
+        # A stamp that is repeated or overtaken stands still here, and makes no step.
+        newest = np.maximum.accumulate(np.append(self._last.get(topic, times[0]), times))
+        steps = np.diff(newest)
+        self._steps.setdefault(topic, Counter()).update(steps[steps > 0].tolist())
+        self._last[topic] = int(newest[-1])
+
+    def interrupt(self) -> None:
+        """Do not count the gap before the next message: those in it were left out on purpose."""
+        self._last.clear()
+
+    def by_topic(self) -> Mapping[str, int]:
+        """Messages missing between the first and the last, by topic."""
+        return {
+            topic: sum((round(step / min(steps)) - 1) * count for step, count in steps.items()) if steps else 0
+            for topic, steps in self._steps.items()
+        }
+
 
 _WRITE_INTERVAL_S = 0.05
 _DISK_CHECK_INTERVAL_S = 0.5
@@ -30,7 +127,7 @@ class RecorderOptions:
     Attributes:
         output: folder of the first bag, later ones get ``_2``, ``_3`` …; empty names each after the time of its start.
         compression, max_size, max_duration: see :class:`straightcomp_ros.bags.writer.BagWriter`.
-        queue_limit, snapshot_s: see :class:`straightcomp_ros.bags.intake.Intake`.
+        queue_limit, snapshot_s: see :class:`straightcomp_ros.bags.recorder.Intake`.
         min_free: bytes that must stay free on the disk.
     """
 
@@ -41,21 +138,6 @@ class RecorderOptions:
     queue_limit: int = 200_000
     snapshot_s: float = 0.0
     min_free: int = 0
-
-
-@dataclass(frozen=True)
-class Announced:
-    """A topic of every bag: full name, type, quality of service, and the definition of a type that ROS 2's own
-    packages do not have."""
-
-    name: str
-    type_name: str
-    qos: TopicQos
-    described: Definition | None = None
-
-    def add_to(self, bag: BagWriter) -> None:
-        """Add the topic to a bag."""
-        bag.add_topic(self.name, self.type_name, self.qos, self.described)
 
 
 class DiskGuard:
@@ -100,9 +182,9 @@ class Recorder:
         self, options: RecorderOptions, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
     ) -> None:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
-        self._topics: list[Announced] = []
-        self._new_topics: deque[Announced] = deque()
-        self._expected: list[Announced] = []
+        self._topics: list[Topic] = []
+        self._new_topics: deque[Topic] = deque()
+        self._expected: list[Topic] = []
         self._count = self.written = 0
         self._stopping, self._splitting = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -115,12 +197,12 @@ class Recorder:
         """Whether a bag is open."""
         return self._thread is not None
 
-    def announce(self, topic: Announced) -> None:
+    def announce(self, topic: Topic) -> None:
         """Add a topic, to the present bag too. Its first message may follow at once."""
         self._topics.append(topic)
         self._new_topics.append(topic)
 
-    def expect(self, topic: Announced) -> None:
+    def expect(self, topic: Topic) -> None:
         """Name a topic that will be announced when its publishers' quality of service is known. A bag that ends before
         that lists it as it is given here, without messages."""
         self._expected.append(topic)
@@ -138,7 +220,7 @@ class Recorder:
             bag.add_metadata(ORIGIN_METADATA, origin())
             self._new_topics.clear()
             for topic in self._topics:
-                topic.add_to(bag)
+                _add(bag, topic)
         except BaseException:
             bag.close()
             raise
@@ -182,7 +264,7 @@ class Recorder:
                 bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
             for topic in self._expected:
                 if topic.name not in bag.topics:
-                    topic.add_to(bag)
+                    _add(bag, topic)
 
     def _closed_intake(self) -> Intake:
         intake = Intake(self._options.queue_limit)
@@ -217,7 +299,7 @@ class Recorder:
         count = len(queue)
         # After the count: the topic of each of these messages was announced before it came.
         while self._new_topics:
-            self._new_topics.popleft().add_to(self._bag)
+            _add(self._bag, self._new_topics.popleft())
         messages: list[Message] = []
         for _ in range(count):
             message = queue.popleft()
@@ -239,3 +321,7 @@ class Recorder:
                 stamped.setdefault(topic, []).append(data)
         for topic, of_topic in stamped.items():
             self._losses.add(topic, of_topic)
+
+
+def _add(bag: BagWriter, topic: Topic) -> None:
+    bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)

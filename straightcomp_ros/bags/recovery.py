@@ -18,12 +18,21 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.folder import compressed_messages, found_files
-from straightcomp_ros.bags.mcap_input import McapInput, Record, is_opcode
-from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE_FIELDS, UNREADABLE, Summary, frames, measured, parsed
-from straightcomp_ros.bags.messages import COMPRESSIONS
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.mcap_input import (
+    FRAME,
+    MESSAGE_FIELDS,
+    UNREADABLE,
+    McapInput,
+    Record,
+    Summary,
+    frames,
+    is_opcode,
+    measured,
+    parsed,
+)
+from straightcomp_ros.bags.reader import COMPRESSIONS
+from straightcomp_ros.bags.topics import Definition, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 
 RECOVERY_METADATA = "recovery"
@@ -242,7 +251,7 @@ class _Copy:
 
 
 def default_output(bag: Path) -> Path:
-    """Where the recovered bag goes when no folder is named: beside the original. Raises BagError when the place is
+    """Where the recovered bag goes when no folder is named: next to the original. Raises BagError when the place is
     taken."""
     bag = Path(bag).absolute()
     output = bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_recovered")

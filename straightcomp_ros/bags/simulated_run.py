@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.recorded_parameters import attach_map
+from straightcomp_ros.bags.recorded_nodes import attach_map
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
 from straightcomp_ros.parameters.yaml_text import dump_yaml

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import Definition, definition
-from straightcomp_ros.bags.information import ROOT_KEY, BagFile, Topic, as_yaml, bag_information
-from straightcomp_ros.bags.intake import Message
+from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.topics import Definition, Topic, TopicQos
 from straightcomp_ros.parameters.output_files import write_whole
 
+Message = tuple[str, bytes, int, int]
+"""Topic, serialised message, time of reception and of its source in ns since the epoch."""
 CHUNK_SIZE = 512 * 1024
 """Bytes of messages in a chunk: about a fifth of a second of all streams at 2 kHz."""
 FLUSH_AGE = 0.15
@@ -95,13 +95,13 @@ class BagWriter:
             raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
         if name in self._topics:
             raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
-        topic = Topic(name, type_name, qos or TopicQos(), described or definition(type_name), encoding)
+        topic = Topic(name, type_name, qos or TopicQos(), described, encoding)
         with self._disk(f"bag {self.path}: topic '{name}' cannot be added"):
             self._add_channel(topic)
         self._topics[name] = topic
 
     def _add_channel(self, topic: Topic) -> None:
-        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.described.type_hash}
+        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.definition.type_hash}
         self._channel_ids[topic.name] = self._output.add_channel(topic, metadata)
 
     def _open_file(self) -> None:

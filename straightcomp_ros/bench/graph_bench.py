@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.recorded_diagnostics import read_reports
+from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.bench.processes import cores, usage
 from straightcomp_ros.bench.recorded_window import Recording, read_window
 from straightcomp_ros.bench.window import Window, growth_mb_per_hour

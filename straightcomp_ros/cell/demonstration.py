@@ -15,7 +15,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.analysis.run_verdict import judged_bag
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.recorded_diagnostics import read_reports
+from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.cell.launcher import (
     IN_THE_LOOP,
     RECORDED,

@@ -75,8 +75,15 @@ def _build(options: argparse.Namespace) -> None:
 
 
 def _built(options: argparse.Namespace) -> BuiltMap:
-    from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-    from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
+    from straightcomp_ros.analysis.map_building import (
+        Choices,
+        Sensor,
+        build,
+        build_from_series,
+        is_series,
+        series_of_bag,
+        series_of_csv,
+    )
     from straightcomp_ros.bags.fields import Field
     from straightcomp_ros.bags.folder import STORED
     from straightcomp_ros.straightness.survey import SurveyError, read_survey

@@ -13,9 +13,9 @@ from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
-from straightcomp_ros.bags.definitions import definition
-from straightcomp_ros.bags.recorded_parameters import attach_map
-from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
+from straightcomp_ros.bags.recorded_nodes import attach_map
+from straightcomp_ros.bags.recorder import Recorder, RecorderOptions
+from straightcomp_ros.bags.topics import Topic, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.messages.cdr import header_stamp_ns
@@ -46,7 +46,7 @@ class LoggerComponent:
         self._chosen = _pattern("topics", parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
         self._topics: dict[str, Fetched] = {}
-        self._unheard: dict[str, Announced] = {}
+        self._unheard: dict[str, Topic] = {}
         """Topics that have had no message yet."""
         self._unspun = unspun_node(node)
         self._remote = RemoteParameters(node, parameters.nodes.split())
@@ -93,7 +93,7 @@ class LoggerComponent:
         # The first definition takes half a second to load: do it before the bag's first message arrives.
         definition(type_name)
         # The publisher's QoS is known when it exists: at the first message.
-        self._unheard[full_name] = Announced(full_name, type_name, stored([qos]))
+        self._unheard[full_name] = Topic(full_name, type_name, stored([qos]))
         self._recorder.expect(self._unheard[full_name])
         self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
 

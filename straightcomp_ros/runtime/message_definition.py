@@ -8,7 +8,7 @@ import importlib
 import re
 from typing import Any
 
-from straightcomp_ros.bags.definitions import Definition, typestore
+from straightcomp_ros.bags.topics import Definition, typestore
 
 _RULE = "=" * 80
 _PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}

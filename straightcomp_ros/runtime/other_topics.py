@@ -8,8 +8,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.recorder import Announced
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.runtime.message_definition import definition_of_class, known, message_class
 from straightcomp_ros.runtime.streams import RawQueue
 
@@ -37,7 +36,7 @@ class OtherTopics:
         unspun: Node,
         pattern: re.Pattern[str],
         ours: Collection[str],
-        announce: Callable[[Announced], None],
+        announce: Callable[[Topic], None],
     ) -> None:
         self._node, self._unspun, self._pattern, self._announce = node, unspun, pattern, announce
         self._settled = set(ours)
@@ -81,7 +80,7 @@ class OtherTopics:
         profiles = [publisher.qos_profile for publisher in publishers]
         qos = offered(profiles)
         described = None if known(types[0]) else definition_of_class(kind)
-        self._announce(Announced(name, types[0], stored(profiles), described))
+        self._announce(Topic(name, types[0], stored(profiles), described))
         self._queues[name] = RawQueue(self._unspun, kind, name, qos)
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._latched[name] = b"", 0

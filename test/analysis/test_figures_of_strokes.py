@@ -2,6 +2,7 @@
 
 import math
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,21 +10,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import pictures as plot
-from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
+from straightcomp_ros.analysis.assessment import Interval, assess
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.html_document import _number, html_table
+from straightcomp_ros.analysis.html_page import blocks
 from straightcomp_ros.analysis.html_report import (
     _BINS,
     _error,
     _events,
     _extremes,
-    _figures,
     _spectrum,
     _straightness,
     _timing,
+    report_html,
 )
 from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures, true_error
@@ -96,13 +98,6 @@ def test_where_the_truth_is_known_the_figures_are_those_of_the_truth():
     assert figures.true_rms == pytest.approx(8e-6 * math.sqrt(8.0 / 15.0), rel=1e-2)
 
 
-def test_a_stroke_is_shown_in_seconds_millimetres_and_micrometres():
-    record, stroke = one_way(bow)
-    shown = replace(stroke_figures(record, Map(bow), None, stroke), travel=0.4, start=1.5, encoder_pp=2e-6).to_display()
-    assert (shown["direction"], shown["start_s"], shown["travel_mm"]) == ("forward", 1.5, 400.0)
-    assert shown["encoder_pp_um"] == 2.0 and shown["true_pp_um"] is None
-
-
 def test_a_shift_of_less_than_a_millimetre_is_no_stroke_and_a_longer_one_is():
     time = np.arange(3000) * 1e-3
     for length, found in ((0.9e-3, False), (1.2e-3, True), (-1.2e-3, True)):
@@ -148,6 +143,8 @@ def test_a_stick_is_told_with_the_place_and_time_at_which_it_began_either_way():
         assert stick_slips(time, 0.1 * time, creeping, r) == []
         away = np.where(time > 1.5, r[1000] - 5e-6 * way, y)
         assert [event for event in stick_slips(time, 0.1 * time, away, r) if event.time < 1.1] == []
+        # Nor one that lags, seen in counts.
+        assert stick_slips(time, 0.1 * time, np.round((r - 1.5e-6 * way) / 1e-7) * 1e-7, r) == []
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -163,24 +160,6 @@ def test_a_slip_makes_good_a_part_of_the_stick_beyond_the_references_own_motion(
         found = [event for event in stick_slips(time, time, y, r) if event.time == pytest.approx(0.5)]
         assert len(found) == events
     assert stick_slips(time[:600], time[:600], y[:600], r[:600]) == []
-
-
-def test_a_limit_is_kept_at_both_of_its_ends_and_not_beyond():
-    for value, passed in ((1.0, True), (2.0, True), (0.999, False), (2.001, False), (math.inf, False)):
-        (verdict,) = judged([Limit("a", 1.0, 2.0)], {"a": value})
-        assert verdict.passed is passed
-    assert str(LimitCheck(Limit("a", 1.0, 2.0), 3.0, False)) == "a is 3; allowed: >= 1 and <= 2"
-    assert str(LimitCheck(Limit("a", -math.inf, 2.0), None, False)) == "a was not recorded; allowed: <= 2"
-
-
-def test_a_limit_may_be_a_number_in_exponential_form_and_a_single_value(tmp_path):
-    path = tmp_path / "limits.yaml"
-    path.write_text("a: 1e-6\nb: {min: 2, max: 2}\nc: {min: -1}\n")
-    assert read_limits(path, dict.fromkeys("abc")) == [
-        Limit("a", -math.inf, 1e-6),
-        Limit("b", 2.0, 2.0),
-        Limit("c", -1.0, math.inf),
-    ]
 
 
 @pytest.fixture
@@ -227,6 +206,36 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
     spans = [patch.get_extents().transformed(error.transData.inverted()) for patch in error.patches]
     for span, stroke in zip(spans, motion.strokes, strict=True):
         assert (span.x0, span.x1) == pytest.approx((record.time[stroke.start], record.time[stroke.stop - 1]))
+
+
+def test_a_picture_is_whole_and_one_that_cannot_be_finished_leaves_the_former_one(
+    make_record, cosine_map, motion_profile, tmp_path, monkeypatch
+):
+    record = make_record(0.1e-6 * np.random.default_rng(4).standard_normal(motion_profile[0].size))
+    metrics, path = evaluate(record, cosine_map), tmp_path / "run.png"
+    figures, save = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *of, **how: (figures.append(figure), save(figure, *of, **how))
+    )
+    plot.plot_run(record, cosine_map, metrics, path, "A stroke")
+    assert path.read_bytes().startswith(b"\x89PNG") and "matplotlib.pyplot" not in sys.modules
+    legends = [text.get_text() for axes in figures[0].axes for text in axes.get_legend().get_texts()]
+    for value in (metrics.encoder_pp, metrics.true_pp, metrics.residual_pp, metrics.uncompensated_pp):
+        assert any(f"{value * 1e6:.2f} µm p-p" in legend for legend in legends)
+    for axes in figures[0].axes:
+        assert "/" in axes.get_xlabel() and "/" in axes.get_ylabel()
+        low, high = axes.get_ylim()
+        assert all(low <= values.min() and values.max() <= high for _, values in lines(axes))
+
+    def interrupted(figure, file, **_):
+        file.write(b"half a picture")
+        raise KeyboardInterrupt
+
+    path.write_bytes(b"former")
+    monkeypatch.setattr(Figure, "savefig", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plot.plot_run(record, cosine_map, metrics, path, "A stroke")
+    assert path.read_bytes() == b"former" and list(tmp_path.iterdir()) == [path]
 
 
 def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
@@ -310,8 +319,9 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
     record = make_record(0.2e-6)
     late = replace(record, time=record.time + 100.0)
     found, other = (assess(Path(name), evaluation_of(one)) for name, one in (("a", record), ("b", late)))
-    assert _figures(found, other).count("<td class=n>") == 2 * len(found.figures())
-    assert _figures(found, None).count("<td class=n>") == len(found.figures())
+    for pages, compared in ((1, None), (2, other)):
+        figures = report_html(found, compared).partition("<h2>Figures</h2>")[2]
+        assert figures.count('<td class="n">') == pages * len(found.figures())
     *_, theirs = _error(found, other).data
     assert min(theirs.x) == pytest.approx(record.time[found.motion.window.start], abs=0.05)
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
@@ -333,32 +343,24 @@ def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record):
 
 
 def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():
-    def told(**events):
+    def events(**found):
         none = {"gaps": [], "saturated": [], "amplifier_off": [], "stick_slips": []}
-        return _events(SimpleNamespace(**none | events))
+        return dict(_events(SimpleNamespace(**none | found)))
 
     slips = [StickSlip(1.5, 0.2, 0.25, 7e-6)] * 41
-    text = told(stick_slips=slips)
-    assert "Stick-slip: 41" in text and "and 1 more" in text and text.count("<tr>") == 41
-    heads = re.findall(r"<th>(.*?)</th>", text.replace("<wbr>", ""))
+    text = events(stick_slips=slips)["Stick-slip: 41"]
+    assert "and 1 more" in text and text.count("<tr>") == 41
+    heads = re.findall(r"<th(?: [^>]*)?>(.*?)</th>", text.replace("<wbr>", ""))
     cells = re.findall(r"<td[^>]*>(.*?)</td>", text)[:4]
     assert dict(zip(heads, cells, strict=True)) == {"time_s": "1.5", "x_mm": "200", "stuck_ms": "250", "slip_um": "7"}
-    assert "more" not in told(stick_slips=slips[:40]) and told() == ""
-    assert "Amplifier off while the stage moved: 1" in told(amplifier_off=[Interval(0.5, 0.75, 500)])
+    assert "more" not in events(stick_slips=slips[:40])["Stick-slip: 40"] and not events()
+    assert "Amplifier off while the stage moved: 1" in events(amplifier_off=[Interval(0.5, 0.75, 500)])
 
 
-def test_what_is_no_number_is_a_dash_in_the_report():
-    assert [_number(value) for value in (None, math.nan, math.inf, 3, 0.123456, "a<b")] == [
-        "–",
-        "–",
-        "–",
-        "3",
-        "0.1235",
-        "a&lt;b",
-    ]
-
-
-def test_a_table_of_the_report_has_a_row_for_each_event_and_says_none_where_there_is_none():
-    assert "none" in html_table([])
-    text = html_table([{"time_s": 0.5, "slip_um": 2.0}, {"time_s": 1.5, "slip_um": None}])
-    assert text.count("<tr>") == 3 and "time_<wbr>s" in text and "1.5" in text and "–" in text and "none" not in text
+def test_a_table_shows_numbers_to_four_digits_texts_as_they_are_and_a_dash_for_nothing():
+    assert "none" in blocks.table([])
+    values = (None, math.nan, math.inf, 3, 0.123456, "a<b", True, False)
+    text = blocks.table([{"slip_um": value} for value in values])
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", text)
+    assert cells == ["–", "–", "–", "3", "0.1235", "a&lt;b", "passed", "FAILED"]
+    assert text.count("<tr>") == len(values) + 1 and "slip_<wbr>um" in text

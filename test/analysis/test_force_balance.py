@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.force_balance import force_balance
+from straightcomp_ros.analysis.metrics import force_balance
 from straightcomp_ros.offline.simulation import Simulation
 
 RATE = 2000.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.host_stalls import stalls_of
+from straightcomp_ros.analysis.interruption import stalls_of
 
 PERIOD_NS = 500_000
 SAMPLES = np.arange(2000, dtype=np.int64) * PERIOD_NS

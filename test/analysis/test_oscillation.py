@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.oscillation import irregular_oscillation, sustained_oscillation, tolerated_amplitude
+from straightcomp_ros.analysis.error_detail import irregular_oscillation, sustained_oscillation, tolerated_amplitude
 
 T = 5e-4
 TIME = np.arange(8000) * T

@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.bounds import Bounds, bounds_of
-from straightcomp_ros.analysis.course import Course, GuideFit, encoder_count
-from straightcomp_ros.analysis.host_stalls import Stall
+from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
-from straightcomp_ros.analysis.run_verdict import verdict_of
+from straightcomp_ros.analysis.run_verdict import Bounds, GuideFit, JudgedMotion, bounds_of, encoder_count, verdict_of
 
 T = 5e-4
 TIME = np.arange(16_000) * T
@@ -18,7 +16,7 @@ SMALL = 0.05e-6 * np.sin(2.0 * np.pi * 0.9 * TIME)
 FITS = GuideFit(20e-6, 6e-6, 0.2e-6, 0.04e-6)
 
 
-def course(error=SMALL, r=R, **changes) -> Course:
+def course(error=SMALL, r=R, **changes) -> JudgedMotion:
     values = {
         "time": TIME,
         "x": np.linspace(0.0, 1.76, TIME.size),
@@ -30,10 +28,10 @@ def course(error=SMALL, r=R, **changes) -> Course:
         "count": 0.1e-6,
         "fit": FITS,
     }
-    return Course(**{**values, **changes})
+    return JudgedMotion(**{**values, **changes})
 
 
-def word(one: Course, bounds: Bounds | None = None) -> str:
+def word(one: JudgedMotion, bounds: Bounds | None = None) -> str:
     return verdict_of(one, bounds or Bounds()).verdict
 
 
@@ -58,7 +56,7 @@ def test_an_error_made_in_a_stall_is_the_host_s_and_without_the_stall_it_is_the_
 def test_a_stall_that_did_no_harm_leaves_a_run_in_order():
     assert word(course(stalls=(Stall(4.0, 4.1),))) == "in_order"
     raised = verdict_of(course(SMALL + bump(4.0, 0.09e-6), stalls=(Stall(3.95, 4.02),)), Bounds())
-    assert raised.in_order and "beside the stalls of the host (1)" in raised.reason
+    assert raised.in_order and "without the stalls of the host (1)" in raised.reason
 
 
 def test_a_doubled_error_within_a_count_of_the_encoder_is_no_harm():

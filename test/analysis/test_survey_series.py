@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
+from straightcomp_ros.analysis.map_building import Sensor, is_series, series_of_bag, series_of_csv
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.survey import SurveyError
@@ -90,18 +90,16 @@ def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(tmp_path)
     bag = survey_bag(tmp_path / "less", SECOND, SECOND, lambda t: np.nan if t > 0.015 else 1e-6)
     with pytest.raises(SurveyError, match="2 common samples"):
         series_of_bag(bag)
-
-
-def test_a_single_sample_of_the_stage_is_no_survey(tmp_path):
-    bag = survey_bag(tmp_path / "bag", SECOND[:1], SECOND, lambda t: 1e-6)
     with pytest.raises(SurveyError, match="1 common samples"):
-        series_of_bag(bag)
+        series_of_bag(survey_bag(tmp_path / "one", SECOND[:1], SECOND, lambda t: 1e-6))
 
 
 def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
     path = tmp_path / "series.csv"
     path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.5,2,20\n6.0,3,30\n")
     assert is_series(path)
+    (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
+    assert not is_series(tmp_path / "points.csv")
     found = series_of_csv(path)
     assert found.time.tolist() == [0.0, 0.5, 1.0]
     assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])
@@ -122,12 +120,6 @@ def test_a_recording_as_csv_that_is_none_is_refused(tmp_path, rows, words):
     path.write_text("time_s,x_mm,deviation_um\n" + rows)
     with pytest.raises(SurveyError, match=words):
         series_of_csv(path)
-
-
-def test_a_list_of_points_is_no_recording(tmp_path):
-    path = tmp_path / "points.csv"
-    path.write_text("x_mm,deviation_um\n1,10\n")
-    assert not is_series(path)
 
 
 def test_where_the_platforms_y_was_not_recorded_a_reading_on_it_says_nothing(tmp_path):

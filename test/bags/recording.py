@@ -4,11 +4,15 @@ import random
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from straightcomp_ros.bags.qos import TopicQos
+import yaml
+
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import STREAMS
 
+LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 START_NS = 1_700_000_000_123_456_789
 
 
@@ -54,3 +58,8 @@ def messages(count: int, seed: int = 0) -> list[Written]:
 def add_streams(bag: BagWriter, namespace: str = "") -> None:
     for stream in STREAMS:
         bag.add_topic(f"{namespace}/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort"))
+
+
+def information(bag: Path) -> dict[str, Any]:
+    """What metadata.yaml says of a bag."""
+    return yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]

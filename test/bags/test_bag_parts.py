@@ -1,29 +1,19 @@
 """The small parts of a bag's reading and writing, each by itself: what they let through, refuse and count."""
 
 import json
-import shutil
 import sqlite3
 import struct
-import types
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.bags import BagError, recorder
-from straightcomp_ros.bags.folder import bag_files, found_files, split_number
-from straightcomp_ros.bags.intake import BREAK, Intake
-from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.mcap_records import frames, message_places
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
-from straightcomp_ros.bags.recorder import DiskGuard
-from straightcomp_ros.bags.sqlite_input import SqliteInput
-from straightcomp_ros.bags.topics import chosen_topics, resolved
-from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.parameters.declaration import declarations
-from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files, split_number
+from straightcomp_ros.bags.mcap_input import frames, message_places
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters, unpacked_map
+from straightcomp_ros.bags.topics import TopicQos, chosen_topics, definition, resolved
+from straightcomp_ros.contract import STREAMS
 
 MESSAGE, OTHER = 5, 4
 
@@ -87,65 +77,6 @@ def test_records_in_a_summary_are_given_by_kind_and_a_cut_is_told():
     for cut in (1, 3, len(record(1, b"bc")) - 1):
         with pytest.raises(ValueError):
             list(frames(data[:-cut], ()))
-
-
-def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruption_are_not():
-    def packed(*numbers):
-        return [ENCODER.layout.pack(10**18 + 10**6 * number, 0, 0, 0, 0) for number in numbers]
-
-    losses = Losses()
-    losses.add("/a", packed(0, 1, 2))
-    losses.add("/a", packed(5, 6))
-    assert losses.by_topic() == {"/a": 2}
-    losses.interrupt()
-    losses.add("/a", packed(100, 102))
-    assert losses.by_topic() == {"/a": 3}
-    # Repeated, overtaken and too short for a stamp: no step, and no loss.
-    losses.add("/a", [*packed(102, 101), b"short", bytes(11), *packed(103)])
-    assert losses.by_topic() == {"/a": 3}
-    losses.add("/b", [])
-    losses.add("/c", packed(1))
-    assert losses.by_topic() == {"/a": 3, "/c": 0}
-    # Seconds count as well as nanoseconds.
-    losses.add("/d", packed(0, 1000, 3000))
-    assert losses.by_topic()["/d"] == 1
-
-
-def test_a_snapshot_takes_the_newest_where_the_queue_has_room_for_some():
-    intake = Intake(limit=5, snapshot_s=1.0)
-    for number in range(8):
-        intake.add("/a", bytes([number]), number, 0)
-    assert intake.snapshot() == 5
-    assert [data for _, data, *_ in intake.queue] == [b"", *(bytes([number]) for number in range(3, 8))]
-    assert (intake.received, intake.dropped) == (8, 3)
-    intake.add("/a", b"x", 9, 0)
-    intake.add("/a", b"y", 9, 0)
-    # The queue is full: all is dropped, and counted.
-    assert intake.snapshot() == 0 and intake.dropped == 5
-
-
-def test_each_pause_makes_one_break():
-    intake = Intake(limit=10)
-    assert intake.paused is False
-    for value in (True, True, False, False, True):
-        intake.paused = value
-    assert list(intake.queue) == [BREAK, BREAK] and intake.paused is True
-
-
-def test_the_free_space_is_looked_at_twice_a_second(monkeypatch, tmp_path):
-    clock, looks = [100.0], []
-    usage = types.SimpleNamespace(free=300)
-    monkeypatch.setattr(recorder, "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: looks.append(path) or usage)
-    guard = DiskGuard(tmp_path, 300)
-    for _ in range(100):
-        guard.check()
-        clock[0] += 0.01
-    assert looks == [tmp_path] * 2
-    usage.free = 200
-    clock[0] += 0.5
-    with pytest.raises(BagError, match="200 bytes are free on its disk; allowed: >= 300"):
-        guard.check()
 
 
 def touched(folder: Path, *names: str, listed: Sequence[str] = (), key: str = "relative_file_paths") -> Path:
@@ -235,23 +166,6 @@ def test_an_empty_last_file_of_several_is_no_part_of_the_bag(tmp_path):
     assert [file.name for file in bag_files(alone)] == ["run_0.mcap"]
 
 
-def test_a_bag_from_before_the_groups_of_laws_had_their_names_is_read_by_the_names_of_today():
-    names = {
-        "control.law": "control.law",
-        "control.velocity_bandwidth": "control.smc.velocity_bandwidth",
-        "control.smc_feedforward": "control.smc.feedforward",
-        "control.design.rho": "control.smc.rho",
-        "control.observer.amplifier_bandwidth": "stage.drive.bandwidth",
-        "control.observer.delay": "control.smc_observer.delay",
-    }
-    lines = "".join(f"    {name}: {number}\n" for number, name in enumerate(names))
-    text = f"/controller:\n  ros__parameters:\n{lines}".encode()
-    found = recorded_parameters("bag", {"parameters.yaml": text})["controller"]
-    assert found == {name: number for number, name in enumerate(names.values())}
-    known = {declaration.name for declaration in declarations(ControllerNodeParameters)}
-    assert set(found) <= known
-
-
 def test_the_attached_map_is_unpacked_where_there_is_one(tmp_path):
     assert unpacked_map({}, tmp_path) is None and not list(tmp_path.iterdir())
     file = unpacked_map({"map.csv": b"x_mm", "parameters.yaml": b""}, tmp_path)
@@ -267,13 +181,17 @@ def test_parameters_of_ros_itself_are_not_those_of_a_node():
             recorded_parameters("bag", {"parameters.yaml": wrong})
 
 
-def test_a_qos_profile_reads_as_rosbag2_writes_it():
+def test_a_qos_profile_is_read_as_rosbag2_writes_it_and_in_the_numbers_of_older_bags():
     text = TopicQos("best_effort", "transient_local", "keep_all", 0).as_yaml()
     assert text.startswith(
         "- history: keep_all\n  depth: 0\n  reliability: best_effort\n  durability: transient_local\n"
     )
     assert text.endswith("avoid_ros_namespace_conventions: false")
     assert TopicQos.from_yaml(text) == TopicQos("best_effort", "transient_local", "keep_all", 0)
+    assert TopicQos.from_yaml("- {history: 2, depth: 7, reliability: 2, durability: 1}") == TopicQos(
+        "best_effort", "transient_local", "keep_all", 7
+    )
+    assert TopicQos.from_yaml("- {history: 99}") == TopicQos.from_yaml("]") == TopicQos.from_yaml("") == TopicQos()
     for wrong in ({"depth": -1}, {"reliability": "sure"}, {"history": ""}):
         with pytest.raises(BagError, match="allowed"):
             TopicQos(**wrong)
@@ -284,6 +202,8 @@ def test_a_relative_name_is_found_below_the_root_or_in_the_only_namespace():
     assert resolved("y", topics, "bag") == "/y" and resolved("z", topics, "bag") == "/c/z"
     assert resolved("/c/y", topics, "bag") == "/c/y" and resolved("/z", topics, "bag") is None
     assert resolved("q", topics, "bag") is None
+    # Some writers leave out a name's first slash.
+    assert resolved("x", ["x"], "bag") == resolved("/x", ["x"], "bag") == "x"
     with pytest.raises(BagError, match="/a/x and /b/x"):
         resolved("x", topics, "bag")
     assert chosen_topics(["y", "q"], topics, "bag", {}) == {"/y": "y"}
@@ -311,7 +231,21 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
     assert list(file.blocks(["three"])) == []
 
 
-def test_the_folders_above_a_new_bag_are_made(tmp_path):
-    with BagWriter(tmp_path / "year" / "day" / "run") as bag:
-        bag.add_topic("/encoder", ENCODER.layout.type_name)
-    assert bag_files(tmp_path / "year" / "day" / "run")
+TYPES = sorted({stream.layout.type_name for stream in STREAMS} | {"diagnostic_msgs/msg/DiagnosticArray"})
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_the_type_hash_is_the_one_that_ros_computes(type_name):
+    package, _, name = type_name.split("/")
+    module = pytest.importorskip(package, reason="the message packages of ROS 2 are not installed")
+    installed = Path(module.__file__).parents
+    found = [path for folder in list(installed)[:5] for path in folder.glob(f"share/{package}/msg/{name}.json")]
+    if not found:
+        pytest.skip("the installed message package has no type descriptions")
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in json.loads(found[0].read_text())["type_hashes"]}
+    assert definition(type_name).type_hash == hashes[type_name]
+
+
+def test_an_unknown_type_is_refused_by_name():
+    with pytest.raises(BagError, match=r"'sensor_msgs/JointState' is unknown: allowed .*sensor_msgs/msg/JointState"):
+        definition("sensor_msgs/JointState")

@@ -1,31 +1,24 @@
 """Reading streams: to the last bit what rosbags decodes, whoever wrote the bag."""
 
-import random
 import struct
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import CompressionType, IndexType, Writer
-from recording import START_NS, any_float64
-from rosbags.rosbag2 import Reader, StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
+from recording import LAYOUTS, START_NS
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags import stream_columns as columns
-from straightcomp_ros.bags.definitions import definition
-from straightcomp_ros.bags.mcap_records import message_places
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
-from straightcomp_ros.bags.stream_columns import meaningful
+from straightcomp_ros.bags import reader as columns
+from straightcomp_ros.bags.mcap_input import message_places
+from straightcomp_ros.bags.reader import StreamColumns, meaningful, read_streams, values_at
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import COMMAND, ENCODER, REFERENCE, STREAMS
+from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 from straightcomp_ros.messages.cdr import joint_state, read_by_names
 
-LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ENCODER_ONLY = {"encoder": ENCODER.layout}
@@ -118,12 +111,6 @@ def test_columns_have_their_types_and_own_their_memory(record):
         assert array.flags.writeable and array.flags.c_contiguous
 
 
-def test_the_order_is_that_of_recording_not_of_stamps(tmp_path):
-    stamps = [7, 3, 9, 1]
-    encoder_bag(tmp_path / "bag", *(ENCODER.layout.pack(stamp, 0, 0, 0, 0) for stamp in stamps))
-    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].stamp.tolist() == stamps
-
-
 def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_layouts):
     contents = [
         ENCODER.layout.pack(START_NS, 1, 2, 3, 4),
@@ -144,21 +131,15 @@ def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_la
     assert len(without_layouts) == 3
 
 
-def test_bytes_after_a_message_are_allowed(tmp_path, without_layouts):
-    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4) + bytes(3))
-    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].columns["y"].tolist() == [2.0]
-    assert not without_layouts
-
-
-def test_a_message_in_big_endian_is_read(tmp_path, without_layouts):
+def test_a_message_in_big_endian_is_read_and_so_is_one_with_bytes_behind_it(tmp_path, without_layouts):
     little = ENCODER.layout.pack(START_NS, 1, 2, 3, 4)
     message = STORE.deserialize_cdr(little, JOINT_STATE)
     big = bytes(STORE.serialize_cdr(message, JOINT_STATE, little_endian=False))
-    encoder_bag(tmp_path / "bag", little, big)
+    encoder_bag(tmp_path / "bag", little, big, little + bytes(3))
     encoder = read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"]
-    assert encoder.columns["x"].tolist() == [1.0, 1.0]
-    assert encoder.stamp.tolist() == [START_NS, START_NS]
-    assert len(without_layouts) == 1
+    assert encoder.columns["x"].tolist() == [1.0] * 3
+    assert encoder.stamp.tolist() == [START_NS] * 3
+    assert len(without_layouts) == 1  # a message with bytes behind it has the layout
 
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.topic)
@@ -220,101 +201,12 @@ def test_a_topic_of_another_type_is_refused(tmp_path):
         read_streams(tmp_path / "bag", ENCODER_ONLY)
 
 
-def test_topics_that_the_bag_lacks_are_left_out(tmp_path):
-    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4))
-    assert list(read_streams(tmp_path / "bag", LAYOUTS)) == ["encoder"]
-
-
 def test_a_topic_without_messages_is_left_out(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/command", JOINT_STATE)
         bag.add_topic("/encoder", JOINT_STATE)
         bag.write("/encoder", ENCODER.layout.pack(1, 1, 2, 3, 4), 1, 1)
     assert list(read_streams(tmp_path / "bag", LAYOUTS)) == ["encoder"]
-
-
-def test_a_relative_name_finds_the_only_namespace(tmp_path):
-    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4), topic="/line_2/cell/encoder")
-    assert list(read_streams(tmp_path / "bag", ENCODER_ONLY)) == ["encoder"]
-
-
-def test_a_relative_name_prefers_the_topic_below_the_root(tmp_path):
-    with BagWriter(tmp_path / "bag") as bag:
-        for number, topic in enumerate(("/left/encoder", "/encoder", "/right/encoder")):
-            bag.add_topic(topic, JOINT_STATE)
-            bag.write(topic, ENCODER.layout.pack(number, 1, 2, 3, 4), 1, 1)
-    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].stamp.tolist() == [1]
-    assert read_streams(tmp_path / "bag", {"/right/encoder": ENCODER.layout})["/right/encoder"].stamp.tolist() == [2]
-
-
-def test_a_relative_name_in_several_namespaces_is_refused_by_naming_them(tmp_path):
-    with BagWriter(tmp_path / "bag") as bag:
-        for topic in ("/left/encoder", "/right/encoder"):
-            bag.add_topic(topic, JOINT_STATE)
-            bag.write(topic, ENCODER.layout.pack(1, 1, 2, 3, 4), 1, 1)
-    with pytest.raises(BagError, match="'encoder' is /left/encoder and /right/encoder"):
-        read_streams(tmp_path / "bag", ENCODER_ONLY)
-
-
-def test_a_topic_name_that_only_ends_alike_is_another_topic(tmp_path):
-    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4), topic="/stage_encoder")
-    assert read_streams(tmp_path / "bag", ENCODER_ONLY) == {}
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"use_chunking": False},
-        {"index_types": IndexType.NONE},
-        {"index_types": IndexType.ALL ^ IndexType.MESSAGE},
-        {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False},
-        {"compression": CompressionType.LZ4, "enable_crcs": False},
-        {"enable_data_crcs": True},
-    ],
-    ids=str,
-)
-def test_bags_of_the_mcap_package_are_read_with_and_without_chunks_and_indexes(tmp_path, options):
-    source = random.Random(3)
-    samples = [[any_float64(source) for _ in ENCODER.layout.columns] for _ in range(500)]
-    with open(tmp_path / "run.mcap", "wb") as file:
-        writer = Writer(file, chunk_size=5000, **options)
-        writer.start("ros2")
-        schema = writer.register_schema(JOINT_STATE, "ros2msg", definition(JOINT_STATE).text.encode())
-        other = writer.register_channel("/other", "cdr", schema)
-        encoder = writer.register_channel("/encoder", "cdr", schema)
-        for number, sample in enumerate(samples):
-            writer.add_message(encoder, number, ENCODER.layout.pack(number, *sample), number)
-            writer.add_message(other, number, source.randbytes(source.randrange(40)), number)
-        writer.add_attachment(0, 0, "map.csv", "text/csv", b"x,r\n")
-        writer.add_metadata("cell", {"stroke": "7"})
-        writer.finish()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        encoder = read_streams(tmp_path / "run.mcap", ENCODER_ONLY)["encoder"]
-        assert read_attachments(tmp_path / "run.mcap") == {"map.csv": b"x,r\n"}
-        assert read_metadata(tmp_path / "run.mcap") == {"cell": {"stroke": "7"}}
-    assert encoder.stamp.tolist() == list(range(500))
-    assert bits(np.transpose(list(encoder.columns.values()))) == bits(samples)
-
-
-def test_bags_of_rosbags_are_read(tmp_path, without_layouts):
-    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/reference", REFERENCE.layout.type_name, typestore=STORE)
-        for number in range(10):
-            message = STORE.deserialize_cdr(REFERENCE.layout.pack(number, 1, 2, 3), REFERENCE.layout.type_name)
-            writer.write(connection, number, STORE.serialize_cdr(message, REFERENCE.layout.type_name))
-    reference = read_streams(tmp_path / "bag", LAYOUTS)["reference"]
-    assert reference.stamp.tolist() == list(range(10))
-    assert reference.columns["r_ddot"].tolist() == [3.0] * 10
-    assert not without_layouts
-
-
-def test_the_files_of_a_split_bag_are_read_in_the_order_of_their_numbers(tmp_path):
-    (tmp_path / "run").mkdir()
-    for number in range(11):
-        encoder_bag(tmp_path / f"part{number}", ENCODER.layout.pack(number, 1, 2, 3, 4))
-        (tmp_path / f"part{number}" / f"part{number}_0.mcap").rename(tmp_path / "run" / f"run_{number}.mcap")
-    assert read_streams(tmp_path / "run", ENCODER_ONLY)["encoder"].stamp.tolist() == list(range(11))
 
 
 def test_a_message_index_that_is_wrong_is_not_believed():
@@ -356,3 +248,22 @@ def test_a_message_that_rclpy_serialises_is_read(tmp_path):
     command = read_streams(tmp_path / "bag", {"command": COMMAND.layout})["command"]
     assert command.stamp.tolist() == [12_000_000_034]
     assert command.columns["control_current"].tolist() == [0.25]
+
+
+WANTED = np.array([10, 20, 30, 40], np.int64)
+
+
+def stream(stamps: list[int], values: list[float]) -> StreamColumns:
+    stamp = np.array(stamps, np.int64)
+    return StreamColumns(stamp, stamp, stamp, {"y": np.array(values)})
+
+
+def test_each_sample_gets_the_first_value_of_its_own_stamp_and_none_of_another():
+    recorded = stream([30, 15, 10, 30, 45], [3.0, 1.5, 1.0, 9.0, 4.5])
+    np.testing.assert_array_equal(values_at(recorded, "y", WANTED), [1.0, np.nan, 3.0, np.nan])
+
+
+def test_a_stream_that_is_empty_or_missing_has_no_values():
+    for none in (None, stream([], [])):
+        assert np.isnan(values_at(none, "y", WANTED)).all()
+    assert values_at(stream([10], [1.0]), "y", WANTED[:0]).size == 0

@@ -16,9 +16,8 @@ from recording import START_NS, add_streams
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
-from straightcomp_ros.bags.recovery import RECOVERY_METADATA, Recovery, recover
+from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER
@@ -43,22 +42,6 @@ def damaged(bag, tmp_path: Path, content: bytes) -> Path:
 def chunk_offsets(content: bytes) -> list[int]:
     summary = make_reader(io.BytesIO(content)).get_summary()
     return [index.chunk_start_offset for index in summary.chunk_indexes]
-
-
-@pytest.mark.parametrize(
-    ("found", "whole"),
-    [
-        ({}, True),
-        ({"lost": {"/encoder": 0, "/command": 0}}, True),
-        ({"lost": {"/encoder": 0, "/command": 1}}, False),
-        ({"lost": None}, False),
-        ({"gaps": [("run_0.mcap", 10, 5, "damaged")]}, False),
-        ({"unfinished": ["run_0.mcap"]}, False),
-        ({"gaps": [("run_0.mcap", 10, 5, "damaged")], "lost": None}, False),
-    ],
-)
-def test_a_bag_is_whole_if_nothing_was_wrong_with_it(tmp_path, found, whole):
-    assert Recovery(tmp_path, **found).whole is whole
 
 
 def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata(record, tmp_path):
@@ -148,6 +131,41 @@ def test_the_original_is_not_changed(record, tmp_path):
         recover(bag.directory, bag.directory)
 
 
+def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+        bag.flush_older(0.0)
+        size = bag.path.stat().st_size
+        bag.write("/encoder", ENCODER.layout.pack(5, 1, 2, 3, 4), START_NS, 5)
+        bag.flush_older(3600.0)
+        assert bag.path.stat().st_size == size
+        time.sleep(0.01)
+        bag.flush_older(0.005)
+        assert bag.path.stat().st_size > size
+
+
+def test_the_command_tells_what_was_saved_and_lost(record, tmp_path, capsys):
+    bag = record()
+    assert main(["recover", str(bag.directory), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["saved_messages"] == len(bag.messages) and figures["lost_messages"] == 0
+    assert Path(figures["output"]) == bag.directory.with_name("run_recovered")
+    assert main(["recover", str(bag.directory)]) == 1
+    assert "is there already; name another folder with -o" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(b"", "is empty"), (b"SQLite format 3\0", "is not an MCAP file"), (b"\x89MCAP0\r\n", "no message could be saved")],
+)
+def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, capsys, content, reason):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    assert main(["recover", str(path)]) == 1
+    assert reason in capsys.readouterr().err
+
+
+@pytest.mark.nightly
 def test_a_recording_that_is_killed_loses_less_than_half_a_second_even_at_few_messages(tmp_path):
     program = f"""
 import sys, time
@@ -176,44 +194,3 @@ for number in range(100_000):
     # The age of the chunk is taken when a message comes: one pause of 10 ms, stretched by a busy machine, comes on top.
     assert (int(rest[-1]) if rest and rest[-1].isdigit() and len(rest[-1]) > 18 else last) - result.last_ns < 0.5e9
     assert result.saved["/encoder"] > 20
-
-
-def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
-    with BagWriter(tmp_path / "bag") as bag:
-        add_streams(bag)
-        bag.flush_older(0.0)
-        size = bag.path.stat().st_size
-        bag.write("/encoder", ENCODER.layout.pack(5, 1, 2, 3, 4), START_NS, 5)
-        bag.flush_older(3600.0)
-        assert bag.path.stat().st_size == size
-        time.sleep(0.01)
-        bag.flush_older(0.005)
-        assert bag.path.stat().st_size > size
-
-
-def test_qos_is_read_in_names_and_in_the_numbers_of_older_bags():
-    qos = TopicQos("best_effort", "transient_local", "keep_all", 7)
-    assert TopicQos.from_yaml(qos.as_yaml()) == qos
-    assert TopicQos.from_yaml("- {history: 2, depth: 7, reliability: 2, durability: 1}") == qos
-    assert TopicQos.from_yaml("- {history: 99}") == TopicQos.from_yaml("]") == TopicQos.from_yaml("") == TopicQos()
-
-
-def test_the_command_tells_what_was_saved_and_lost(record, tmp_path, capsys):
-    bag = record()
-    assert main(["recover", str(bag.directory), "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["saved_messages"] == len(bag.messages) and figures["lost_messages"] == 0
-    assert Path(figures["output"]) == bag.directory.with_name("run_recovered")
-    assert main(["recover", str(bag.directory)]) == 1
-    assert "is there already; name another folder with -o" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [(b"", "is empty"), (b"SQLite format 3\0", "is not an MCAP file"), (b"\x89MCAP0\r\n", "no message could be saved")],
-)
-def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, capsys, content, reason):
-    path = tmp_path / "run.mcap"
-    path.write_bytes(content)
-    assert main(["recover", str(path)]) == 1
-    assert reason in capsys.readouterr().err

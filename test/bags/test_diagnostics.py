@@ -4,7 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.recorded_diagnostics import read_reports
+from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 

@@ -59,11 +59,6 @@ def test_a_limit_that_is_not_kept_fails_the_command_with_its_name(bag, tmp_path,
     assert main(["evaluate", str(bag), "--limits", str(limits)]) == 2
 
 
-def test_two_bags_are_put_side_by_side(bag, capsys):
-    found = figures(capsys, bag, "--compare", bag)
-    assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
-
-
 def test_a_topic_under_another_name_is_found_by_remap(bag, capsys):
     assert figures(capsys, bag, "--remap", "encoder:=/encoder")["lost_samples"] == 0
     assert main(["evaluate", str(bag), "--remap", "encoder:=/machine/axes"]) == 1
@@ -100,3 +95,8 @@ def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
             assert not found.out or json.loads(found.out)["verdict"] in ("interrupted", "clock_jumped")
         else:
             assert found.err.count("was not finished") == 1 or json.loads(found.out)["lost_samples"] == 0
+
+
+def test_two_bags_are_put_side_by_side(bag, capsys):
+    found = figures(capsys, bag, "--compare", bag)
+    assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]

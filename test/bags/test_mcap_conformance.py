@@ -11,8 +11,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.messages import read_messages
-from straightcomp_ros.bags.reader import read_attachments, read_metadata
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata
 from straightcomp_ros.bags.recovery import recover
 
 SCHEMA = struct.pack("<HI7sI1sI3s", 1, 7, b"Example", 1, b"c", 3, b"\4\5\6")

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
-from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 
@@ -28,20 +26,6 @@ def test_the_bag_of_a_simulated_run_evaluates_to_the_same_record(tmp_path: Path)
         np.testing.assert_allclose(evaluation.record.columns()[name], column, rtol=0, atol=1e-12, err_msg=name)
     assert (evaluation.lost_samples, evaluation.lost_commands) == (0, 0)
     assert evaluation.latency_us(50) == pytest.approx(250.0)
-
-
-def test_every_stream_is_there_with_one_message_for_each_sample(tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    options = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
-    assert main(["simulate", "--bag", str(bag), *options]) == 0
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in STREAMS})
-    assert len({len(streams[stream.topic]) for stream in STREAMS}) == 1
-
-
-def test_a_folder_that_is_not_empty_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "other").touch()
-    assert main(["simulate", "--bag", str(tmp_path), "--json"]) == 1
-    assert "the folder is not empty" in capsys.readouterr().err
 
 
 def test_writing_the_bag_does_not_change_the_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

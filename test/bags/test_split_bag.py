@@ -1,42 +1,29 @@
 """Bags of several files: what the writer splits, how others see it, and what readers make of it when a part is gone."""
 
 import errno
-import shutil
-import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from mcap.reader import make_reader
-from recording import Recording, add_streams, messages
+from recording import LAYOUTS, Recording, add_streams, information, messages
 from rosbags.rosbag2 import Reader
 
-from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.folder import bag_files
 from straightcomp_ros.bags.mcap_output import McapOutput
-from straightcomp_ros.bags.messages import read_messages
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
-from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER, STREAMS
-from straightcomp_ros.offline.replay.audit import audit
 
-LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 COUNT = 1200
 
 
 @pytest.fixture
 def split(record) -> Recording:
     return record(COUNT, "split", max_duration=0.2, chunk_size=20_000)
-
-
-def information(bag: Path) -> dict:
-    return yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
 
 
 def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does(split):
@@ -62,12 +49,6 @@ def test_a_topic_of_one_file_only_is_counted_right_in_the_whole(tmp_path):
     found = information(tmp_path / "run")
     counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
     assert len(found["files"]) == 3 and counts == {"/always": 3, "/late": 1}
-
-
-def test_a_bag_without_messages_begins_when_rosbag2_says_that_nothing_began(tmp_path):
-    with BagWriter(tmp_path / "run"):
-        pass
-    assert information(tmp_path / "run")["starting_time"]["nanoseconds_since_epoch"] == 2**63 - 1
 
 
 def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
@@ -114,16 +95,6 @@ def test_other_readers_and_ours_see_all_messages_in_their_order(split):
     assert read_attachments(split.directory)["parameters.yaml"] == b"rate: 2000\n"
 
 
-def test_each_file_is_a_whole_bag_by_itself(split):
-    for file in bag_files(split.directory):
-        with file.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-        assert {channel.topic for channel in summary.channels.values()} == {f"/{topic}" for topic in LAYOUTS}
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            assert len(read_streams(file, LAYOUTS)["encoder"]) == summary.statistics.message_count // len(STREAMS)
-
-
 def test_a_missing_file_is_named_and_recover_saves_the_others(split, tmp_path):
     (split.directory / "split_1.mcap").unlink()
     with pytest.raises(BagError, match=r"lacks split_1\.mcap"):
@@ -168,100 +139,3 @@ def test_a_file_that_cannot_be_opened_leaves_a_finished_bag_of_those_before(tmp_
 
 def refuse(*_: object, **__: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
-
-
-@pytest.mark.parametrize("option", ["max_size", "max_duration"])
-def test_a_negative_limit_is_refused(tmp_path, option):
-    with pytest.raises(BagError, match=f"{option} is -1: allowed"):
-        BagWriter(tmp_path / "bag", **{option: -1})
-
-
-def test_evaluation_and_audit_read_a_split_bag(tmp_path):
-    sample = Path(__file__).resolve().parents[2] / "bags" / "smc"
-    bag = tmp_path / "split"
-    with BagWriter(bag, max_size=600_000) as writer, Reader(sample) as reader:
-        for connection in reader.connections:
-            writer.add_topic(connection.topic, connection.msgtype)
-        writer.attach("parameters.yaml", "application/yaml", read_attachments(sample)["parameters.yaml"])
-        for connection, time, data in reader.messages():
-            writer.write(connection.topic, bytes(data), time, time)
-    assert len(bag_files(bag)) > 2
-    whole, parts = evaluate_bag(sample), evaluate_bag(bag)
-    assert parts.received_samples == whole.received_samples > 5000
-    assert parts.record.y.tobytes() == whole.record.y.tobytes()
-    found = audit(bag)
-    assert found.commands > 5000 and (found.different, found.unverified) == (0, 0)
-
-
-def announced(recorder: Recorder) -> None:
-    recorder.announce(Announced("/encoder", ENCODER.layout.type_name, TopicQos()))
-
-
-def sample(number: int) -> tuple[str, bytes, int, int]:
-    stamp = 10**18 + 500_000 * number
-    return "/encoder", ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0), stamp, stamp
-
-
-def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tmp_path):
-    described = []
-    recorder = Recorder(
-        RecorderOptions(str(tmp_path / "run")), ["/encoder"], lambda bag, at_end: described.append(at_end) or at_end
-    )
-    announced(recorder)
-    recorder.intake.add(*sample(0))
-    assert recorder.start() == tmp_path / "run"
-    with pytest.raises(BagError, match="being recorded already"):
-        recorder.start()
-    for number in range(100):
-        recorder.intake.paused = 20 <= number < 60
-        if number != 80:
-            recorder.intake.add(*sample(number))
-    recorder.stop()
-    assert not recorder.recording
-    recorder.intake.add(*sample(100))
-    assert recorder.start() == tmp_path / "run_2"
-    recorder.announce(Announced("/late", "std_msgs/msg/Float64", TopicQos()))
-    recorder.intake.add(*sample(101))
-    recorder.intake.add("/late", bytes(12), 10**18, 10**18)
-    recorder.stop()
-    recorder.stop()
-    assert len(read_streams(tmp_path / "run", LAYOUTS)["encoder"]) == 59
-    metadata = read_metadata(tmp_path / "run")
-    assert metadata["losses"] == {"/encoder": "1"}
-    assert metadata["logger"] == {"received": "99", "written": "59", "dropped": "0"}
-    assert {"package", "version", "revision"} <= set(metadata["origin"])
-    counts = {
-        t["topic_metadata"]["name"]: t["message_count"]
-        for t in information(tmp_path / "run_2")["topics_with_message_count"]
-    }
-    assert counts == {"/encoder": 1, "/late": 1}
-    assert described[-1] is True
-
-
-def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_expected(tmp_path):
-    recorder = Recorder(RecorderOptions(str(tmp_path / "run")), [], lambda bag, at_end: True)
-    recorder.expect(Announced("/encoder", ENCODER.layout.type_name, TopicQos("best_effort")))
-    recorder.start()
-    recorder.stop()
-    recorder.start()
-    announced(recorder)
-    recorder.intake.add(*sample(0))
-    recorder.stop()
-
-    def only_topic(folder):
-        (topic,) = information(tmp_path / folder)["topics_with_message_count"]
-        return topic["topic_metadata"]["offered_qos_profiles"][0]["reliability"], topic["message_count"]
-
-    assert only_topic("run") == ("best_effort", 0)
-    assert only_topic("run_2") == ("reliable", 1)
-
-
-def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
-    recorder = Recorder(RecorderOptions(str(tmp_path / "run"), min_free=10**18), [], lambda bag, at_end: True)
-    announced(recorder)
-    recorder.start()
-    recorder._thread.join(30)
-    assert "min_free_bytes" in str(recorder.failure)
-    recorder.stop()
-    assert (tmp_path / "run" / "metadata.yaml").exists()
-    shutil.rmtree(tmp_path / "run")

@@ -13,11 +13,9 @@ from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from straightcomp_ros.bags.definitions import definition
 from straightcomp_ros.bags.fields import Field, read_field
-from straightcomp_ros.bags.messages import read_messages
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
+from straightcomp_ros.bags.topics import TopicQos, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.runtime.message_definition import definition_of_class

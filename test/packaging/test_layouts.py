@@ -10,7 +10,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from scripts import make_layouts
-from straightcomp_ros.bags.definitions import typestore
+from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, STREAMS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.table import Table
 
-from straightcomp_ros.analysis.html_document import html_plot, line_figure
+from straightcomp_ros.analysis.html_page import html_plot, line_figure
 from straightcomp_ros.analysis.pictures import as_text
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.cli.output import console, notes, printable, styled

@@ -15,8 +15,8 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.origin import origin
 from straightcomp_ros.fleet.history import HistoryError
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.fleet.history.bag_row import BagRow

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.bags import MAP_ATTACHMENT
 from straightcomp_ros.bags.folder import found_files, split_number
-from straightcomp_ros.bags.origin import ORIGIN_METADATA
+from straightcomp_ros.bags.information import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping

@@ -11,16 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.assessment import at_current_limit
-from straightcomp_ros.analysis.bounds import bounds_of, recorded_drive
-from straightcomp_ros.analysis.course import Course, course_of
-from straightcomp_ros.analysis.current_path import current_path
+from straightcomp_ros.analysis.current_path import Recording, current_path
 from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, samples_taken
-from straightcomp_ros.analysis.force_balance import force_balance
-from straightcomp_ros.analysis.metrics import residual_of_stroke, stroke_figures, true_error
+from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, stroke_figures, true_error
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord, check_finite, find_motion
-from straightcomp_ros.analysis.run_verdict import partial_run, verdict_of
-from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.analysis.run_verdict import (
+    JudgedMotion,
+    bounds_of,
+    judged_motion,
+    partial_run,
+    recorded_drive,
+    verdict_of,
+)
 from straightcomp_ros.fleet.history.stroke_bins import Bins, bins_over
 from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 
@@ -132,11 +135,11 @@ class _Run:
             host=recorded.host,
         )
 
-    def _course(self, stroke: Stroke) -> Course:
+    def _course(self, stroke: Stroke) -> JudgedMotion:
         record = self.evaluation.record
         times = (record.time[stroke.start] - _AROUND, record.time[stroke.stop - 1] + _AROUND)
         start, stop = np.searchsorted(record.time, times).tolist()
-        return course_of(part_of(record, start, stop), self.reference, self.evaluation.stalls)
+        return judged_motion(part_of(record, start, stop), self.reference, self.evaluation.stalls)
 
     def _bandwidth(self, part: StrokeRecord, coils: NDArray[np.float64]) -> float | None:
         """Of the amplifier in Hz, where no sample of the stroke is missing and its current steps tell it."""

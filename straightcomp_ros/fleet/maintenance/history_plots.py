@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.html_document import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
+from straightcomp_ros.analysis.html_page import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
 from straightcomp_ros.fleet.maintenance.advice import Advice, all_figures
 from straightcomp_ros.fleet.maintenance.day_levels import PROFILES, DayLevels
 from straightcomp_ros.fleet.maintenance.guide_shift import guide_shifts

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from html import escape
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
-from straightcomp_ros.analysis.html_document import html_document, html_plot, html_table
+from straightcomp_ros.analysis.html_page import blocks, html_page, html_plot
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.fleet.maintenance import day_levels
 from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of, all_figures
@@ -36,7 +36,7 @@ _TREND_DAYS = 91
 
 
 def stage_report(stage: str, strokes: pyarrow.Table) -> str:
-    """The document for a stage, from its strokes in the order of their start, at least one, with :data:`COLUMNS`."""
+    """The page of a stage, from its strokes in the order of their start, at least one, with :data:`COLUMNS`."""
     levels = day_levels.day_levels(strokes)
     figures = all_figures(levels)
     advice = advice_of(levels)
@@ -48,60 +48,39 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
         for name, values in figures.items()
         if np.count_nonzero(np.isfinite(values)) > 1
     ]
-    parts = [
-        f"<h1>Stage “{escape(stage)}”</h1><p class=note>{count}</p>",
-        _advice(levels, advice),
-        _over_x(levels),
-        f"<section><h2>Figures from day to day</h2><div class=pair>{''.join(plots)}</div></section>",
-        "<section><h2>Trends of the last quarter</h2>",
-        html_table(_trends(levels, figures, changes)),
-        "<p class=note>Median of all slopes between weeks (Theil and Sen) with its 95 % interval.</p></section>",
-        _faults(strokes),
-        *_bags(strokes),
-    ]
-    return html_document(f"{stage}, {begin} to {end}", "".join(parts))
-
-
-def _advice(levels: DayLevels, advice: list[Advice]) -> str:
-    if len(levels.day) <= BASELINE:
-        text = (
-            f"{len(levels.day)} days with strokes: the first {BASELINE} make the baseline, changes are told after that"
-        )
-        return f"<div class='card well'><p>{text}</p></div>"
-    if not advice:
-        return "<div class='card well'><p><b>Nothing changed.</b> All figures are as in the first weeks.</p></div>"
-    cards = []
-    for one in advice:
-        others = ", ".join(BY_NAME[change.figure].words for change in one.changes[1:])
-        also = f"; changed with it: {escape(others)}" if others else ""
-        remedy = f"What helps: {_with_code(one.remedy)}." if one.due else "Nothing to do: it is back where it was."
-        cards.append(
-            f"<div class='card{'' if one.due else ' well'}'><p><b>{escape(one.text)}</b></p><p>{remedy}</p>"
-            f"<p class=note>found on {one.found}{also}</p>{html_plot(evidence(levels, one), bar=False)}</div>"
-        )
-    return f"<h2>What needs somebody: {sum(one.due for one in advice)}</h2>{''.join(cards)}"
-
-
-def _with_code(text: str) -> str:
-    """HTML of a text that has commands between backticks."""
-    return re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(text))
-
-
-def _over_x(levels: DayLevels) -> str:
-    plots = (
+    large = (
         ("Error r − y over x and time, by the encoder", error_map(levels)),
         ("Change of the guide over x and time, by the displacement sensor", guide_map_over_time(levels)),
     )
-    return "".join(
-        f"<section class=plot><h2>{title}</h2>{html_plot(figure)}</section>"
-        for title, figure in plots
-        if figure is not None
-    )
+    faults = faults_over_time(strokes["start"].to_pylist(), strokes["faults"].to_pylist())
+    slopes = blocks.paragraph("Median of all slopes between weeks (Theil and Sen) with its 95 % interval.")
+    sections = [
+        _advice(levels, advice),
+        *((title, blocks.plots([html_plot(figure)])) for title, figure in large if figure is not None),
+        ("Figures from day to day", blocks.plots(plots, "pair")),
+        ("Trends of the last quarter", blocks.table(_trends(levels, figures, changes)) + slopes),
+        ("Faults over time", "" if faults is None else blocks.plots([html_plot(faults)])),
+        *_bags(strokes),
+    ]
+    return html_page(f"{stage}, {begin} to {end}", f"Stage “{stage}”", blocks.paragraph(count), sections)
 
 
-def _faults(strokes: pyarrow.Table) -> str:
-    figure = faults_over_time(strokes["start"].to_pylist(), strokes["faults"].to_pylist())
-    return "" if figure is None else f"<section class=plot><h2>Faults over time</h2>{html_plot(figure)}</section>"
+def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
+    """Title and content of the first section."""
+    if len(levels.day) <= BASELINE:
+        text = (
+            f"{len(levels.day)} days with strokes: the first {BASELINE} make the baseline, changes are found after it"
+        )
+        return "", blocks.card("", text, True)
+    if not advice:
+        return "", blocks.card("Nothing changed.", "All figures are as in the first weeks.", True)
+    cards = Markup("")
+    for one in advice:
+        others = ", ".join(BY_NAME[change.figure].words for change in one.changes[1:])
+        note = f"found on {one.found}" + (f"; changed with it: {others}" if others else "")
+        remedy = f"What helps: {one.remedy}." if one.due else "Nothing to do: it is back where it was."
+        cards += blocks.card(one.text, remedy, not one.due, note, html_plot(evidence(levels, one), bar=False))
+    return f"What needs attention: {sum(one.due for one in advice)}", cards
 
 
 def _trends(levels: DayLevels, figures: Any, changes: dict[str, list[LevelChange]]) -> list[dict[str, Any]]:
@@ -128,7 +107,7 @@ def _trends(levels: DayLevels, figures: Any, changes: dict[str, list[LevelChange
     return rows
 
 
-def _bags(strokes: pyarrow.Table) -> list[str]:
+def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
     columns = ["start", "bag", "stroke", "direction", "encoder_pp_um", "verdict", "reason", "faults"]
     rows = strokes.select(columns).to_pylist()
     faulty = [row for row in rows if row["faults"]]
@@ -139,7 +118,6 @@ def _bags(strokes: pyarrow.Table) -> list[str]:
         ("Strokes that were not in order", bad[::-1], lambda row: f"{row['verdict']}: {row['reason']}"),
         ("Bags to look at: the largest errors", largest, lambda row: row["verdict"]),
     )
-    parts = []
     for title, found, words in lists:
         shown = [
             {
@@ -152,6 +130,5 @@ def _bags(strokes: pyarrow.Table) -> list[str]:
             }
             for row in found[:_SHOWN]
         ]
-        more = f"<p class=note>and {len(found) - _SHOWN} before</p>" if len(found) > _SHOWN else ""
-        parts.append(f"<section><h2>{title}: {len(found)}</h2>{html_table(shown)}{more}</section>")
-    return parts
+        more = blocks.paragraph(f"and {len(found) - _SHOWN} before") if len(found) > _SHOWN else ""
+        yield f"{title}: {len(found)}", blocks.table(shown) + more

@@ -13,7 +13,7 @@ from typing import Any
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_parameters import parameters_of
+from straightcomp_ros.bags.recorded_nodes import parameters_of
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.pairing import extrapolated

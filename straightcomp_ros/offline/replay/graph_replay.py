@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_parameters import parameters_of, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.parameters.output_files import write_whole

@@ -14,7 +14,7 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_bag, judged_run
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.bags.recorded_parameters import parameters_of, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.bags.origin import origin
+from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import lfilter
 
-from straightcomp_ros.analysis.huber import huber_weights
+from straightcomp_ros.analysis.current_path import huber_weights
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.tuning.commissioning.machine import Array, Series
 

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from straightcomp_ros.analysis.recorded_lag import advanced, readback_lag
+from straightcomp_ros.analysis.current_path import advanced, readback_lag
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.bags.values_at import values_at
+from straightcomp_ros.bags.reader import read_streams, values_at
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.commissioning.machine import COASTING, Series

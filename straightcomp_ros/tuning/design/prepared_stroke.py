@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.oscillation import sustained_oscillation, tolerated_amplitude
+from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back

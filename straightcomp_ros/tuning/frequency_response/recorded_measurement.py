@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.bags.stream_columns import StreamColumns
-from straightcomp_ros.bags.values_at import values_at
+from straightcomp_ros.bags.reader import StreamColumns, read_streams, values_at
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER
 from straightcomp_ros.control.excitation import (
     FrequencyResponseError,

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from straightcomp_ros.analysis.current_path import CurrentPath, current_path
-from straightcomp_ros.analysis.stretch import Recording, read_recording
+from straightcomp_ros.analysis.current_path import CurrentPath, Recording, current_path, read_recording
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.identification.block_covariance import BLOCK

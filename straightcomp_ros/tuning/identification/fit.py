@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from straightcomp_ros.analysis import IdentificationError
-from straightcomp_ros.analysis.current_path import CurrentPath
-from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.analysis.current_path import CurrentPath, Recording
 from straightcomp_ros.tuning.identification.block_covariance import BLOCK, block_covariance
 from straightcomp_ros.tuning.identification.predictor import Record, filter_gains, prediction_errors
 from straightcomp_ros.tuning.identification.sliding_start import sliding_start

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import savgol_filter
 
-from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.analysis.current_path import Recording
 from straightcomp_ros.model.actuator import MU_0
 from straightcomp_ros.tuning.identification.block_covariance import BLOCK, block_covariance
 from straightcomp_ros.tuning.identification.unknowns import NAMES, Unknowns

@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.bounds import Bounds
-from straightcomp_ros.analysis.course import Course
 from straightcomp_ros.analysis.judgement import INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
-from straightcomp_ros.analysis.run_verdict import verdict_of
+from straightcomp_ros.analysis.run_verdict import Bounds, JudgedMotion, verdict_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.plant import PlantState
 from straightcomp_ros.offline.kernel import Conditions, Cycle, run_cycle
@@ -104,7 +102,7 @@ def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cy
     plant = scenario.driver.plant
     window = course.window
     y, r = cycle.true_y[window], course.target[window]
-    judged = Course(
+    judged = JudgedMotion(
         time=course.time[window],
         x=course.true_x[window],
         y=y,

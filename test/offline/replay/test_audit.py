@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main

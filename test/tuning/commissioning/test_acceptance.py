@@ -8,7 +8,7 @@ import pytest
 from roughly_known import values_of, work_on
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
-from straightcomp_ros.analysis.host_stalls import Stall
+from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.current_path import current_path
-from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.analysis.current_path import Recording, current_path
 from straightcomp_ros.model.converters import DriveParameters
 
 DRIVE = DriveParameters()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.analysis import stretch as recording
+from straightcomp_ros.analysis import current_path as recording
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.parameters.declaration import to_mapping

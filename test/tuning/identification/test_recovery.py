@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from plants import FAR, SOFT, STIFF, record, values
 
-from straightcomp_ros.analysis.current_path import CurrentPath
-from straightcomp_ros.analysis.stretch import read_recording
+from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis import IdentificationError
-from straightcomp_ros.analysis.stretch import read_recording
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.analysis.current_path import read_recording
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, ENCODER

@@ -1,0 +1,192 @@
+"""What a recording keeps, passes over, counts as lost, and when it stops."""
+
+import re
+import shutil
+import subprocess
+import types
+
+import pytest
+from recording import LAYOUTS, information
+
+from straightcomp_ros.bags import BagError, recorder
+from straightcomp_ros.bags import information as origin_module
+from straightcomp_ros.bags.information import origin
+from straightcomp_ros.bags.reader import read_metadata, read_streams
+from straightcomp_ros.bags.recorder import BREAK, DiskGuard, Intake, Losses, Recorder, RecorderOptions
+from straightcomp_ros.bags.topics import Topic, TopicQos
+from straightcomp_ros.contract import ENCODER
+
+
+def message(number: int) -> tuple[str, bytes, int, int]:
+    return "/encoder", bytes([number % 256]), number * 1_000_000, 0
+
+
+def test_all_messages_wait_for_the_disk_in_their_order_and_those_beyond_the_limit_are_counted():
+    intake = Intake(limit=5)
+    for number in range(8):
+        intake.add(*message(number))
+    assert list(intake.queue) == [message(number) for number in range(5)]
+    assert intake.dropped == 3
+
+
+def test_what_comes_in_a_pause_is_passed_over():
+    intake = Intake(limit=100)
+    for number in range(6):
+        intake.paused = 2 <= number < 4
+        intake.add(*message(number))
+    assert list(intake.queue) == [message(0), message(1), BREAK, message(4), message(5)]
+    assert (intake.passed_over, intake.dropped) == (2, 0)
+
+
+def test_a_snapshot_has_the_last_seconds_only_and_memory_stays_bounded():
+    intake = Intake(limit=10_000, snapshot_s=0.5)
+    for number in range(3000):
+        intake.add(*message(number))
+    assert not intake.queue
+    assert intake.snapshot() == 501
+    assert list(intake.queue) == [BREAK, *(message(number) for number in range(2499, 3000))]
+    intake.queue.clear()
+    assert intake.snapshot() == 0
+
+
+def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, monkeypatch):
+    def git(*words):
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+        return subprocess.run(["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True, text=True)
+
+    ours, others = tmp_path / "ours.py", tmp_path / "others.py"
+    for file in (ours, others):
+        file.touch()
+    git("init", "-q")
+    git("add", "ours.py")
+    git("commit", "-q", "-m", "one")
+    monkeypatch.setattr(origin_module, "__file__", str(ours))
+    assert origin()["revision"] == git("rev-parse", "--short=12", "HEAD").stdout.strip()
+    monkeypatch.setattr(origin_module, "__file__", str(others))
+    assert origin()["revision"] == "unknown"
+
+
+def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruption_are_not():
+    def packed(*numbers):
+        return [ENCODER.layout.pack(10**18 + 10**6 * number, 0, 0, 0, 0) for number in numbers]
+
+    losses = Losses()
+    losses.add("/a", packed(0, 1, 2))
+    losses.add("/a", packed(5, 6))
+    assert losses.by_topic() == {"/a": 2}
+    losses.interrupt()
+    losses.add("/a", packed(100, 102))
+    assert losses.by_topic() == {"/a": 3}
+    # Repeated, overtaken and too short for a stamp: no step, and no loss.
+    losses.add("/a", [*packed(102, 101), b"short", bytes(11), *packed(103)])
+    assert losses.by_topic() == {"/a": 3}
+    losses.add("/b", [])
+    losses.add("/c", packed(1))
+    assert losses.by_topic() == {"/a": 3, "/c": 0}
+    # Seconds count as well as nanoseconds.
+    losses.add("/d", packed(0, 1000, 3000))
+    assert losses.by_topic()["/d"] == 1
+
+
+def test_a_snapshot_takes_the_newest_where_the_queue_has_room_for_some():
+    intake = Intake(limit=5, snapshot_s=1.0)
+    for number in range(8):
+        intake.add("/a", bytes([number]), number, 0)
+    assert intake.snapshot() == 5
+    assert [data for _, data, *_ in intake.queue] == [b"", *(bytes([number]) for number in range(3, 8))]
+    assert (intake.received, intake.dropped) == (8, 3)
+    intake.add("/a", b"x", 9, 0)
+    intake.add("/a", b"y", 9, 0)
+    # The queue is full: all is dropped, and counted.
+    assert intake.snapshot() == 0 and intake.dropped == 5
+
+
+def test_the_free_space_is_looked_at_twice_a_second(monkeypatch, tmp_path):
+    clock, looks = [100.0], []
+    usage = types.SimpleNamespace(free=300)
+    monkeypatch.setattr(recorder, "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: looks.append(path) or usage)
+    guard = DiskGuard(tmp_path, 300)
+    for _ in range(100):
+        guard.check()
+        clock[0] += 0.01
+    assert looks == [tmp_path] * 2
+    usage.free = 200
+    clock[0] += 0.5
+    with pytest.raises(BagError, match="200 bytes are free on its disk; allowed: >= 300"):
+        guard.check()
+
+
+def announced(recorder: Recorder) -> None:
+    recorder.announce(Topic("/encoder", ENCODER.layout.type_name, TopicQos()))
+
+
+def sample(number: int) -> tuple[str, bytes, int, int]:
+    stamp = 10**18 + 500_000 * number
+    return "/encoder", ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0), stamp, stamp
+
+
+def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tmp_path):
+    described = []
+    recorder = Recorder(
+        RecorderOptions(str(tmp_path / "run")), ["/encoder"], lambda bag, at_end: described.append(at_end) or at_end
+    )
+    announced(recorder)
+    recorder.intake.add(*sample(0))
+    assert recorder.start() == tmp_path / "run"
+    with pytest.raises(BagError, match="being recorded already"):
+        recorder.start()
+    for number in range(100):
+        recorder.intake.paused = 20 <= number < 60
+        if number != 80:
+            recorder.intake.add(*sample(number))
+    recorder.stop()
+    assert not recorder.recording
+    recorder.intake.add(*sample(100))
+    assert recorder.start() == tmp_path / "run_2"
+    recorder.announce(Topic("/late", "std_msgs/msg/Float64", TopicQos()))
+    recorder.intake.add(*sample(101))
+    recorder.intake.add("/late", bytes(12), 10**18, 10**18)
+    recorder.stop()
+    recorder.stop()
+    assert len(read_streams(tmp_path / "run", LAYOUTS)["encoder"]) == 59
+    metadata = read_metadata(tmp_path / "run")
+    assert metadata["losses"] == {"/encoder": "1"}
+    assert metadata["logger"] == {"received": "99", "written": "59", "dropped": "0"}
+    assert metadata["origin"]["package"] == "straightcomp_ros" and metadata["origin"]["version"]
+    assert re.fullmatch(r"unknown|[0-9a-f]{7,40}(-dirty)?", metadata["origin"]["revision"])
+    counts = {
+        t["topic_metadata"]["name"]: t["message_count"]
+        for t in information(tmp_path / "run_2")["topics_with_message_count"]
+    }
+    assert counts == {"/encoder": 1, "/late": 1}
+    assert described[-1] is True
+
+
+def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_expected(tmp_path):
+    recorder = Recorder(RecorderOptions(str(tmp_path / "run")), [], lambda bag, at_end: True)
+    recorder.expect(Topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort")))
+    recorder.start()
+    recorder.stop()
+    recorder.start()
+    announced(recorder)
+    recorder.intake.add(*sample(0))
+    recorder.stop()
+
+    def only_topic(folder):
+        (topic,) = information(tmp_path / folder)["topics_with_message_count"]
+        return topic["topic_metadata"]["offered_qos_profiles"][0]["reliability"], topic["message_count"]
+
+    assert only_topic("run") == ("best_effort", 0)
+    assert only_topic("run_2") == ("reliable", 1)
+
+
+def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
+    recorder = Recorder(RecorderOptions(str(tmp_path / "run"), min_free=10**18), [], lambda bag, at_end: True)
+    announced(recorder)
+    recorder.start()
+    recorder._thread.join(30)
+    assert "min_free_bytes" in str(recorder.failure)
+    recorder.stop()
+    assert (tmp_path / "run" / "metadata.yaml").exists()
+    shutil.rmtree(tmp_path / "run")
