@@ -1,4 +1,4 @@
-"""Packs several messages of a stream into one; :mod:`straightcomp_ros.runtime.batch_streams` says why.
+"""Packs several messages of a stream into one; :mod:`straightcomp_ros.runtime.streams` says why.
 
 A batch is a std_msgs/UInt8MultiArray. Its data are the messages one after the other, each serialised as if published
 alone and preceded by the time at which it was made: int64, ns since the epoch, little endian. All messages of a stream

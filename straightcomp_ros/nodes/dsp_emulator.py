@@ -15,7 +15,7 @@ from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
-from straightcomp_ros.runtime.periodic import PeriodicLoop
+from straightcomp_ros.runtime.loops import PeriodicLoop
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
@@ -76,7 +76,7 @@ class Emulator:
             late_ns = max(0, time.time_ns() - sent_ns)
             board.receive(identifier, payload, self._now_ns() - late_ns)
         board.cycle(self._now_ns() + _LEAD_NS)
-        self._refused = _told(board.refused_trajectory, self._refused)
+        self._refused = _logged(board.refused_trajectory, self._refused)
 
     def _send(self, identifier: int, payload: bytes, fd: bool) -> None:
         self.unsent += not self._line.send(identifier, payload, fd)
@@ -87,7 +87,7 @@ class Emulator:
         self._line.close()
 
 
-def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
+def _off_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     """The driver's real-time parameters, changed for an emulated board. Since a real board would not load the host, it
     leaves the loop's CPU to the loop and runs before other work. It shares no locks with the nodes."""
     cpus = realtime.REST if driver.cpus == realtime.LOOP else driver.cpus
@@ -95,15 +95,15 @@ def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 
 
-def _told(refused: str, before: str) -> str:
-    """Tell of a trajectory that was refused, once; returns what has been told."""
+def _logged(refused: str, before: str) -> str:
+    """Log a trajectory that was refused, once; returns what has been logged."""
     if refused != before:
         print(f"dsp_emulator: {refused}", file=sys.stderr, flush=True)
     return refused
 
 
 def _schedule(driver: RealtimeParameters) -> None:
-    for refusal in realtime.apply(_beside_the_loop(driver)):
+    for refusal in realtime.apply(_off_the_loop(driver)):
         print(f"dsp_emulator: {refusal}", file=sys.stderr)
 
 
@@ -121,7 +121,7 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
 
         def ended() -> bool:
             nonlocal refused
-            refused = _told(program.stage.refused, refused)
+            refused = _logged(program.stage.refused, refused)
             return stopped()
 
         print("ready", flush=True)

@@ -24,12 +24,11 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.runtime.changes import ParameterChanges
-from straightcomp_ros.runtime.declare import declare
-from straightcomp_ros.runtime.guarded_node import Complaints, refusal
+from straightcomp_ros.runtime.guarded_node import GuardedNode, ThrottledWarning, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
-from straightcomp_ros.runtime.periodic import Loop
-from straightcomp_ros.runtime.timers import WithSteadyTimers
+from straightcomp_ros.runtime.loops import Loop
+from straightcomp_ros.runtime.ros_parameters import ParameterChanges, declare
+from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.normal_priority import at_normal_priority
 
@@ -37,8 +36,6 @@ REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
 """Raised if parameters, files or the machine cannot be used."""
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
-
-
 _HEARTBEAT_S = 0.1
 
 
@@ -68,22 +65,22 @@ class Component(Protocol):
 MakeComponent = Callable[["ManagedNode", Any], Component]
 
 
-class ManagedNode(WithSteadyTimers, LifecycleNode):
+class ManagedNode(GuardedNode, LifecycleNode):
     """Handles the transitions; the component does their work.
 
-    Args:
-        name: of the node.
-        parameter_set: of the node, with a field ``autostart`` and one ``realtime``.
-        make: ``make(node, parameters)`` makes the component.
+    ``parameter_set`` has a field ``autostart`` and one ``realtime``; ``make(node, parameters)`` makes the component.
+
+    Attributes:
+        done: its result is the process's exit code.
+        turn: done when the state has changed, so that the runner runs another loop, or none.
+        streams: the component's ends of the graph's streams.
     """
 
     def __init__(self, name: str, parameter_set: type, make: MakeComponent) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.node = self
-        self.done = Future()
-        """Its result is the process's exit code."""
-        self.turn = Future()
-        """Done when the state has changed, so that the runner runs another loop, or none."""
+        self.done, self.turn = Future(), Future()
+        self.streams = Streams(self)
         self._parameter_set, self._make = parameter_set, make
         self._component: Component | None = None
         self._active = False
@@ -175,9 +172,8 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._active = False
         self._turn()
-        code = self._attempt(
-            self._component.deactivate if self._component is not None else None, TransitionCallbackReturn.ERROR
-        )
+        assert self._component is not None
+        code = self._attempt(self._component.deactivate, TransitionCallbackReturn.ERROR)
         return TransitionCallbackReturn.ERROR if self._failure is not None else code
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -193,11 +189,10 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         # Whatever failed, the component has been released: the node can be configured again.
         return TransitionCallbackReturn.SUCCESS
 
-    def _attempt(self, work: Callable[[], None] | None, otherwise: Any) -> TransitionCallbackReturn:
+    def _attempt(self, work: Callable[[], None], otherwise: Any) -> TransitionCallbackReturn:
         """Do ``work`` and log its exception, which rclpy would swallow silently."""
         try:
-            if work is not None:
-                work()
+            work()
         except REFUSALS as error:
             self._failure = error
             self.get_logger().error(str(error))
@@ -219,6 +214,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
                 gc.collect()
 
     def _destroy_entities(self) -> None:
+        self.streams.close()
         self.steady_timers.cancel_after(self._own_timers)
         for kind, destroy in _DESTROY.items():
             own = self._own.get(kind, set())
@@ -252,12 +248,12 @@ _DESTROY = {
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:
     """Answer a transition that the state does not allow with ``success`` false; rclpy lets it end the process."""
     service = state_service(node)
-    change, refused = service.callback, Complaints(node, "a transition is refused")
+    change, refused = service.callback, ThrottledWarning(node, "a transition is refused")
 
     def answer(request: Any, response: Any) -> Any:
         try:
             return change(request, response)
         except RuntimeError as error:
-            return refusal(response, refused.say(str(error).partition("\n")[0]))
+            return refusal(response, refused.log(str(error).partition("\n")[0]))
 
     service.callback = answer

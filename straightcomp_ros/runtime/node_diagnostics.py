@@ -52,7 +52,7 @@ class Diagnostics:
         hardware_id: str = "",
         description: str = "",
     ) -> None:
-        self._told = {DESCRIPTION: description} if description else {}
+        self._description = {DESCRIPTION: description} if description else {}
         self._hardware_id = hardware_id or platform.node()
         self._levels = Levels()
         self._node = node
@@ -77,7 +77,7 @@ class Diagnostics:
         values = self._values()
         values = {
             **values,
-            **self._told,
+            **self._description,
             RATE: self._rate(int(str(values[SAMPLES]))),
             CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
             SCHEDULING: self._scheduling(),

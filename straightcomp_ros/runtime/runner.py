@@ -18,11 +18,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from straightcomp_ros.runtime.guarded_node import RUN_FAILURES
+from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, GuardedNode
+from straightcomp_ros.runtime.loops import Loop
 from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
-from straightcomp_ros.runtime.periodic import Loop
-from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.normal_priority import give_up_priority
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -39,7 +38,7 @@ _LEAVE_WITHIN_S = 2.0
 class Runnable(Protocol):
     """What the runner needs: a node to spin, a future that ends it, its scheduling, and a safe close."""
 
-    node: WithSteadyTimers
+    node: GuardedNode
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
     loop: Loop | None  # runs instead of the executor, which gets the idle time
@@ -59,9 +58,7 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
         Exit code: 0 after a requested stop that interrupted no work, 2 if parameters or files cannot be used, 1 if the
         node failed or its work was interrupted, or the result that the node itself gave to ``done``.
     """
-    return _run(
-        name, lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True), make, arguments
-    )
+    return _run(name, lambda: GuardedNode(name, automatically_declare_parameters_from_overrides=True), make, arguments)
 
 
 def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:

@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop, awaited
+from straightcomp_ros.runtime.loops import WorkerThread, awaited
 
 
 def test_jobs_run_in_order_on_another_thread_and_one_that_fails_is_reported_and_stops_nothing():
     errors, done = [], []
     node = SimpleNamespace(get_logger=lambda: SimpleNamespace(error=errors.append))
-    beside = BesideTheLoop(node)
+    beside = WorkerThread(node)
 
     def slow() -> None:
         time.sleep(0.05)

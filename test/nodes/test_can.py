@@ -24,7 +24,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.streams import subscribe
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from straightcomp_ros.runtime.command_intake import CommandIntake
+from straightcomp_ros.runtime.commands import CommandIntake
 from straightcomp_ros.safety.faults import Fault
 
 TIMEOUT_NS, PERIOD_NS, LIMIT = 20_000_000, 500_000, 0.9

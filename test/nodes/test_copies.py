@@ -7,8 +7,13 @@ import rclpy
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue, CopiedPublisher
-from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
+from straightcomp_ros.runtime.streams import (
+    BatchPublisher,
+    BatchQueue,
+    ImmediatePublisher,
+    SubscriptionQueue,
+    unspun_node,
+)
 
 pytestmark = pytest.mark.live
 
@@ -60,7 +65,7 @@ def pair():
 
 
 def test_without_a_copy_the_stream_itself_is_read(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, None)
+    publish = ImmediatePublisher(pair.writer, ENCODER, None)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(publish, 300)
@@ -69,7 +74,7 @@ def test_without_a_copy_the_stream_itself_is_read(pair):
 
 
 def test_a_reader_goes_over_to_the_copy_and_has_each_message_once(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, 2000)
+    publish = ImmediatePublisher(pair.writer, ENCODER, 2000)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(publish, 1000)
@@ -80,14 +85,14 @@ def test_a_reader_goes_over_to_the_copy_and_has_each_message_once(pair):
 
 
 def test_when_the_copy_s_publisher_goes_the_stream_itself_is_read_again(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, 2000)
+    publish = ImmediatePublisher(pair.writer, ENCODER, 2000)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(publish, 100)
     pair.wait(lambda: len(pair.stamps) >= 100 and pair.direct_readers() == 0)
     for publisher in list(pair.writer.publishers):
         pair.writer.destroy_publisher(publisher)
-    another = CopiedPublisher(pair.writer, ENCODER, None)
+    another = ImmediatePublisher(pair.writer, ENCODER, None)
     pair.wait(lambda: pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(another, 100)

@@ -17,7 +17,7 @@ from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRIP
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import Waypoint
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.streams import publisher, subscribe
 
 pytestmark = pytest.mark.live

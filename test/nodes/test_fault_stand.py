@@ -3,7 +3,7 @@
 import sys
 
 from straightcomp_ros.cell.launcher import Graph
-from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.runtime.graph_watch import Heartbeats
 
 
 class Deaf:

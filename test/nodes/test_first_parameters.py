@@ -2,7 +2,7 @@
 
 import json
 
-from straightcomp_ros.runtime.first_parameters import FirstParameters
+from straightcomp_ros.tuning.graph.machine_access import FirstParameters
 
 FOUND = {"driver": {"watch.travel": 0.1, "hardware": "simulated"}, "logger": {"output": ""}}
 LEFT = {"driver": {"watch.travel": 3e-6, "hardware": "simulated"}, "logger": {"output": "bags/shake"}}

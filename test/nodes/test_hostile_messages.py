@@ -17,7 +17,7 @@ from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import SAFETY_STATE, STREAMS
 from straightcomp_ros.messages.batch import pack_batch
-from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.runtime.graph_watch import Heartbeats
 from straightcomp_ros.runtime.safety_panel import SafetyState
 
 LOOP = ("driver", "feedforward", "controller", "logger")

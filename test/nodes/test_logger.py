@@ -20,8 +20,7 @@ from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.runtime.message_definition import definition_of_class
-from straightcomp_ros.runtime.other_topics import stored
+from straightcomp_ros.runtime.other_topics import definition_of_class, stored
 
 pytestmark = pytest.mark.keeps_time
 

@@ -6,7 +6,7 @@ from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterVal
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.task import Future
 
-from straightcomp_ros.runtime import remote_parameters
+from straightcomp_ros.runtime import graph_client
 
 RATE = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=2000.0)
 
@@ -35,11 +35,11 @@ class LossyClient:
 
 
 def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch):
-    monkeypatch.setattr(remote_parameters, "AsyncParameterClient", LossyClient)
+    monkeypatch.setattr(graph_client, "AsyncParameterClient", LossyClient)
     look, cancelled = [], []
     timer = SimpleNamespace(cancel=lambda: cancelled.append(True))
     node = SimpleNamespace(create_timer=lambda period, callback: look.append(callback) or timer)
-    remote = remote_parameters.RemoteParameters(node, ["driver"])
+    remote = graph_client.RemoteParameters(node, ["driver"])
     for _ in range(30):
         look[0]()
     assert remote.complete and remote.values == {"driver": {"stage.rate": 2000.0}}

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from straightcomp_ros.runtime.timers import TICK_S, SteadyTimers
+from straightcomp_ros.runtime.guarded_node import TICK_S, SteadyTimers
 
 _STALL_S, _PERIOD_S, _TURN_S = 1.0, 0.1, 0.006
 _THREE_PERIODS = 3 * _PERIOD_S / _TURN_S
@@ -73,17 +73,17 @@ def context(monkeypatch):
 
 
 def test_timers_that_were_due_when_their_node_was_added_do_not_fall_silent(context):
-    from straightcomp_ros.runtime.timers import WithSteadyTimers
+    from straightcomp_ros.runtime.guarded_node import GuardedNode
 
-    node = WithSteadyTimers("beating")
+    node = GuardedNode("beating")
     assert _longest_silence(node) < _THREE_PERIODS
     node.destroy_node()
 
 
 def test_timers_do_not_fall_silent_when_others_are_added_while_they_are_due(context):
-    from straightcomp_ros.runtime.timers import WithSteadyTimers
+    from straightcomp_ros.runtime.guarded_node import GuardedNode
 
-    node = WithSteadyTimers("beating")
+    node = GuardedNode("beating")
     assert _longest_silence(node, add_more=lambda: _beating(node, [0])) < _THREE_PERIODS
     node.destroy_node()
 

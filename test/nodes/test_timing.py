@@ -4,8 +4,7 @@ import itertools
 import random
 import time
 
-from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
-from straightcomp_ros.runtime.periodic import IDLE_EVERY_NS, PeriodicLoop
+from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, LockedLoop, PeriodicLoop, sendings
 
 PERIOD = 500_000
 
