@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from parameters_of_tests import LOOP, loop_parameters, short_parameters
+from parameters_of_tests import LOOP, loop_parameters, of_node, short_parameters
 from participant import Participant
 from waiting import wait_for_line
 
@@ -25,17 +25,21 @@ def panel(own_domain):
         yield panel
 
 
-@pytest.fixture(scope="module")
-def loop(shared_graph):
+def start_loop(graph):
     values = short_parameters()
     for node, parameters in loop_parameters().items():
-        shared_graph.start(node, {**values[node], **parameters})
+        graph.start(node, {**of_node(values, node), **parameters})
+
+
+@pytest.fixture(scope="module")
+def loop(shared_graph):
+    start_loop(shared_graph)
     return shared_graph
 
 
 def start_cell(graph, command=None, **parameters):
     """A cell with the amplifier on and the stage moving."""
-    cell = graph.start("cell", {**short_parameters()["cell"], **CHOSEN, **parameters}, command=command)
+    cell = graph.start("cell", {**of_node(short_parameters(), "cell"), **CHOSEN, **parameters}, command=command)
     wait_for_line(graph, "cell", "stage moves")
     return cell
 
@@ -56,14 +60,33 @@ def cell_at_work(loop, panel):
     return started
 
 
+def publish_nonsense(panel, publisher):
+    """No value in diagnostics ends a cycle."""
+    panel.until(lambda: publisher.get_subscription_count() > 0)
+    keys = ("samples", "lost_samples", "cpu_wait_max_us", "timer_error_max_us", "excitation")
+    for value in ("n/a", "", "nan", "-1", "1e400", "9" * 5000):
+        values = [KeyValue(key=key, value=value) for key in keys]
+        status = [DiagnosticStatus(name=name, values=values) for name in (*LOOP, "logger", "cell")]
+        publisher.publish(DiagnosticArray(status=status))
+
+
 @pytest.mark.parametrize(
     "recoveries, code, words",
-    [(3, 0, "cycle complete: 1 strokes"), (0, 1, "amplifier off in mid-cycle: tripped: the door is open")],
+    [
+        (3, 0, "cycle complete: 1 strokes"),
+        pytest.param(0, 1, "amplifier off in mid-cycle: tripped: the door is open", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_fault_in_mid_cycle_is_recovered_from_as_often_as_that_is_allowed(
     shared_graph, cell_at_work, panel, recoveries, code, words
 ):
-    found, log = cell_at_work(lambda cell: panel.trip(), recoveries=recoveries)
+    diagnostics = panel.node.create_publisher(DiagnosticArray, DIAGNOSTICS, 100)
+
+    def disturb(cell):
+        publish_nonsense(panel, diagnostics)
+        panel.trip()
+
+    found, log = cell_at_work(disturb, recoveries=recoveries)
     assert found == code and words in log
     assert ("fault 1: tripped: the door is open; switching on again" in log) is (recoveries > 0)
 
@@ -75,8 +98,8 @@ BROKEN = "from straightcomp_ros.nodes import cell_node as c; c.CellNode._follow_
     ("number", "command", "words"),
     [
         (signal.SIGINT, None, "interrupted"),
-        (signal.SIGTERM, None, "interrupted"),
-        (0, [sys.executable, "-c", BROKEN], "ZeroDivisionError"),
+        pytest.param(signal.SIGTERM, None, "interrupted", marks=pytest.mark.nightly),
+        pytest.param(0, [sys.executable, "-c", BROKEN], "ZeroDivisionError", marks=pytest.mark.nightly),
     ],
 )
 def test_a_cell_that_is_stopped_or_fails_in_mid_cycle_switches_off_and_does_not_end_with_0(
@@ -92,23 +115,9 @@ def test_a_cell_that_is_stopped_or_fails_in_mid_cycle_switches_off_and_does_not_
     assert not panel.safety[-1].fault
 
 
-def test_no_value_in_diagnostics_ends_a_cycle(shared_graph, cell_at_work, panel):
-    publisher = panel.node.create_publisher(DiagnosticArray, DIAGNOSTICS, 100)
-
-    def publish(cell):
-        panel.until(lambda: publisher.get_subscription_count() > 0)
-        keys = ("samples", "lost_samples", "cpu_wait_max_us", "timer_error_max_us", "excitation")
-        for value in ("n/a", "", "nan", "-1", "1e400", "9" * 5000):
-            values = [KeyValue(key=key, value=value) for key in keys]
-            status = [DiagnosticStatus(name=name, values=values) for name in (*LOOP, "logger", "cell")]
-            publisher.publish(DiagnosticArray(status=status))
-
-    assert cell_at_work(publish)[0] == 0
-
-
 def test_a_graph_whose_nodes_have_different_stages_does_not_move(shared_graph, loop):
     loop.log("cell").unlink(missing_ok=True)
-    cell = loop.start("cell", {**short_parameters()["cell"], **CHOSEN, "stage.platform.mass": 3.5})
+    cell = loop.start("cell", {**of_node(short_parameters(), "cell"), **CHOSEN, "stage.platform.mass": 3.5})
     assert cell.wait(timeout=120) == 1
     log = loop.log("cell").read_text()
     assert "descriptions of the stage differ (cell synthetic" in log and "stage moves" not in log
@@ -120,8 +129,7 @@ def test_a_graph_whose_nodes_have_different_stages_does_not_move(shared_graph, l
     [("controller", 3), *(pytest.param(node, 0, marks=pytest.mark.nightly) for node in LOOP)],
 )
 def test_a_cell_names_the_node_that_died_and_not_only_what_followed(graph, node, recoveries):
-    for name, parameters in loop_parameters().items():
-        graph.start(name, parameters)
+    start_loop(graph)
     cell = start_cell(graph, recoveries=recoveries)
     graph._processes[node].kill()
     assert cell.wait(timeout=60) == 1
@@ -133,8 +141,7 @@ def test_a_cell_names_the_node_that_died_and_not_only_what_followed(graph, node,
 
 @pytest.mark.nightly
 def test_a_cell_whose_driver_is_gone_says_that_it_could_not_switch_off(graph):
-    for name, parameters in loop_parameters().items():
-        graph.start(name, parameters)
+    start_loop(graph)
     cell = start_cell(graph)
     graph._processes["driver"].kill()
     cell.send_signal(signal.SIGTERM)
