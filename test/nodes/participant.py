@@ -1,4 +1,4 @@
-"""Another participant of the graph, in the test's process: waits while it receives, calls services, sees the amplifier."""
+"""Another participant of the graph, in the test's process: it waits, calls services, knows the amplifier's state."""
 
 import time
 

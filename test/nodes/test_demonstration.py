@@ -45,7 +45,9 @@ def test_a_live_stroke_is_recorded_and_compensated(tmp_path, short_cycle):
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("victim", ["driver", "controller", "logger"])
+@pytest.mark.parametrize(
+    "victim", ["driver", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("controller", "logger"))]
+)
 def test_a_node_that_dies_in_mid_stroke_ends_the_demonstration_with_its_name(
     tmp_path, short_cycle, victim, monkeypatch
 ):

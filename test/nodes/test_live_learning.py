@@ -7,7 +7,7 @@ from straightcomp_ros.analysis.record import find_motion
 from straightcomp_ros.cell.demonstration import demonstrate
 from straightcomp_ros.control.learning import Learning, LearningParameters
 
-pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
+pytestmark = [pytest.mark.nightly, pytest.mark.live, pytest.mark.keeps_time]
 
 
 def test_the_graph_learns_while_it_runs_and_each_stroke_leaves_less_than_the_first(tmp_path, short_cycle):

@@ -23,7 +23,7 @@ if importlib.util.find_spec("asyncua") is None:
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 
-pytestmark = [pytest.mark.keeps_time, pytest.mark.soak]
+pytestmark = [pytest.mark.keeps_time, pytest.mark.nightly]
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROBES = REPOSITORY / "test" / "opcua" / "probes.py"
 FLOOD_S = 3.0

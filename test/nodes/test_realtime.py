@@ -57,6 +57,7 @@ for thread in os.listdir("/proc/self/task"):
 """
 
 
+@pytest.mark.nightly
 def test_fast_dds_s_polling_thread_cannot_keep_a_cpu_from_the_threads_that_it_waits_for():
     result = subprocess.run([sys.executable, "-c", MIDDLEWARE], capture_output=True, text=True, timeout=60, check=True)
     found = {name: rest for name, _, rest in (line.partition(" ") for line in result.stdout.splitlines())}

@@ -1,5 +1,7 @@
 """Each law under each trigger that runs in real time; lockstep has tests of its own."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,13 @@ from straightcomp_ros.offline.replay.audit import audit
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("trigger", ["sample", "timer"])
+@pytest.mark.parametrize(
+    ("law", "trigger"),
+    [
+        pytest.param(law, trigger, marks=[] if (law, trigger) == ("smc", "timer") else [pytest.mark.nightly])
+        for law, trigger in itertools.product(LAWS, ("sample", "timer"))
+    ],
+)
 def test_each_law_compensates_and_can_be_audited(tmp_path, short_cycle, trigger, law):
     short_cycle["controller"].update({"trigger": trigger, "control.law": law})
     short_cycle["stage"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
