@@ -65,8 +65,8 @@ class ControllerComponent:
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
         rate, streams = parameters.stage.rate, node.streams
-        self._publish_command = streams.publish_at_once(COMMAND, None if lockstep else rate)
-        self._publish_state = streams.publish_in_batches(CONTROLLER_STATE, rate)
+        self._publish_command = streams.publisher(COMMAND, None if lockstep else rate, at_once=True)
+        self._publish_state = streams.publisher(CONTROLLER_STATE, rate)
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)
@@ -255,16 +255,10 @@ class ControllerComponent:
 
 
 class ExcitationService:
-    """Starts the excitation that the controller's parameters ``excitation.*`` describe, and stops it.
+    """The service ``~/excite``: starts the excitation that the parameters ``excitation.*`` describe, and stops it.
 
-    Args:
-        node: the controller.
-        servo: gets the injection.
-        make: makes it; raises FrequencyResponseError or ValueError if the parameters do not fit.
-        left_travel: called with the reason when the platform left the allowed travel.
-
-    Attributes:
-        state: see :data:`~straightcomp_ros.timing.node_timing.EXCITATION`.
+    ``make`` makes the injection; FrequencyResponseError or ValueError if the parameters do not fit. ``left_travel`` is
+    called with the reason when the platform left the allowed travel; for ``state`` see `node_timing.EXCITATION`.
     """
 
     def __init__(

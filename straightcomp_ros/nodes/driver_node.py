@@ -30,7 +30,7 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import SafetyPanel
-from straightcomp_ros.runtime.streams import LOOK_AHEAD_S, subscribe
+from straightcomp_ros.runtime.streams import LOOK_AHEAD_S, publisher, subscribe
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
@@ -46,14 +46,8 @@ _TURNS_OF_OTHERS = 3
 
 
 class DriverComponent:
-    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller.
-
-    Args:
-        node: the driver.
-        parameters: of the node.
-        hardware: the machine; None makes the one that the parameters name.
-        system_ns: the system clock, ns since the epoch.
-    """
+    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller. ``hardware`` is by default
+    what the parameters name; ``system_ns`` is the system clock, ns since the epoch."""
 
     def __init__(
         self,
@@ -70,12 +64,14 @@ class DriverComponent:
         period_ns = parameters.stage.period_ns
         rate = parameters.stage.rate
         streams = node.streams
-        self._publish_sample = streams.publish_at_once(ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S)
-        self._publish_position = streams.publish(POSITION)
+        self._publish_sample = streams.publisher(
+            ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S, at_once=True
+        )
+        self._publish_position = publisher(node, POSITION)
         # In lockstep the run may end with the motion's last sample, so every position is published.
         self._position_every = 1 if parameters.lockstep else POSITION_EVERY
-        self._publish_truth = streams.publish_in_batches(TRUTH, rate)
-        self._publish_state = streams.publish_in_batches(DRIVER_STATE, rate)
+        self._publish_truth = streams.publisher(TRUTH, rate)
+        self._publish_state = streams.publisher(DRIVER_STATE, rate)
         self._samples = 0
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
@@ -277,23 +273,15 @@ class DriverComponent:
 
 
 def make_hardware(parameters: DriverNodeParameters) -> Hardware:
-    """The machine that the parameters name.
-
-    Raises:
-        SurveyError: the simulated machine's guide cannot be used.
-        ParameterError: python-can knows no such interface.
-    """
+    """The machine that the parameters name; SurveyError if the simulated machine's guide cannot be used, ParameterError
+    if python-can knows no such interface."""
     if parameters.hardware == "can":
         return CanHardware(parameters.can, parameters.stage, now_ns)
     return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
 
 
 def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
-    """What a trajectory of the simulated stage may ask for; a real one has a controller of its own.
-
-    Raises:
-        SurveyError: the guide's survey cannot be used.
-    """
+    """What a trajectory of the simulated stage may ask for; a real one has a controller of its own."""
     motion, guide = parameters.stage.motion, parameters.stage.guide
     if parameters.hardware == "can" and not parameters.can.simulated_stage:
         return StageLimits.of(motion, motion.start, motion.start)

@@ -26,13 +26,8 @@ before the sampling time."""
 
 
 class Emulator:
-    """The board's loop on its bus.
-
-    Args:
-        parameters: of the driver; they give the board's simulated machine and its CAN bus.
-        line: the bus.
-        drift: relative frequency error of the board's clock.
-    """
+    """The board's loop on its bus. The driver's parameters describe its simulated machine; ``drift`` is the relative
+    frequency error of its clock."""
 
     def __init__(self, parameters: DriverNodeParameters, line: Line, drift: float = 0.0) -> None:
         self._line = line
@@ -136,12 +131,8 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
 
 
 def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:
-    """Emulate the board until SIGINT or SIGTERM; print ``ready`` when it samples.
-
-    Args:
-        parameters: of the driver.
-        drift: relative frequency error of the board's clock.
-        own_hub: also be the hub of the bus.
+    """Emulate the board until SIGINT or SIGTERM, with ``own_hub`` the hub of the bus too; print ``ready`` when it
+    samples.
 
     Raises:
         SurveyError: the guide's file cannot be used.

@@ -43,7 +43,7 @@ class FeedforwardComponent:
         self._map = load_map(parameters.stage.guide)
         node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map.report}")
         self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
-        self._publish = node.streams.publish_in_batches(REFERENCE, None)
+        self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
         self._samples = 0
         self._x = math.nan

@@ -28,7 +28,7 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.other_topics import OtherTopics, stored
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import BatchQueue, Fetched, RawQueue, message_type, stream_qos
+from straightcomp_ros.runtime.streams import BatchQueue, RawQueue, message_type, stream_qos
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
@@ -46,7 +46,7 @@ class LoggerComponent:
         self._gaps, self._timer_errors = StampGaps(), Histogram()
         self._chosen = _pattern("topics", parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
-        self._topics: dict[str, Fetched] = {}
+        self._topics: dict[str, RawQueue | BatchQueue] = {}
         self._silent: dict[str, Announced] = {}
         """Topics that have had no message yet."""
         self._unspun = node.streams.unspun
@@ -100,7 +100,7 @@ class LoggerComponent:
 
     def _provide_services(self) -> None:
         """Make the services ``~/start``, ``~/stop`` and so on. Each acts on the messages that arrive after it."""
-        recorder, intake = self._recorder, self._recorder.intake
+        recorder = self._recorder
 
         def stop() -> str:
             """Finish the bag."""
@@ -109,12 +109,12 @@ class LoggerComponent:
 
         def pause() -> str:
             """Leave later messages out of the bag."""
-            intake.paused = True
+            recorder.intake.paused = True
             return "paused: messages are not recorded until ~/resume"
 
         def resume() -> str:
             """Record again."""
-            intake.paused = False
+            recorder.intake.paused = False
             return "recording"
 
         def split() -> str:
@@ -124,7 +124,7 @@ class LoggerComponent:
 
         def snapshot() -> str:
             """Write the last seconds from memory (parameter snapshot) to the bag."""
-            return f"{intake.snapshot()} messages go to the bag"
+            return f"{recorder.intake.snapshot()} messages go to the bag"
 
         for act in (self._start, stop, pause, resume, split, snapshot):
             name = act.__name__.strip("_")

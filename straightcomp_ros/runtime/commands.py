@@ -1,4 +1,4 @@
-"""The driver's treatment of commands: in real time it checks and writes each, in lockstep each brings the next sample."""
+"""What the driver does with commands: it checks and writes each; in lockstep each brings the next sample."""
 
 import math
 from collections import deque
@@ -23,14 +23,8 @@ class CommandIntake:
 
     A controller takes its stamps from these samples. A command with another stamp is from elsewhere, and one is enough
     for a fault; only before the first sample are there innocent ones, of a controller that answers a driver's former
-    life. No accepted stamp is newer than the newest sample.
-
-    Args:
-        hardware: the machine.
-        timeout_ns: age in ns beyond which a command is stale.
-        period_ns: sampling period in ns.
-        current_limit: largest current in A.
-        trip: called with a fault and the reason in words.
+    life. No accepted stamp is newer than the newest sample. A command older than ``timeout_ns`` is stale; ``trip`` is
+    called with a fault and the reason in words.
 
     Attributes:
         current_limit: largest current in A; may be changed.
@@ -135,14 +129,8 @@ class Lockstep:
 
     The graph then computes exactly what `straightcomp simulate` computes, however slow or busy the computer is. The
     streams are best effort, so a message may be lost: a sample without an answer is sent again, and feedforward and
-    controller answer a repeated sample as they did before.
-
-    Args:
-        node: provides the timer for repetitions.
-        hardware: the machine; no other code may read it.
-        period_ns: sampling period.
-        delay: command delay from the sample, in periods.
-        publish: publishes a sample.
+    controller answer a repeated sample as they did before. No other code may read ``hardware``; ``delay`` is that of a
+    command from its sample, in periods.
     """
 
     def __init__(

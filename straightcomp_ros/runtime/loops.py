@@ -58,11 +58,8 @@ class PeriodicLoop:
 
     A timer of the executor costs a thread and two context switches in each period, this loop one wake-up.
 
-    Args:
-        period_ns: length of a period.
-        cycle: the work of one period; gets the monotonic time in ns at which the period was to start.
-        punctual: wake up early by this machine's usual delay and busy-wait for the rest; otherwise every answer would
-            be late by a tenth of a period.
+    ``cycle`` gets the monotonic time in ns at which the period was to start. A ``punctual`` loop wakes up early by this
+    machine's usual delay and busy-waits for the rest; otherwise every answer would be late by a tenth of a period.
 
     Attributes:
         cycles: periods in which ``cycle`` was called.
@@ -125,11 +122,8 @@ class LockedLoop:
     phase-locked loop predicts each arrival from those before; its error shows how steadily messages arrive. Without
     messages the loop only does its idle work.
 
-    Args:
-        period_ns: period of the messages.
-        wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
-        cycle: the work of one period; returns the number of messages found, where those sent together count as one, and
-            the age of the newest in ns.
+    ``wait(timeout_ns)`` returns when a message has arrived, or after that time. ``cycle`` returns the number of
+    messages found, where those sent together count as one, and the age of the newest in ns.
 
     Attributes:
         missed: messages without a cycle of their own, because a cycle found a later one too.

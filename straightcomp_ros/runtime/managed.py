@@ -52,11 +52,8 @@ class Component(Protocol):
         """Stop, with safe outputs."""
 
     def prepare(self, parameters: Any) -> Callable[[], None]:
-        """Prepare other values of the dynamic parameters; the returned function applies them.
-
-        Raises:
-            one of :data:`REFUSALS`: the values cannot be applied; nothing has changed.
-        """
+        """Prepare other values of the dynamic parameters; the returned function applies them. One of :data:`REFUSALS`
+        if they cannot be applied; nothing has changed then."""
 
     def close(self) -> None:
         """Release everything, saved and safe. The ROS context may have ended already."""
@@ -71,6 +68,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
     ``parameter_set`` has a field ``autostart`` and one ``realtime``; ``make(node, parameters)`` makes the component.
 
     Attributes:
+        active: whether the state is active.
         done: its result is the process's exit code.
         turn: done when the state has changed, so that the runner runs another loop, or none.
         streams: the component's ends of the graph's streams.
@@ -83,7 +81,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self.streams = Streams(self)
         self._parameter_set, self._make = parameter_set, make
         self._component: Component | None = None
-        self._active = False
+        self.active = False
         self._failure: Exception | None = None
         self._own: dict[str, set[Any]] = {}
         self._own_timers = 0
@@ -92,11 +90,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         _refuse_wrong_transitions(self)
 
     def begin(self) -> None:
-        """Declare the parameters; with ``autostart`` configure and activate.
-
-        Raises:
-            one of :data:`REFUSALS`: configuration or activation failed.
-        """
+        """Declare the parameters; with ``autostart`` configure and activate. One of :data:`REFUSALS` if that fails."""
         parameters = declare(self, self._parameter_set, changeable=True)
         self.realtime = parameters.realtime
         self._autostart = parameters.autostart
@@ -113,12 +107,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
     @property
     def loop(self) -> Loop | None:
         """The loop to run now instead of the executor, if any."""
-        return self._component.loop if self._component is not None and self._active else None
-
-    @property
-    def active(self) -> bool:
-        """Whether the state is active."""
-        return self._active
+        return self._component.loop if self._component is not None and self.active else None
 
     def fail(self, error: Exception) -> None:
         """Report a failure of the component: with ``autostart`` end the process, otherwise become unconfigured."""
@@ -128,13 +117,13 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self.get_logger().error(str(error))
         if self._autostart:
             self.done.set_result(EXIT_FAILURE)
-        elif self._active:
+        elif self.active:
             self.trigger_deactivate()
 
     def close(self) -> None:
         """Stop and release the component, if there is one."""
-        if self._active and self._component is not None:
-            self._active = False
+        if self.active and self._component is not None:
+            self.active = False
             self._component.deactivate()
         self._release()
 
@@ -149,19 +138,16 @@ class ManagedNode(GuardedNode, LifecycleNode):
 
         with at_normal_priority():
             code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
-        if code is TransitionCallbackReturn.SUCCESS and self._component is not None:
+        if self._component is not None:
             self._changes.follow(self._component.prepare)
         else:
             self._destroy_entities()
         return code
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        def activate() -> None:
-            assert self._component is not None
-            self._component.activate()
-            self._active = True
-
-        code = self._attempt(activate, TransitionCallbackReturn.ERROR)
+        assert self._component is not None
+        code = self._attempt(self._component.activate)
+        self.active = code is TransitionCallbackReturn.SUCCESS
         with at_normal_priority():
             # Objects made since the start are long-lived too: exclude them from garbage collection.
             gc.collect()
@@ -170,26 +156,28 @@ class ManagedNode(GuardedNode, LifecycleNode):
         return code
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._active = False
+        self.active = False
         self._turn()
         assert self._component is not None
-        code = self._attempt(self._component.deactivate, TransitionCallbackReturn.ERROR)
+        code = self._attempt(self._component.deactivate)
         return TransitionCallbackReturn.ERROR if self._failure is not None else code
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._attempt(self._release, TransitionCallbackReturn.ERROR)
+        return self._attempt(self._release)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._turn()
-        return self._attempt(self.close, TransitionCallbackReturn.ERROR)
+        return self._attempt(self.close)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._turn()
-        self._attempt(self.close, TransitionCallbackReturn.ERROR)
+        self._attempt(self.close)
         # Whatever failed, the component has been released: the node can be configured again.
         return TransitionCallbackReturn.SUCCESS
 
-    def _attempt(self, work: Callable[[], None], otherwise: Any) -> TransitionCallbackReturn:
+    def _attempt(
+        self, work: Callable[[], None], otherwise: TransitionCallbackReturn = TransitionCallbackReturn.ERROR
+    ) -> TransitionCallbackReturn:
         """Do ``work`` and log its exception, which rclpy would swallow silently."""
         try:
             work()
@@ -201,7 +189,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
 
     def _release(self) -> None:
         component, self._component = self._component, None
-        self._active = False
+        self.active = False
         self._changes.follow(None)
         with at_normal_priority():
             try:

@@ -37,20 +37,13 @@ class Diagnostics:
 
     Either step takes about 0.2 ms with cold caches: in one turn of a loop's idle work they would delay the next cycle.
 
-    Args:
-        node: the node that reports.
-        values: called at 1 Hz; returns values by name, always with ``samples``, and with ``error`` to report an error.
-            A name ends with the unit, unless the value is a count: ``_us``, ``_hz``.
-        hardware_id: what the node reports on; this computer's name if empty.
-        description: of the stage, which the node works with; empty if it works with none.
+    ``values`` returns values by name, always with ``samples``, and with ``error`` to report an error. A name ends with
+    the unit, unless the value is a count: ``_us``, ``_hz``. An empty ``hardware_id`` stands for this computer's name.
+    ``description`` is that of the stage; empty if the node works with none.
     """
 
     def __init__(
-        self,
-        node: Node,
-        values: Callable[[], Mapping[str, object]],
-        hardware_id: str = "",
-        description: str = "",
+        self, node: Node, values: Callable[[], Mapping[str, object]], hardware_id: str = "", description: str = ""
     ) -> None:
         self._description = {DESCRIPTION: description} if description else {}
         self._hardware_id = hardware_id or platform.node()

@@ -27,15 +27,9 @@ _BOUNDED_TEXT = re.compile(r"(?P<of>w?string)<(?P<bound>\d+)>")
 
 
 class OtherTopics:
-    """Subscribes to each matching topic when its first publisher appears, with the QoS that its publishers offer.
-
-    Args:
-        node: looks for the topics.
-        unspun: from :func:`straightcomp_ros.runtime.streams.unspun_node`.
-        pattern: must match a topic's full name; an empty pattern matches none.
-        ours: full names that are recorded already.
-        announce: called with each topic before its first message is fetched.
-    """
+    """Subscribes to each topic whose full name matches ``pattern`` (an empty one matches none) and is not one of
+    ``ours``, when its first publisher appears, with the QoS that its publishers offer. ``announce`` is called with each
+    topic before its first message is fetched."""
 
     def __init__(
         self,

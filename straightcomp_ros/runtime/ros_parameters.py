@@ -29,10 +29,8 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
     """Read and validate what launch file, YAML and command line gave to ``node``; declare every parameter.
 
     Make the node with ``automatically_declare_parameters_from_overrides=True``: otherwise it hides unknown names.
-    With ``changeable`` only the parameters that are used at the start of the process are read-only.
-
-    Raises:
-        ParameterError: unknown name, wrong type or value out of range.
+    With ``changeable`` only the parameters that are used at the start of the process are read-only. ParameterError for
+    an unknown name, a wrong type or a value out of range.
     """
     given = {name: value.value for name, value in node.get_parameters_by_prefix("").items() if not belongs_to_ros(name)}
     # A stage file describes the stage to all nodes; some need nothing of it.
@@ -89,11 +87,7 @@ class ParameterChanges:
         node.add_post_set_parameters_callback(self._changed)
 
     def parameters(self) -> Any:
-        """The parameter set with the current values.
-
-        Raises:
-            ParameterError: the values contradict each other.
-        """
+        """The parameter set with the current values; ParameterError if they contradict each other."""
         return from_mapping(self._parameter_set, self._values())
 
     def follow(self, prepare: Prepare | None) -> None:

@@ -71,9 +71,7 @@ def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: 
     return _run(name, lambda: ManagedNode(name, parameter_set, make), begun, arguments)
 
 
-def _run(
-    name: str, make_node: Callable[[], Any], make: Callable[[Any], Runnable], arguments: Sequence[str] | None
-) -> int:
+def _run(name: str, make_node: Callable[[], Any], make: Callable[[Any], Any], arguments: Sequence[str] | None) -> int:
     # rclpy's own handlers shut the context down during a callback; ours let the callback end first.
     stop = _StopRequest()
     try:
@@ -97,11 +95,10 @@ def _run(
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            code = _spin(runnable)
+            return _spin(runnable)
         finally:
             runnable.close()
             give_up_priority()
-        return code
     except RUN_FAILURES as error:
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_FAILURE
@@ -114,8 +111,7 @@ class _StopRequest:
     """Handles SIGINT and SIGTERM: they complete a node's future as soon as there is one."""
 
     def __init__(self) -> None:
-        self._requested = False
-        self._done: Future | None = None
+        self._requested, self._done = False, Future()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._request)
 
@@ -127,29 +123,28 @@ class _StopRequest:
 
     def _request(self, *_: object) -> None:
         self._requested = True
-        if self._done is not None and not self._done.done():
+        if not self._done.done():
             self._done.set_result(0)
 
 
-def _spin(runnable: Runnable) -> int:
+def _spin(runnable: Any) -> int:
     executor = EventsExecutor()
     idle = _settle(runnable, executor)
     if isinstance(runnable, ManagedNode):
-        return _spin_until_done(runnable, runnable, executor, idle)
+        return _spin_until_done(runnable, executor, idle)
     interrupted = False
     try:
-        code = _spin_until_done(runnable, None, executor, idle)
+        code = _spin_until_done(runnable, executor, idle)
     finally:
         interrupted = _left(runnable, executor)
     return code or (EXIT_FAILURE if interrupted else 0)
 
 
-def _spin_until_done(
-    runnable: Runnable, managed: ManagedNode | None, executor: Executor, idle: Callable[[], None]
-) -> int:
+def _spin_until_done(runnable: Any, executor: Executor, idle: Callable[[], None]) -> int:
+    managed = isinstance(runnable, ManagedNode)
     while not runnable.done.done():
         # Each state of a managed node has its own loop, or none.
-        turn = managed.turn if managed else runnable.done
+        turn = runnable.turn if managed else runnable.done
         try:
             if runnable.loop:
                 runnable.loop.run(turn.done, idle)
@@ -158,9 +153,9 @@ def _spin_until_done(
         except ExternalShutdownException:
             return 0
         except RUN_FAILURES as error:
-            if managed is None:
+            if not managed:
                 raise
-            managed.fail(error)
+            runnable.fail(error)
     return int(runnable.done.result())
 
 

@@ -10,9 +10,10 @@ they get both from :class:`Streams`. Within a process another class with its met
 """
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -90,120 +91,70 @@ def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[floa
     node.create_subscription(message_type(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
 
 
-class _Batches:
-    """Collects serialised messages with the time each was made, and publishes them in batches."""
+class StreamPublisher:
+    """Publishes a stream in batches, and each message by itself: at once, or with its batch while it has a subscriber.
 
-    def __init__(self, node: Node, stream: Stream, length: float) -> None:
-        self._publisher = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
-        self._publish = raw_publish(self._publisher)
-        self._waiting: list[tuple[int, bytes]] = []
-        self._length = max(1, round(length))
-        self._room = max(1, round(self._length * next(_first_batches)))
-
-    @property
-    def full(self) -> bool:
-        return self._room <= 0
-
-    def add(self, data: bytes) -> None:
-        self._waiting.append((time.time_ns(), data))
-        self._room -= 1
-
-    def flush(self) -> list[tuple[int, bytes]]:
-        """Publish the collected messages, and return them."""
-        waiting, self._waiting = self._waiting, []
-        if self._room <= 0:
-            self._room = self._length
-        for first in range(0, len(waiting), _LONGEST):
-            self._publish(pack_batch(waiting[first : first + _LONGEST]))
-        return waiting
-
-    def delivered(self) -> None:
-        """Wait for acknowledgement: a subscriber that first learns that its publisher has ended drops the messages."""
-        self._publisher.wait_for_all_acked(_DELIVERY)
-
-
-class BatchPublisher:
-    """Publishes a stream that no control loop waits for: in batches, and one by one while it has a subscriber.
-
-    ``rate`` is in messages per second; with None it publishes only when the caller flushes.
+    A control loop waits for what is published ``at_once``; the batch follows when the caller has time for it. ``rate``
+    is in messages per second, ``seconds`` the length of a batch. With ``rate`` None a batch ends when the caller
+    flushes; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
+    batch would never fill.
     """
 
-    def __init__(self, node: Node, stream: Stream, rate: float | None) -> None:
-        self._pack, self._flushed = stream.layout.pack, rate is None
-        self._batches = _Batches(node, stream, BATCH_S * (rate or 0.0))
+    def __init__(
+        self, node: Node, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
+    ) -> None:
+        self._pack, self._at_once = stream.layout.pack, at_once
         self._publisher = stream_publisher(node, stream)
         self._publish = raw_publish(self._publisher)
+        self._waiting: list[tuple[int, bytes]] = []
+        """Serialised messages with the time each was made."""
+        self._length = math.inf if rate is None else max(1, round(rate * seconds))
+        self._room = self._length if rate is None else max(1, round(self._length * next(_first_batches)))
+        self._batches: Publisher | None = None
+        if rate is not None or not at_once:
+            self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
+            self._publish_batch = raw_publish(self._batches)
         if rate is not None:
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or in a batch with later ones."""
-        self._batches.add(self._pack(stamp_ns, *numbers))
-        if self._batches.full and not self._flushed:
+        data = self._pack(stamp_ns, *numbers)
+        if self._at_once:
+            self._publish(data)
+        if self._batches is not None:
+            self._waiting.append((time.time_ns(), data))
+            self._room -= 1
+            if not self._at_once:
+                self.publish_batch()
+
+    def publish_batch(self) -> None:
+        """Publish the batch if it is complete; for a stream at once call it after the control loop has its message."""
+        if self._room <= 0:
             self.flush()
 
     def flush(self) -> None:
-        """Publish the collected messages."""
-        messages = self._batches.flush()
-        if messages and self._publisher.get_subscription_count():
-            for _, data in messages:
+        """Publish the incomplete batch."""
+        waiting, self._waiting = self._waiting, []
+        if self._room <= 0:
+            self._room = self._length
+        for first in range(0, len(waiting), _LONGEST):
+            self._publish_batch(pack_batch(waiting[first : first + _LONGEST]))
+        if waiting and not self._at_once and self._publisher.get_subscription_count():
+            for _, data in waiting:
                 self._publish(data)
 
     def finish(self) -> None:
-        """Publish the collected messages and wait for their delivery; call it before the node ends."""
+        """Publish the incomplete batch and wait for its acknowledgement before the node ends: a subscriber that first
+        learns that its publisher has ended drops the messages."""
         self.flush()
-        self._batches.delivered()
-
-
-class ImmediatePublisher:
-    """Publishes a stream that a control loop waits for: each message at once, and again in a batch a little later.
-
-    ``rate`` is in messages per second, ``seconds`` the length of a batch. With ``rate`` None it publishes no batches:
-    in lockstep the next message waits for the answer to the last one, so a batch would never fill.
-    """
-
-    def __init__(self, node: Node, stream: Stream, rate: float | None, seconds: float = BATCH_S) -> None:
-        self._pack, self._publish = stream.layout.pack, raw_publish(stream_publisher(node, stream))
-        self._batches = _Batches(node, stream, rate * seconds) if rate is not None else None
-        if rate is not None:
-            node.create_timer(_FLUSH_S, self.flush)
-
-    def __call__(self, stamp_ns: int, *numbers: float) -> None:
-        """Publish one message."""
-        data = self._pack(stamp_ns, *numbers)
-        self._publish(data)
         if self._batches is not None:
-            self._batches.add(data)
-
-    def publish_batch(self) -> None:
-        """Publish the batch if it is complete; call it after the control loop has got its message."""
-        if self._batches is not None and self._batches.full:
-            self._batches.flush()
-
-    def flush(self) -> None:
-        """Publish the incomplete batch."""
-        if self._batches is not None:
-            self._batches.flush()
-
-    def finish(self) -> None:
-        """Publish the incomplete batch and wait for its delivery; call it before the node ends."""
-        if self._batches is not None:
-            self._batches.flush()
-            self._batches.delivered()
+            self._batches.wait_for_all_acked(_DELIVERY)
 
 
 class RawQueue:
-    """Serialised messages of one topic, fetched by the caller.
-
-    Args:
-        unspun: from :func:`unspun_node`.
-        kind: message class.
-        topic: full name.
-        qos: of the subscription; its depth limits the number of waiting messages.
-
-    Attributes:
-        wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
-    """
+    """Serialised messages of the topic with this full name, fetched by the caller. The depth of ``qos`` limits the
+    number of waiting messages; ``wait(timeout_ns)`` returns when one has arrived, or after that time."""
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
         self._unspun = unspun
@@ -304,21 +255,6 @@ class BatchQueue:
                 self._direct = self._make_direct()
 
 
-class Fetched(Protocol):
-    """Messages that wait until they are fetched."""
-
-    @property
-    def connected(self) -> bool:
-        """Whether the middleware has connected a publisher."""
-
-    def fetch(self) -> Messages:
-        """Messages since the last call."""
-
-    @property
-    def wait(self) -> Callable[[int], None]:
-        """``wait(timeout_ns)`` returns when messages have arrived, or after that time."""
-
-
 class SubscriptionQueue:
     """A stream whose messages wait in the middleware until they are fetched.
 
@@ -331,7 +267,7 @@ class SubscriptionQueue:
         sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
     """
 
-    def __init__(self, node: Node, unspun: Node, stream: Stream, queue: Fetched | None = None) -> None:
+    def __init__(self, node: Node, unspun: Node, stream: Stream, queue: RawQueue | BatchQueue | None = None) -> None:
         self._read = _reader(node, stream)
         self._queue = queue or RawQueue(
             unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic)
@@ -385,17 +321,11 @@ class Streams:
         """The stream's messages, taken from its batches."""
         return SubscriptionQueue(self._node, self.unspun, stream, BatchQueue(self._node, self.unspun, stream))
 
-    def publish(self, stream: Stream) -> Callable[..., None]:
-        """A function that publishes each message at once, see :func:`publisher`."""
-        return publisher(self._node, stream)
-
-    def publish_at_once(self, stream: Stream, rate: float | None, seconds: float = BATCH_S) -> ImmediatePublisher:
-        """For a stream that a control loop waits for."""
-        return ImmediatePublisher(self._node, stream, rate, seconds)
-
-    def publish_in_batches(self, stream: Stream, rate: float | None) -> BatchPublisher:
-        """For a stream that no control loop waits for."""
-        return BatchPublisher(self._node, stream, rate)
+    def publisher(
+        self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
+    ) -> StreamPublisher:
+        """See :class:`StreamPublisher`."""
+        return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once)
 
     def close(self) -> None:
         """End the subscriptions."""

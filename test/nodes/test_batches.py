@@ -8,9 +8,8 @@ from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
 from straightcomp_ros.runtime.streams import (
-    BatchPublisher,
     BatchQueue,
-    ImmediatePublisher,
+    StreamPublisher,
     SubscriptionQueue,
     unspun_node,
 )
@@ -65,7 +64,7 @@ def pair():
 
 
 def test_without_batches_the_stream_itself_is_read(pair):
-    publish = ImmediatePublisher(pair.writer, ENCODER, None)
+    publish = StreamPublisher(pair.writer, ENCODER, None, at_once=True)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.2)
     pair.send(publish, 300)
@@ -74,7 +73,7 @@ def test_without_batches_the_stream_itself_is_read(pair):
 
 
 def test_a_reader_goes_over_to_the_batches_and_has_each_message_once(pair):
-    publish = ImmediatePublisher(pair.writer, ENCODER, 2000)
+    publish = StreamPublisher(pair.writer, ENCODER, 2000, at_once=True)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.2)
     pair.send(publish, 1000)
@@ -85,14 +84,14 @@ def test_a_reader_goes_over_to_the_batches_and_has_each_message_once(pair):
 
 
 def test_when_the_publisher_of_batches_goes_the_stream_itself_is_read_again(pair):
-    publish = ImmediatePublisher(pair.writer, ENCODER, 2000)
+    publish = StreamPublisher(pair.writer, ENCODER, 2000, at_once=True)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.2)
     pair.send(publish, 100)
     pair.wait(lambda: len(pair.stamps) >= 100 and pair.direct_readers() == 0)
     for publisher in list(pair.writer.publishers):
         pair.writer.destroy_publisher(publisher)
-    another = ImmediatePublisher(pair.writer, ENCODER, None)
+    another = StreamPublisher(pair.writer, ENCODER, None, at_once=True)
     pair.wait(lambda: pair.direct_readers() == 1)
     time.sleep(0.2)
     pair.send(another, 100)
@@ -101,7 +100,7 @@ def test_when_the_publisher_of_batches_goes_the_stream_itself_is_read_again(pair
 
 
 def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes_to_it(pair):
-    publish, sent = BatchPublisher(pair.writer, TRUTH, 2000), 0
+    publish, sent = StreamPublisher(pair.writer, TRUTH, 2000), 0
     batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
 
@@ -134,7 +133,7 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
 
 
 def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
-    publish = BatchPublisher(pair.writer, TRUTH, None)
+    publish = StreamPublisher(pair.writer, TRUTH, None)
     batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
     pair.wait(lambda: batches.connected)

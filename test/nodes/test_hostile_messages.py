@@ -25,7 +25,10 @@ from straightcomp_ros.runtime.safety_panel import SafetyState
 LOOP = ("driver", "feedforward", "controller", "logger")
 FLOATS = (float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 5e-324, 0.0, -1.0)
 WORDS = ("", "n/a", "nan", "-1", "1e400", "9" * 5000, "٣", "\u202e\u0000x", "ü" * 300, "🜚", "x" * 100_000, "[/x]%s%n")
-NAMES = ["stage_x", "platform_y", "driver", "feedforward", "controller", "logger", "condition", "samples", "lost_samples", "code", "on", "fault", "stage", "active", "command_timeout", "control.law", "watch.travel", "stage.rate", "error_limit"]
+NAMES = (
+    *("stage_x", "platform_y", "driver", "feedforward", "controller", "logger", "condition", "samples", "lost_samples"),
+    *("code", "on", "fault", "stage", "active", "command_timeout", "control.law", "watch.travel", "stage.rate"),
+)
 WIDTHS = {"int8": 7, "uint8": 8, "int16": 15, "uint16": 16, "int32": 31, "uint32": 32, "int64": 63, "uint64": 64}
 LEGAL_TRANSITIONS = range(1, 8)
 COMMANDS = {"commissioning": [sys.executable, "-m", "straightcomp_ros.tuning.graph.commissioning_node"]}

@@ -1,13 +1,17 @@
 """Each node as a process: signals and exit codes; and, in this process, what ends a node before it starts."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 
 import pytest
 from parameters_of_tests import FORGIVING
 from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
@@ -126,3 +130,22 @@ def test_a_cell_that_the_driver_refuses_to_enable_fails(single, short_cycle):
     # A busy host may give another reason first, but the amplifier is never on, and the stage never moves.
     assert "cycle failed: " in single.last_words("cell") and "stage moves" not in single.log("cell").read_text()
     assert "enable: amplifier on" not in single.log("driver").read_text()
+
+
+def test_a_program_that_is_started_again_appends_to_its_log(tmp_path):
+    with Graph(tmp_path) as graph:
+        for word in ("first", "second"):
+            graph.start_program("node", [sys.executable, "-c", f"print('{word}')"]).wait(60)
+        assert graph.log("node").read_text().split() == ["first", "second"] and graph.exit_code("node") == 0
+
+
+BLAS = "import sys, os, straightcomp_ros.nodes; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+
+
+@pytest.mark.parametrize(("chosen", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_a_node_computes_in_one_thread_unless_its_user_chooses_more(chosen, threads):
+    """OpenBLAS's threads wait in busy loops, for ever with real-time priority."""
+    others = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    printed = subprocess.check_output([sys.executable, "-c", BLAS], env={**others, **chosen}, text=True, timeout=120)
+    # NumPy reads it once, when it is imported.
+    assert printed.split() == [threads, "False"]

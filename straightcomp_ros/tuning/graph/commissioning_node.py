@@ -146,11 +146,7 @@ class CommissioningNode(Runnable):
 
 
 def commission(parameters: CommissioningNodeParameters, step: str, folder: Path, namespace: str) -> Result:
-    """Do one step of commissioning on the running graph, or without a name all steps that have not passed.
-
-    Raises:
-        CommissioningError: it cannot go on.
-    """
+    """Do one step of commissioning on the running graph, or without a name all steps that have not passed."""
     # Only here: the steps import all of the design.
     from straightcomp_ros.tuning.commissioning.procedure import Procedure
     from straightcomp_ros.tuning.commissioning.step_files import MADE
@@ -181,12 +177,7 @@ def commission(parameters: CommissioningNodeParameters, step: str, folder: Path,
 
 
 def measure_response(folder: Path, namespace: str) -> Result:
-    """Measure the frequency response under the controller's present law and plot it.
-
-    Raises:
-        CommissioningError: the graph cannot be used.
-        ExcitationEnded: the platform left its travel.
-    """
+    """Measure the frequency response under the controller's present law and plot it."""
     # Only here: both import much.
     from straightcomp_ros.tuning.frequency_response.response_plot import plot_response
     from straightcomp_ros.tuning.graph.machine_access import running_graph

@@ -39,16 +39,8 @@ class Access(NamedTuple):
 
 @contextmanager
 def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] = lambda: "") -> Iterator[Access]:
-    """The machine of the graph that runs; it is released at the end.
-
-    Args:
-        folder: gets the bags.
-        namespace: of the nodes.
-        trouble: returns why the graph cannot work any more; empty if it can.
-
-    Raises:
-        CommissioningError: the graph cannot be used, or stopped working.
-    """
+    """The machine of the graph that runs, whose bags go to ``folder``; it is released at the end. CommissioningError if
+    the graph cannot be used, or ``trouble`` returns why it cannot work any more."""
     try:
         with WaitingClient(RECORDED, namespace, trouble) as client:
             # Before the nodes are asked: another client would have its own parameters in them.
@@ -69,16 +61,9 @@ def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] 
 
 @contextmanager
 def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> Iterator[Access]:
-    """The machine of a graph that runs for this alone, with parameters by node and dotted name.
-
-    Args:
-        values: parameters of all nodes.
-        folder: gets the bags, the parameter file and the logs.
-        emulated: the machine is an emulated board on a hub.
-
-    Raises:
-        CommissioningError: a node does not start, or ended.
-    """
+    """The machine of a graph that runs for this alone, with ``values`` by node and dotted name. It is simulated, or
+    with ``emulated`` a board on a hub; ``folder`` gets bags, parameter file and logs. CommissioningError if a node does
+    not start, or ended."""
     os.environ.update(isolated_environment())
     with _bus_folder(folder) as bus:
         if emulated:
@@ -125,11 +110,8 @@ def _bus_folder(folder: Path) -> Iterator[Path]:
 
 
 def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Parameters of the running loop as values with one description of the stage.
-
-    Raises:
-        CommissioningError: the nodes have different descriptions.
-    """
+    """Parameters of the running loop as values with one description of the stage; CommissioningError if the nodes have
+    different ones."""
     own = {
         node: {name: value for name, value in parameters[node].items() if not belongs_to_ros(name)}
         for node in IN_THE_LOOP
@@ -153,16 +135,11 @@ def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str
 class FirstParameters:
     """The parameters with which a client found the nodes, in files until the nodes have them again.
 
-    There is a file for each node, named after the node's process: parameters of a node that was started anew are new.
-
-    Args:
-        found: parameters that the nodes report now, by node and dotted name.
-        processes: by node, what no other process has.
-        folder: of the files, the same for all clients of the user; no other user may write to it.
+    There is a file for each node, named after its process: parameters of a node that was started anew are new. All
+    clients of the user have the same ``folder``, to which no other user may write.
 
     Attributes:
-        values: the first parameters, by node and dotted name: those that a client which was killed has kept, otherwise
-            those that were found.
+        values: by node and dotted name: those that a client which was killed has kept, otherwise those ``found``.
     """
 
     def __init__(

@@ -48,16 +48,8 @@ class RunningMachine:
     """Drives the nodes of a graph by their services; what it records is in ``folder``.
 
     The driver keeps its parameters; controller, feedforward and logger get those of each call, and their first ones
-    again at the end, see :meth:`release`.
-
-    Args:
-        client: of the graph.
-        values: with which the nodes of the loop were found, by node and dotted name.
-        logger: parameters with which the logger was found, by dotted name.
-        folder: gets a bag for each action.
-
-    Raises:
-        CommissioningError: another client uses the machine.
+    again at the end, see :meth:`release`. ``values`` and ``logger`` are the parameters with which the nodes of the loop
+    and the logger were found. CommissioningError if another client uses the machine.
     """
 
     def __init__(self, client: WaitingClient, values: Values, logger: Mapping[str, Any], folder: Path) -> None:

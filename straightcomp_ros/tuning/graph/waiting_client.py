@@ -56,11 +56,7 @@ class WaitingClient:
     """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
 
     From :meth:`claim` on, as long as it lives, driver, cell and gateway know that a client commissions the machine.
-
-    Args:
-        nodes: of the graph.
-        namespace: of all of them.
-        trouble: returns why the graph cannot work any more; empty if it can.
+    ``trouble`` returns why the graph cannot work any more; empty if it can.
     """
 
     def __init__(self, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: "") -> None:
@@ -92,11 +88,8 @@ class WaitingClient:
         rclpy.try_shutdown()
 
     def claim(self) -> Callable[[str], None]:
-        """Announce that this client commissions the machine; returns a function that reports what it does.
-
-        Raises:
-            GraphError: another client commissions it.
-        """
+        """Announce that this client commissions the machine; returns a function that reports what it does. GraphError
+        if another client commissions it."""
         # Once the nodes are discovered, so are their other clients: on a busy computer that takes seconds.
         self.processes()
         begin, graph = time.monotonic(), self._graph
