@@ -18,7 +18,7 @@ Add = Callable[[str, bytes, int, int], None]
 """Takes topic, serialised message, reception time and source time in ns since the epoch."""
 _LOOK_EVERY_S = 0.5
 _UNBOUNDED_DEPTH = 1000
-"""Depth for a publisher that keeps all messages, or does not tell how many it keeps."""
+"""Depth for a publisher that keeps all messages, or does not report how many it keeps."""
 _RULE = "=" * 80
 _PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
 _SEQUENCE = re.compile(r"sequence<(?P<of>.+?)(?:, (?P<bound>\d+))?>")

@@ -1,4 +1,4 @@
-"""Runs a node until it is told to stop: executor, scheduling, signals, exit code. All nodes share it.
+"""Runs a node until it is stopped: executor, scheduling, signals, exit code. All nodes share it.
 
 The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI wheels of Jazzy its bare
 ``spin()`` never fires a timer; ``spin_until_future_complete`` works there and with an installed Jazzy.
