@@ -10,6 +10,7 @@ from straightcomp_ros.cell.launcher import executable_command
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.state_machine import Condition
 
 pytestmark = pytest.mark.keeps_time
 
@@ -20,7 +21,7 @@ def test_two_graphs_in_two_namespaces_do_not_disturb_each_other(graph):
             command = [*executable_command(f"{node}_node"), "--ros-args", "-r", f"__ns:=/{stage}"]
             graph.start(f"{stage} {node}", parameters, command=command)
     with Participant("observer") as observer:
-        states = {}
+        states = {stage: SafetyState(Condition.FAULT) for stage in ("left", "right")}
 
         def enabled(stage):
             return observer.call(SetBool, f"/{stage}/driver/enable", SetBool.Request(data=True)).success
@@ -33,8 +34,7 @@ def test_two_graphs_in_two_namespaces_do_not_disturb_each_other(graph):
             observer.node.create_subscription(DiagnosticStatus, f"/{stage}/{SAFETY_STATE}", note, LATCHED)
         trip = observer.node.create_publisher(DiagnosticStatus, f"/right/{TRIP}", 10)
         observer.until(lambda: enabled("left"))
-        observer.until(lambda: states["left"].amplifier_on)
-        assert not states["right"].amplifier_on and not states["right"].fault
+        observer.until(lambda: states["left"].amplifier_on and states["right"].condition is Condition.OFF)
         observer.until(lambda: enabled("right"))
         observer.until(lambda: states["right"].amplifier_on)
         trip.publish(DiagnosticStatus(name="tripped", message="the right one only"))
