@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
-from straightcomp_ros.runtime.clock import now_ns
+from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.runner import run_managed
 from trials.faulty_machine import FaultyHardware

@@ -98,9 +98,8 @@ def main() -> int:
     from rclpy.node import Node
     from rclpy.task import Future
 
-    from straightcomp_ros.runtime.clock import from_monotonic
-    from straightcomp_ros.runtime.declare import declare
-    from straightcomp_ros.runtime.periodic import PeriodicLoop
+    from straightcomp_ros.runtime.loops import PeriodicLoop, from_monotonic
+    from straightcomp_ros.runtime.ros_parameters import declare
     from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
     from straightcomp_ros.runtime.streams import publisher
 

@@ -5,7 +5,7 @@ array lengths, every byte but the stamp and the numbers is constant too. A :clas
 positions of the numbers. Packing then costs about 1 µs, where building and serialising a message object costs 15 µs,
 and the same positions make a NumPy view of a whole bag. A message of another layout is refused, never misread.
 
-Several messages of a stream are also packed into one, a batch; :mod:`straightcomp_ros.runtime.batch_streams` says why.
+Several messages of a stream are also packed into one, a batch; :mod:`straightcomp_ros.runtime.streams` says why.
 A batch is a std_msgs/UInt8MultiArray. Its data are the messages one after the other, each serialised as if published
 alone and preceded by the time at which it was made: int64, ns since the epoch, little endian. All messages of a stream
 have the same size.

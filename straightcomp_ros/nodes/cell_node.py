@@ -16,9 +16,9 @@ from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, State
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.node_parameters import CellNodeParameters
-from straightcomp_ros.runtime.declare import declare
-from straightcomp_ros.runtime.graph_services import GraphServices
+from straightcomp_ros.runtime.graph_client import GraphClient
 from straightcomp_ros.runtime.graph_watch import GraphWatch
+from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 
@@ -40,7 +40,7 @@ class CellNode(Runnable):
     def __init__(self, node: Node, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
-        self._services = GraphServices(node, parameters.nodes.split(), parameters.heartbeat_timeout)
+        self._graph = GraphClient(node, parameters.nodes.split(), parameters.heartbeat_timeout)
         self._watch = GraphWatch(
             node,
             batches=False,
@@ -50,7 +50,7 @@ class CellNode(Runnable):
         )
         self._seen = Observation()
         self._sequence = make_sequence(
-            self._services,
+            self._graph,
             parameters.stage.motion,
             parameters.start_timeout,
             as_one=True,
@@ -69,7 +69,7 @@ class CellNode(Runnable):
             self._failing = True
             before, end = self._watch.reports(), time.monotonic() + _REPORTED_S
             # Keep ticking: the sequencer still has to switch the amplifier off.
-            while time.monotonic() < end or (not self._seen.missing and self._services.quiet(_QUIET_S)):
+            while time.monotonic() < end or (not self._seen.missing and self._graph.quiet(_QUIET_S)):
                 yield
             if self._seen.missing:
                 gone = self._seen.absence
@@ -95,7 +95,7 @@ class CellNode(Runnable):
     def _all_alive(self) -> Iterator[None]:
         """Wait for a heartbeat of each node: one that died in the last moments is not seen to be missing yet."""
         begin = time.monotonic()
-        while self._services.quiet(time.monotonic() - begin):
+        while self._graph.quiet(time.monotonic() - begin):
             if self._seen.missing:
                 raise CycleFailed(self._seen.absence)
             yield
@@ -127,7 +127,7 @@ class CellNode(Runnable):
         if self.done.done():
             return
         self._watch.fetch()
-        self._seen = self._watch.observation(self._services.states, self._services.commissioning)
+        self._seen = self._watch.observation(self._graph.states, self._graph.commissioning)
         self._sequence.tick(self._seen)
         try:
             next(self._steps)
@@ -140,7 +140,7 @@ class CellNode(Runnable):
     def leave(self) -> Future | None:
         """Switch the amplifier off if the cycle is not finished."""
         if self._sequence.at_work:
-            return self._services.leave()
+            return self._graph.leave()
         if not self._failing or self.done.result() != 0:
             return None
         # Stopped while it waits for the reason of its failure: the amplifier is off.

@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from rclpy.node import Node
+from std_srvs.srv import SetBool
 
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
-from straightcomp_ros.control.excitation import Injection, made_injection
+from straightcomp_ros.control.excitation import FrequencyResponseError, Injection, made_injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
@@ -18,20 +18,16 @@ from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
-from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop, awaited
-from straightcomp_ros.runtime.excitation_service import ExcitationService
-from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
+from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, WorkerThread, awaited, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
-from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import SubscriptionQueue, subscribe, unspun_node
-from straightcomp_ros.runtime.trip import tripper
+from straightcomp_ros.runtime.safety_panel import tripper
+from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch
 from straightcomp_ros.timing.delays import StampGaps
-from straightcomp_ros.timing.node_timing import EXCITATION, LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import EXCITATION, EXCITING, FINISHED, LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _PAUSE_S = 0.001
@@ -55,20 +51,20 @@ class ControllerComponent:
         # `control.law` may change while the loop runs.
         prepare_all()
         lockstep = parameters.trigger == "lockstep"
-        self._beside = BesideTheLoop(node)
+        self._worker = WorkerThread(node.get_logger().error)
         self._learning = make_learning(
             parameters.learning,
             parameters.control.law,
             parameters.stage.rate,
-            self._beside.run if not lockstep else lambda job: job(),
+            self._worker.run if not lockstep else lambda job: job(),
         )
         self._law = self._made(parameters)
         self._servo = Servo(self._law, learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
-        rate = parameters.stage.rate
-        self._publish_command = CopiedPublisher(node, COMMAND, None if lockstep else rate)
-        self._publish_state = BatchPublisher(node, CONTROLLER_STATE, rate)
+        rate, streams = parameters.stage.rate, node.streams
+        self._publish_command = streams.publisher(COMMAND, None if lockstep else rate, at_once=True)
+        self._publish_state = streams.publisher(CONTROLLER_STATE, rate)
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)
@@ -76,14 +72,12 @@ class ControllerComponent:
         self._excitation = ExcitationService(node, self._servo, self._made_injection, self._left_travel)
         self._silent, self._seen = 0, 0
         self.loop: Loop | None = None
-        self._unspun: Node | None = None
         if lockstep:
             subscribe(node, ENCODER, self._on_sample)
             subscribe(node, REFERENCE, self._on_reference)
         else:
-            self._unspun = unspun_node(node)
-            self._samples = SubscriptionQueue(node, self._unspun, ENCODER)
-            self._references = batched_queue(node, self._unspun, REFERENCE)
+            self._samples = streams.queue(ENCODER)
+            self._references = streams.batches(REFERENCE)
             period_ns = parameters.stage.period_ns
             self._spare_ns = _SPARE_REFERENCES * period_ns
             self._apart_ns = period_ns // 2
@@ -148,7 +142,7 @@ class ControllerComponent:
         return make_law(parameters.control, parameters.stage)
 
     def _go_on(self) -> None:
-        """Answer samples while a job beside the loop runs."""
+        """Answer samples while a job runs in the worker thread."""
         if self.loop is not None and self._node.active:
             self._wait(self._spare_ns)
             self._cycle()
@@ -225,7 +219,7 @@ class ControllerComponent:
         for stamp_ns, command, _ in answers:
             self._publish_command(stamp_ns, command.current)
         for stamp_ns, command, age in answers:
-            self._publish_command.copy()
+            self._publish_command.publish_batch()
             self._publish_state(stamp_ns, *command[1:], age)
         self._commands += len(answers)
 
@@ -253,11 +247,62 @@ class ControllerComponent:
 
     def close(self) -> None:
         """Wait for the running learning job, then save what was learned."""
-        self._beside.close()
+        self._worker.close()
         if self._learning is not None:
             self._learning.save()
-        if self._unspun is not None:
-            self._unspun.destroy_node()
+
+
+class ExcitationService:
+    """The service ``~/excite``: starts the excitation that the parameters ``excitation.*`` describe, and stops it.
+
+    ``make`` makes the injection; FrequencyResponseError or ValueError if the parameters do not fit. ``left_travel`` is
+    called with the reason when the platform left the allowed travel; for ``state`` see `node_timing.EXCITATION`.
+    """
+
+    def __init__(
+        self, node: ManagedNode, servo: Servo, make: Callable[[], Injection], left_travel: Callable[[str], None]
+    ) -> None:
+        self._node, self._servo, self._make, self._left_travel = node, servo, make, left_travel
+        self._injection: Injection | None = None
+        self.state = ""
+        node.create_service(SetBool, "~/excite", self._on_excite)
+
+    def look(self) -> None:
+        """Follow the excitation; call it after each cycle."""
+        injection = self._injection
+        if injection is None or not (injection.stopped or injection.finished):
+            return
+        self._injection = None
+        self.state = injection.stopped or FINISHED
+        if injection.stopped:
+            self._node.get_logger().warning(f"the excitation ended early: {injection.stopped}")
+            if self._servo.running:
+                self._left_travel(injection.stopped)
+
+    def _on_excite(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Inject what the parameters `excitation.*` describe into the commands (refused while the amplifier is off), or
+        end that early."""
+        refusal = self._start() if request.data else self._stop()
+        response.success, response.message = not refusal, refusal or ("excites" if request.data else "stops")
+        return response
+
+    def _start(self) -> str:
+        if not self._servo.running:
+            return "the amplifier is off; switch it on first"
+        if self._injection is not None:
+            return "an excitation is running; stop it first"
+        try:
+            injection = self._make()
+        except (FrequencyResponseError, ValueError) as error:
+            return str(error)
+        self._servo.inject(injection)
+        self._injection, self.state = injection, EXCITING
+        return ""
+
+    def _stop(self) -> str:
+        if self._injection is not None:
+            self._injection.stop("it was stopped by request")
+        return ""
 
 
 def main() -> int:

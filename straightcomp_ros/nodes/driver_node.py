@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
-from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import (
@@ -25,17 +24,13 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
-from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, CopiedPublisher
-from straightcomp_ros.runtime.clock import from_monotonic, now_ns
-from straightcomp_ros.runtime.command_intake import CommandIntake
-from straightcomp_ros.runtime.locked_loop import LockedLoop
-from straightcomp_ros.runtime.lockstep import Lockstep
+from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
+from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, from_monotonic, now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
-from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import SafetyPanel
-from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node
+from straightcomp_ros.runtime.streams import LOOK_AHEAD_S, publisher, subscribe
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
@@ -51,14 +46,8 @@ _TURNS_OF_OTHERS = 3
 
 
 class DriverComponent:
-    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller.
-
-    Args:
-        node: the driver.
-        parameters: of the node.
-        hardware: the machine; None makes the one that the parameters name.
-        system_ns: the system clock, ns since the epoch.
-    """
+    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller. ``hardware`` is by default
+    what the parameters name; ``system_ns`` is the system clock, ns since the epoch."""
 
     def __init__(
         self,
@@ -74,12 +63,15 @@ class DriverComponent:
             node.get_logger().warning(remark)
         period_ns = parameters.stage.period_ns
         rate = parameters.stage.rate
-        self._publish_sample = CopiedPublisher(node, ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S)
+        streams = node.streams
+        self._publish_sample = streams.publisher(
+            ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S, at_once=True
+        )
         self._publish_position = publisher(node, POSITION)
         # In lockstep the run may end with the motion's last sample, so every position is published.
         self._position_every = 1 if parameters.lockstep else POSITION_EVERY
-        self._publish_truth = BatchPublisher(node, TRUTH, rate)
-        self._publish_state = BatchPublisher(node, DRIVER_STATE, rate)
+        self._publish_truth = streams.publisher(TRUTH, rate)
+        self._publish_state = streams.publisher(DRIVER_STATE, rate)
         self._samples = 0
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
@@ -96,13 +88,11 @@ class DriverComponent:
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
         self.loop: Loop | None = None
         self._answer_within_ns = _ANSWER_SAMPLES * period_ns
-        self._unspun: Node | None = None
         if parameters.lockstep:
             subscribe(node, COMMAND, self._on_lockstep_command)
             self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.stage.drive.delay, self._publish)
         else:
-            self._unspun = unspun_node(node)
-            self._queue = SubscriptionQueue(node, self._unspun, COMMAND)
+            self._queue = streams.queue(COMMAND)
             if self._hardware.newest_arrival_ns is None:
                 self.loop = PeriodicLoop(period_ns, self._cycle, punctual=True)
             else:
@@ -171,7 +161,7 @@ class DriverComponent:
                 os.sched_yield()
             # The command has usually arrived by now: a board on a bus must not wait for it until the next cycle.
             self._fetch_commands(now_ns(), self._system_ns())
-        self._publish_sample.copy()
+        self._publish_sample.publish_batch()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
         if self._hardware.fault_kind is not None and self._safety.fault is None:
@@ -186,7 +176,7 @@ class DriverComponent:
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         self._hand_out(sample)
-        self._publish_sample.copy()
+        self._publish_sample.publish_batch()
         self._record(sample, truth, 0.0)
 
     def _hand_out(self, sample: Sample) -> float:
@@ -213,7 +203,7 @@ class DriverComponent:
     def _on_lockstep_command(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         if self._lockstep and self._lockstep.awaits(stamp_ns) and self._commands.is_good(numbers[0]):
             self._commands.count(self._lockstep.delay_ns)
-            self._lockstep.answer(numbers[0])
+            self._lockstep.answer(stamp_ns, numbers[0])
 
     def _trip(self, fault: Fault, reason: str) -> None:
         self._safety.trip(fault, reason, now_ns())
@@ -280,28 +270,18 @@ class DriverComponent:
     def close(self) -> None:
         """Switch the amplifier off and release the machine."""
         self._hardware.close()
-        if self._unspun is not None:
-            self._unspun.destroy_node()
 
 
 def make_hardware(parameters: DriverNodeParameters) -> Hardware:
-    """The machine that the parameters name.
-
-    Raises:
-        SurveyError: the simulated machine's guide cannot be used.
-        ParameterError: python-can knows no such interface.
-    """
+    """The machine that the parameters name; SurveyError if the simulated machine's guide cannot be used, ParameterError
+    if python-can knows no such interface."""
     if parameters.hardware == "can":
         return CanHardware(parameters.can, parameters.stage, now_ns)
     return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
 
 
 def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
-    """What a trajectory of the simulated stage may ask for; a real one has a controller of its own.
-
-    Raises:
-        SurveyError: the guide's survey cannot be used.
-    """
+    """What a trajectory of the simulated stage may ask for; a real one has a controller of its own."""
     motion, guide = parameters.stage.motion, parameters.stage.guide
     if parameters.hardware == "can" and not parameters.can.simulated_stage:
         return StageLimits.of(motion, motion.start, motion.start)

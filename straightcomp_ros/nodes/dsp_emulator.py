@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import BusLine, HubLine, Line
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
-from straightcomp_ros.runtime.periodic import PeriodicLoop
+from straightcomp_ros.runtime.loops import PeriodicLoop
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
@@ -25,13 +25,8 @@ before the sampling time."""
 
 
 class Emulator:
-    """The board's loop on its bus.
-
-    Args:
-        parameters: of the driver; they give the board's simulated machine and its CAN bus.
-        line: the bus.
-        drift: relative frequency error of the board's clock.
-    """
+    """The board's loop on its bus. The driver's parameters describe its simulated machine; ``drift`` is the relative
+    frequency error of its clock."""
 
     def __init__(self, parameters: DriverNodeParameters, line: Line, drift: float = 0.0) -> None:
         self._line = line
@@ -75,7 +70,7 @@ class Emulator:
             late_ns = max(0, time.time_ns() - sent_ns)
             board.receive(identifier, payload, self._now_ns() - late_ns)
         board.cycle(self._now_ns() + _LEAD_NS)
-        self._refused = _told(board.refused_trajectory, self._refused)
+        self._refused = _logged(board.refused_trajectory, self._refused)
 
     def _send(self, identifier: int, payload: bytes, fd: bool) -> None:
         self.unsent += not self._line.send(identifier, payload, fd)
@@ -86,7 +81,7 @@ class Emulator:
         self._line.close()
 
 
-def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
+def _off_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     """The driver's real-time parameters, changed for an emulated board. Since a real board would not load the host, it
     leaves the loop's CPU to the loop and runs before other work. It shares no locks with the nodes."""
     cpus = realtime.REST if driver.cpus == realtime.LOOP else driver.cpus
@@ -94,15 +89,15 @@ def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 
 
-def _told(refused: str, before: str) -> str:
-    """Tell of a trajectory that was refused, once; returns what has been told."""
+def _logged(refused: str, before: str) -> str:
+    """Log a trajectory that was refused, once; returns what has been logged."""
     if refused != before:
         print(f"dsp_emulator: {refused}", file=sys.stderr, flush=True)
     return refused
 
 
 def _schedule(driver: RealtimeParameters) -> None:
-    for refusal in realtime.apply(_beside_the_loop(driver)):
+    for refusal in realtime.apply(_off_the_loop(driver)):
         print(f"dsp_emulator: {refusal}", file=sys.stderr)
 
 
@@ -120,7 +115,7 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
 
         def ended() -> bool:
             nonlocal refused
-            refused = _told(program.stage.refused, refused)
+            refused = _logged(program.stage.refused, refused)
             return stopped()
 
         print("ready", flush=True)
@@ -135,12 +130,8 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
 
 
 def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:
-    """Emulate the board until SIGINT or SIGTERM; print ``ready`` when it samples.
-
-    Args:
-        parameters: of the driver.
-        drift: relative frequency error of the board's clock.
-        own_hub: also be the hub of the bus.
+    """Emulate the board until SIGINT or SIGTERM, with ``own_hub`` the hub of the bus too; print ``ready`` when it
+    samples.
 
     Raises:
         SurveyError: the guide's file cannot be used.

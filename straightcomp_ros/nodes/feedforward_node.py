@@ -10,14 +10,12 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import FeedforwardNodeParameters
-from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, batched_queue
-from straightcomp_ros.runtime.beside_the_loop import awaited
-from straightcomp_ros.runtime.locked_loop import LockedLoop
+from straightcomp_ros.runtime.loops import LockedLoop, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import unspun_node
-from straightcomp_ros.runtime.trip import tripper
+from straightcomp_ros.runtime.safety_panel import tripper
+from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
@@ -45,14 +43,13 @@ class FeedforwardComponent:
         self._map = load_map(parameters.stage.guide)
         node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map.report}")
         self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
-        self._publish = BatchPublisher(node, REFERENCE, None)
+        self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
         self._samples = 0
         self._x = math.nan
         self._centred = False
         self._gaps = StampGaps()
-        self._unspun = unspun_node(node)
-        self._queue = batched_queue(node, self._unspun, ENCODER)
+        self._queue = node.streams.batches(ENCODER)
         self.loop = LockedLoop(_BATCH_NS, self._queue.wait, self._cycle)
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)
@@ -142,15 +139,10 @@ class FeedforwardComponent:
         return 1 + age_ns // _BATCH_NS, age_ns
 
     def _counters(self) -> dict[str, object]:
-        return {
-            SAMPLES: self._samples,
-            LOST: self._gaps.lost,
-            **self.loop.report(),
-        }
+        return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}
 
     def close(self) -> None:
-        """Release the subscription."""
-        self._unspun.destroy_node()
+        """There is nothing to release."""
 
 
 def main() -> int:

@@ -10,9 +10,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.recorded_nodes import attach_map
 from straightcomp_ros.bags.recorder import Recorder, RecorderOptions
 from straightcomp_ros.bags.topics import Topic, definition
@@ -21,14 +22,13 @@ from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, ST
 from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
-from straightcomp_ros.runtime.batch_streams import BatchQueue
+from straightcomp_ros.parameters.yaml_text import dump_yaml
+from straightcomp_ros.runtime.graph_client import RemoteParameters
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.other_topics import OtherTopics, stored
-from straightcomp_ros.runtime.recorder_services import serve_recorder
-from straightcomp_ros.runtime.remote_parameters import RemoteParameters
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import Fetched, RawQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.runtime.streams import BatchQueue, RawQueue, message_type, stream_qos
 from straightcomp_ros.timing.delays import Histogram, StampGaps
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
@@ -45,10 +45,10 @@ class LoggerComponent:
         self._gaps, self._timer_errors = StampGaps(), Histogram()
         self._chosen = _pattern("topics", parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
-        self._topics: dict[str, Fetched] = {}
-        self._unheard: dict[str, Topic] = {}
+        self._topics: dict[str, RawQueue | BatchQueue] = {}
+        self._silent: dict[str, Topic] = {}
         """Topics that have had no message yet."""
-        self._unspun = unspun_node(node)
+        self._unspun = node.streams.unspun
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
         self._recorder = Recorder(_options(parameters), stamped, self._describe)
@@ -62,7 +62,7 @@ class LoggerComponent:
         self._others = OtherTopics(
             node, self._unspun, others, [*self._topics, *batches_of_ours], self._recorder.announce
         )
-        serve_recorder(node, self._recorder, self._start, self._fetch)
+        self._provide_services()
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
@@ -93,11 +93,57 @@ class LoggerComponent:
         # The first definition takes half a second to load: do it before the bag's first message arrives.
         definition(type_name)
         # The publisher's QoS is known when it exists: at the first message.
-        self._unheard[full_name] = Topic(full_name, type_name, stored([qos]))
-        self._recorder.expect(self._unheard[full_name])
+        self._silent[full_name] = Topic(full_name, type_name, stored([qos]))
+        self._recorder.expect(self._silent[full_name])
         self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
 
+    def _provide_services(self) -> None:
+        """Make the services ``~/start``, ``~/stop`` and so on. Each acts on the messages that arrive after it."""
+        recorder = self._recorder
+
+        def stop() -> str:
+            """Finish the bag."""
+            recorder.stop()
+            return f"{recorder.written} messages are in {recorder.folder}"
+
+        def pause() -> str:
+            """Leave later messages out of the bag."""
+            recorder.intake.paused = True
+            return "paused: messages are not recorded until ~/resume"
+
+        def resume() -> str:
+            """Record again."""
+            recorder.intake.paused = False
+            return "recording"
+
+        def split() -> str:
+            """Continue in the bag's next file."""
+            recorder.split()
+            return "the bag continues in a new file"
+
+        def snapshot() -> str:
+            """Write the last seconds from memory (parameter snapshot) to the bag."""
+            return f"{recorder.intake.snapshot()} messages go to the bag"
+
+        for act in (self._start, stop, pause, resume, split, snapshot):
+            name = act.__name__.strip("_")
+            self.node.create_service(Trigger, f"~/{name}", partial(self._answer, act, name != "start"))
+
+    def _answer(
+        self, act: Callable[[], str], needs_bag: bool, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._fetch()
+        if needs_bag and not self._recorder.recording:
+            response.success, response.message = False, "nothing is being recorded; allowed after ~/start"
+            return response
+        try:
+            response.success, response.message = True, act()
+        except BagError as error:
+            response.success, response.message = False, str(error)
+        return response
+
     def _start(self) -> str:
+        """Record to a new bag."""
         folder = self._recorder.start()
         self._others.repeat(self._recorder.intake.add)
         return f"recording to {folder}"
@@ -120,7 +166,7 @@ class LoggerComponent:
         self._received += self._others.fetch(add)
         for topic, queue in self._topics.items():
             messages = queue.fetch()
-            if messages and topic in self._unheard:
+            if messages and topic in self._silent:
                 self._announce(topic)
             for data, info in messages:
                 self._received += 1
@@ -130,14 +176,14 @@ class LoggerComponent:
                 add(topic, data, info["received_timestamp"], info["source_timestamp"])
 
     def _announce(self, topic: str) -> None:
-        announced = self._unheard.pop(topic)
+        announced = self._silent.pop(topic)
         publishers = self._unspun.get_publishers_info_by_topic(topic)
         if publishers:
             announced = replace(announced, qos=stored([publisher.qos_profile for publisher in publishers]))
         self._recorder.announce(announced)
 
     def _note_time(self) -> None:
-        # The executor does not tell how late its timer is. What counts is how long messages had to wait.
+        # The executor does not report how late its timer is. What counts is how long messages had to wait.
         now = time.monotonic_ns()
         if self._fetched_ns:
             late_ns = max(0, now - self._fetched_ns - _FETCH_INTERVAL_NS)
@@ -149,7 +195,8 @@ class LoggerComponent:
         """Attach the nodes' parameters and map as soon as all nodes have answered, at the latest when the bag ends."""
         if not self._remote.complete and not at_end:
             return False
-        bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
+        text = dump_yaml({name: {"ros__parameters": values} for name, values in self._remote.values.items()})
+        bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", text.encode())
         refusal = attach_map(bag, self._remote.values)
         if refusal:
             self.node.get_logger().warning(refusal)
@@ -180,7 +227,6 @@ class LoggerComponent:
     def close(self) -> None:
         """Write the messages that have arrived, attach the parameters, finish the bag."""
         self._recorder.stop()
-        self._unspun.destroy_node()
 
 
 def _options(parameters: LoggerNodeParameters) -> RecorderOptions:

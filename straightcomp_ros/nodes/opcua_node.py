@@ -17,11 +17,10 @@ from straightcomp_ros.opcua.admission import UsersError
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters
-from straightcomp_ros.runtime.declare import declare
-from straightcomp_ros.runtime.graph_services import GraphServices
+from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
-from straightcomp_ros.runtime.remote_parameters import RemoteParameters
+from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 
@@ -40,14 +39,14 @@ class OpcuaNode:
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         names = parameters.nodes.split()
         self._watch = GraphWatch(node, description=parameters.stage.identity)
-        self._services = GraphServices(node, names)
+        self._graph = GraphClient(node, names)
         self._remote = RemoteParameters(node, ["driver"])
-        self._sequence = CellSequence(self._services, parameters.stage.motion, parameters.start_timeout)
+        self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)
         self._advice = WatchedAdvice(parameters.maintenance_file)
         self._commands = 0
         self._answers: list[tuple[Request, str]] = []
-        self._told = ""
+        self._logged = ""
         self._server = _server(parameters, names)
         Diagnostics(node, lambda: {"samples": self._commands, "state": self._sequence.state.name.lower()})
         node.create_timer(_TICK_S, self._tick)
@@ -58,16 +57,16 @@ class OpcuaNode:
         if self.done.done():
             return
         self._watch.fetch()
-        seen = self._watch.observation(self._services.states, self._services.commissioning)
+        seen = self._watch.observation(self._graph.states, self._graph.commissioning)
         for request in self._server.requests():
             self._commands += 1
             self._obey(request)
         sequence = self._sequence
         sequence.tick(seen)
-        told = f"{sequence.state.name.lower()}: {sequence.message}"
-        if told != self._told:
-            self._told = told
-            self.node.get_logger().info(told)
+        state = f"{sequence.state.name.lower()}: {sequence.message}"
+        if state != self._logged:
+            self._logged = state
+            self.node.get_logger().info(state)
         alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._advice.due().text)
         moves = sequence.movements
         shown = Snapshot(sequence.state, sequence.message, moves.strokes, moves.strokes_done, sequence.centred)
@@ -103,7 +102,7 @@ class OpcuaNode:
 
     def leave(self) -> Future | None:
         """Switch the amplifier off if a cycle runs, since no client can hold or stop it any more."""
-        return self._services.leave() if self._sequence.at_work else None
+        return self._graph.leave() if self._sequence.at_work else None
 
     def close(self) -> None:
         """Stop the server."""

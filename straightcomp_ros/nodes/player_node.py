@@ -14,11 +14,11 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.parameters.node_parameters import PlayerNodeParameters
-from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.runtime.loops import PeriodicLoop
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
-from straightcomp_ros.runtime.periodic import PeriodicLoop
+from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
-from straightcomp_ros.runtime.streams import SubscriptionQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.runtime.streams import Streams, stream_publisher, stream_qos
 from straightcomp_ros.timing.node_timing import SAMPLES
 
 _AFTERPLAY_S = 0.5
@@ -49,9 +49,7 @@ class PlayerNode(Runnable):
         rows = zip(*(stream.columns[name].tolist() for name in ENCODER.layout.columns), strict=True)
         self._messages = [ENCODER.layout.pack(stamp, *row) for stamp, row in zip(stamps, rows, strict=True)]
         self._due_ns = [round((stamp - stamps[0]) / parameters.speed) for stamp in stamps]
-        self._publisher = node.create_publisher(
-            message_type(ENCODER.layout.type_name), node.resolve_topic_name(ENCODER.topic), stream_qos()
-        )
+        self._publisher = stream_publisher(node, ENCODER)
         self._stamps = stamps
         self._clock = node.create_publisher(Clock, CLOCK, stream_qos(1)) if parameters.clock else None
         self._subscribers = parameters.subscribers
@@ -63,7 +61,7 @@ class PlayerNode(Runnable):
         self._ahead = parameters.ahead or len(stamps)
         self._places = {stamp: place for place, stamp in enumerate(stamps)}
         self._answered, self._progress_ns = 0, 0
-        self._queue = SubscriptionQueue(node, unspun_node(node), COMMAND) if parameters.ahead else None
+        self._queue = Streams(node).queue(COMMAND) if parameters.ahead else None
         period = sorted(b - a for a, b in zip(self._due_ns, self._due_ns[1:], strict=False))
         self.loop = PeriodicLoop(max(period[len(period) // 2] if period else 0, 50_000), self._cycle)
         Diagnostics(node, lambda: {SAMPLES: self._next, **self.loop.missed.report()})

@@ -8,11 +8,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
-from straightcomp_ros.runtime.batch_streams import batched_queue
-from straightcomp_ros.runtime.graph_services import GraphServices
+from straightcomp_ros.runtime.graph_client import GraphClient
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.runner import run
-from straightcomp_ros.runtime.streams import unspun_node
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -48,15 +46,14 @@ class ViewNode:
     ) -> None:
         self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
-        self._watch, self._services = GraphWatch(node), GraphServices(node, _NODES)
-        unspun = unspun_node(node)
-        self._reference = batched_queue(node, unspun, REFERENCE)
+        self._watch, self._graph = GraphWatch(node), GraphClient(node, _NODES)
+        self._reference = self._watch.streams.batches(REFERENCE)
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
         buttons = {
             "enable": partial(self._ask, self._switch_on, "amplifier on"),
-            "disable": partial(self._ask, self._services.switch_off, "amplifier off"),
-            "reset": partial(self._ask, self._services.reset_faults, "faults reset"),
+            "disable": partial(self._ask, self._graph.switch_off, "amplifier off"),
+            "reset": partial(self._ask, self._graph.reset_faults, "faults reset"),
         }
         self._own, self._on = False, False
         """Whether a page switched the amplifier on, and whether it was seen on since."""
@@ -83,10 +80,8 @@ class ViewNode:
         self._show()
 
     def _show(self) -> None:
-        seen, reports = (
-            self._watch.observation(self._services.states, self._services.commissioning),
-            self._watch.reports(),
-        )
+        seen = self._watch.observation(self._graph.states, self._graph.commissioning)
+        reports = self._watch.reports()
         self._on = self._own and (self._on or seen.amplifier_on)
         self._own = self._own and (seen.amplifier_on or not self._on)
         nodes = {
@@ -110,7 +105,7 @@ class ViewNode:
             self._own, self._on = self._own or not refusal, False
             then(refusal)
 
-        self._services.switch_on(answered)
+        self._graph.switch_on(answered)
 
     def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
         """Called by a thread of the page: let the main thread call a service, and wait for its answer."""
@@ -125,8 +120,8 @@ class ViewNode:
         return done
 
     def leave(self) -> Future | None:
-        """Switch the amplifier off if a page switched it on: without the page nobody can switch it off."""
-        return self._services.leave() if self._own else None
+        """Switch the amplifier off if a page switched it on: without the page no client can switch it off."""
+        return self._graph.leave() if self._own else None
 
     def close(self) -> None:
         """Stop serving the page; the graph keeps running."""

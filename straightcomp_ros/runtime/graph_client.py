@@ -1,217 +1,233 @@
-"""A client that asks the nodes of a running graph and waits for their answers.
-
-A thread of its own spins the client's node, so that whoever calls may compute or wait as long as it likes.
-"""
+"""A node's requests to the others of its graph, without waiting: lifecycle, amplifier, faults, motion, parameters."""
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
+from builtin_interfaces.msg import Duration
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.client import Client
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from lifecycle_msgs.srv import ChangeState
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT, SAFETY_STATE, STAGE_TRAJECTORY
+from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT
+from straightcomp_ros.contract import STAGE, STAGE_TRAJECTORY
+from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.model.motion import Waypoint
-from straightcomp_ros.runtime.commissioning_client import GONE_AFTER_S, CommissioningSign, CommissioningWatch
-from straightcomp_ros.runtime.graph_watch import GraphWatch
-from straightcomp_ros.runtime.guarded_node import GuardedNode
-from straightcomp_ros.runtime.heartbeats import Heartbeats
-from straightcomp_ros.runtime.middleware import own_profile
-from straightcomp_ros.runtime.remote_parameters import RemoteParameters
-from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
+from straightcomp_ros.runtime.graph_watch import Heartbeats
 
-ANSWER_S = 20.0
-"""Longest wait for an answer: a busy computer takes long to configure a node."""
-_START_S = 60.0
-_LISTEN_S = 2.0 * GONE_AFTER_S
-"""s in which this client hears of others: each says that it is alive within half of it."""
-_ENDED_S = _LISTEN_S + 2.0 * GONE_AFTER_S
-"""s after which nobody takes a client for alive that ended, or was killed, when this one began."""
-_POLL_S = 0.01
-_WATCH_S = 0.05
-_UP = ("unconfigured", "inactive", "active")
-_STEPS = {
-    ("unconfigured", "inactive"): Transition.TRANSITION_CONFIGURE,
-    ("inactive", "active"): Transition.TRANSITION_ACTIVATE,
-    ("active", "inactive"): Transition.TRANSITION_DEACTIVATE,
-    ("inactive", "unconfigured"): Transition.TRANSITION_CLEANUP,
-}
+_LOOK_EVERY_S = 0.5
+_WARN_EVERY_S = 5.0
+_MOST_WAITING = 4
+_UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transition.TRANSITION_ACTIVATE}
+_PARAMETERS_EVERY_S = 0.25
+_AGAIN_AFTER = 8
+"""Looks until a node is asked again: a response is lost if the node receives the request before it knows the client."""
+Answer = Callable[[str], None]
+"""Called with the reason for a refusal; an empty text means success."""
 
 
-class GraphError(RuntimeError):
-    """A node does not answer, or refuses; the message names it and its reason."""
+def _ignored(refusal: str) -> None:
+    pass
 
 
 class GraphClient:
-    """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
+    """Calls services of the nodes ``names`` in ``node``'s namespace: see the sequencer's `Machine`.
 
-    From :meth:`claim` on, as long as it lives, driver, cell and gateway know that somebody commissions the machine.
-
-    Args:
-        nodes: of the graph.
-        namespace: of all of them.
-        trouble: returns why the graph cannot work any more; empty if it can.
+    ``then`` is called with the reason for a refusal, or an empty text. A node counts as silent ``silent_after`` seconds
+    after its last heartbeat.
 
     Attributes:
-        safety: the driver's newest safety state.
+        refusal: why the amplifier was not switched on by the last request; empty if it was.
     """
 
-    def __init__(self, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: "") -> None:
-        self._trouble = trouble
-        with own_profile():
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-            # Another name than that of a node which starts such clients.
-            self._node = GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None)
-        node, self.safety = self._node, SafetyState()
-        self._clients: dict[str, Client] = {
-            "driver/enable": node.create_client(SetBool, "driver/enable"),
-            "driver/reset_fault": node.create_client(Trigger, "driver/reset_fault"),
-            "controller/excite": node.create_client(SetBool, "controller/excite"),
-        }
-        for one in nodes:
-            self._clients[f"{one}/change_state"] = node.create_client(ChangeState, f"{one}/change_state")
-            self._clients[f"{one}/get_state"] = node.create_client(GetState, f"{one}/get_state")
-        self._parameters = {one: AsyncParameterClient(node, one) for one in nodes}
+    def __init__(self, node: Node, names: Sequence[str], silent_after: float = 5.0) -> None:
+        self._node = node
+        self.refusal = ""
+        self._clients: dict[str, ServiceClient] = {}
+        self._enable = self.service(SetBool, "driver/enable")
+        self._reset = self.service(Trigger, "driver/reset_fault")
+        self._reload_map = self.service(Trigger, "feedforward/reload_map")
+        self._center = self.service(SetBool, "feedforward/center")
+        self._change_state = {name: self.service(ChangeState, f"{name}/change_state") for name in names}
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self._others = CommissioningWatch(node)
-        self.heartbeats = Heartbeats(node, nodes)
-        self._watch = GraphWatch(node, batches=False)
-        node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
-        node.create_timer(_WATCH_S, self._watch.fetch)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
+        self._heartbeats = Heartbeats(node, names, silent_after)
+        self._commissioning = CommissioningWatch(node)
+        self._present: set[str] = set()
+        node.create_timer(_LOOK_EVERY_S, self._look)
 
-    def __enter__(self) -> GraphClient:
-        return self
+    def service(self, kind: Any, name: str) -> ServiceClient:
+        """The client of a service."""
+        if name not in self._clients:
+            self._clients[name] = ServiceClient(self._node, kind, name)
+        return self._clients[name]
 
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown(timeout_sec=1.0)
-        self._thread.join(timeout=2.0)
-        # Otherwise its sign would stay until it is collected.
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+    @property
+    def states(self) -> dict[str, str]:
+        """State of each node: ``absent``; ``plain`` if it has no lifecycle; ``silent`` without heartbeats; else its
+        lifecycle state in lower case."""
+        states = self._heartbeats.states | dict.fromkeys(self._heartbeats.silent(), SILENT)
+        states |= {name: PLAIN for name, change in self._change_state.items() if not change.ready}
+        return states | {name: ABSENT for name in states if name not in self._present}
 
-    def claim(self) -> Callable[[str], None]:
-        """Say that this client commissions the machine; returns what says what it does.
+    def quiet(self, seconds: float) -> bool:
+        """Whether a node has had no heartbeat for ``seconds`` since it had one."""
+        return any(self._heartbeats.states[name] for name in self._heartbeats.silent(seconds))
 
-        Raises:
-            GraphError: another client commissions it.
-        """
-        # Whoever hears the nodes hears their other clients too: on a busy computer discovery takes seconds.
-        self.processes()
-        begin, others = time.monotonic(), self._others
-        while time.monotonic() < begin + _LISTEN_S or (others.doing and time.monotonic() < begin + _ENDED_S):
-            time.sleep(_POLL_S)
-        if others.doing:
-            raise GraphError(f"somebody else commissions the machine: {others.doing}")
-        # Only now: a sign of this client would count as another's.
-        return CommissioningSign(self._node).tell
+    @property
+    def commissioning(self) -> str:
+        """What a client that commissions the machine is doing; empty without one."""
+        return self._commissioning.doing
 
-    def values(self) -> dict[str, dict[str, Any]]:
-        """All parameters of the nodes as they are now, by node and dotted name."""
-        remote = RemoteParameters(self._node, list(self._parameters))
-        self.wait(lambda: remote.complete, _START_S, "the nodes do not tell their parameters")
-        return {node: dict(section) for node, section in remote.values.items()}
+    @property
+    def stage_listens(self) -> bool:
+        """Whether a node subscribes to the stage's trajectory."""
+        return bool(self._trajectory.get_subscription_count())
 
-    def processes(self) -> dict[str, str]:
-        """By node, an identifier of its process: a node that is started anew has another."""
-        topic, found = self._node.resolve_topic_name(HEARTBEAT), dict[str, str]()
+    @property
+    def obstacle(self) -> str:
+        """Why the stage cannot be moved or the amplifier cannot be switched; empty if both can."""
+        if not self.stage_listens:
+            return "no node subscribes to the stage's trajectory"
+        return "" if self._enable.ready else "the driver's service 'enable' is not available"
 
-        def all_found() -> bool:
-            publishers = self._node.get_publishers_info_by_topic(topic)
-            found.update({one.node_name: bytes(one.endpoint_gid).hex() for one in publishers})
-            return self._parameters.keys() <= found.keys()
+    def activate(self) -> None:
+        """Request one transition towards active of each node that is unconfigured or inactive."""
+        for name, state in self.states.items():
+            if state in _UPWARDS:
+                request = ChangeState.Request(transition=Transition(id=_UPWARDS[state]))
+                self._change_state[name].call(request, partial(self._changed, name, state))
 
-        self.wait(all_found, _START_S, f"not all nodes publish on {topic}")
-        return {node: found[node] for node in self._parameters}
-
-    def wait(self, done: Callable[[], bool], within: float, otherwise: str) -> None:
-        """Wait until ``done``; GraphError ``otherwise`` after ``within`` s, or when the graph cannot work any more."""
-        end = time.monotonic() + within
-        while not done():
-            trouble = self._trouble()
-            if trouble or time.monotonic() > end:
-                raise GraphError(trouble or otherwise)
-            time.sleep(_POLL_S)
-
-    def bring(self, node: str, goal: str) -> None:
-        """Bring ``node`` to the lifecycle state ``goal``: unconfigured, inactive or active."""
-        here = self.ask(f"{node}/get_state", GetState.Request()).current_state.label
-        while here != goal:
-            if here not in _UP:
-                raise GraphError(f"node '{node}' is in state '{here}'; allowed: {', '.join(_UP)}")
-            step = 1 if _UP.index(goal) > _UP.index(here) else -1
-            there = _UP[_UP.index(here) + step]
-            request = ChangeState.Request(transition=Transition(id=_STEPS[here, there]))
-            if not self.ask(f"{node}/change_state", request).success:
-                raise GraphError(f"node '{node}' did not become {there}; its log says why")
-            here = there
-
-    def give(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of ``node``, all or none."""
-        parameters = [Parameter(name, value=value) for name, value in values.items()]
-        future = self._parameters[node].set_parameters_atomically(parameters)
-        self.wait(future.done, ANSWER_S, f"node '{node}' does not answer")
-        result = future.result().result
-        if not result.successful:
-            raise GraphError(f"node '{node}': {result.reason}")
-
-    def ask(self, service: str, request: Any) -> Any:
-        """The response of a service."""
-        client = self._clients[service]
-        self.wait(client.service_is_ready, _START_S, f"service '{service}' is not there; does the node run?")
-        future = client.call_async(request)
-        self.wait(future.done, ANSWER_S, f"service '{service}' does not answer")
-        return future.result()
-
-    def require(self, service: str, request: Any) -> None:
-        """Call a service that answers with success and message; GraphError with its message if it refuses."""
-        response = self.ask(service, request)
+    def _changed(self, name: str, state: str, response: ChangeState.Response) -> None:
         if not response.success:
-            raise GraphError(f"{service}: {response.message or 'refused'}")
+            words = f"{name} did not leave the state '{state}'; its log says why"
+            self._node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
+
+    def switch_on(self, then: Answer = _ignored) -> None:
+        self.refusal = ""
+
+        def answered(refusal: str) -> None:
+            self.refusal = refusal
+            then(refusal)
+
+        self._enable.ask(SetBool.Request(data=True), answered)
+
+    def switch_off(self, then: Answer = _ignored) -> None:
+        self._enable.ask(SetBool.Request(data=False), then)
+
+    def leave(self) -> Future:
+        """Switch off at the end of the client; the future's result is the reason for a refusal, or an empty text."""
+        left = Future()
+        self.switch_off(left.set_result)
+        return left
+
+    def reset_faults(self, then: Answer = _ignored) -> None:
+        self._reset.ask(Trigger.Request(), then)
+
+    def reload_map(self, then: Answer) -> None:
+        self._reload_map.ask(Trigger.Request(), then)
+
+    def center(self, middle: bool, then: Answer) -> None:
+        self._center.ask(SetBool.Request(data=middle), then)
 
     def move(self, waypoints: Sequence[Waypoint]) -> None:
         """Move the stage along ``waypoints``, from now."""
         self._trajectory.publish(message_from_waypoints(waypoints))
 
-    @property
-    def stage_listens(self) -> bool:
-        """Whether somebody subscribes to the stage's trajectory."""
-        return bool(self._trajectory.get_subscription_count())
+    def _look(self) -> None:
+        here = self._node.get_namespace()
+        self._present = {name for name, place in self._node.get_node_names_and_namespaces() if place == here}
+
+
+class ServiceClient:
+    """Calls one service. It drops the oldest unanswered requests instead of collecting them without limit."""
+
+    def __init__(self, node: Node, kind: Any, name: str) -> None:
+        self._client = node.create_client(kind, name)
+        self._waiting: list[Future] = []
 
     @property
-    def x(self) -> float:
-        """Newest position of the stage, m; NaN before the first."""
-        return self._watch.observation({}).x
+    def ready(self) -> bool:
+        """Whether the service is available."""
+        return bool(self._client.service_is_ready())
+
+    def ask(self, request: Any, then: Answer) -> None:
+        """Call a service that answers with ``success`` and ``message``; ``then`` gets its refusal, or an empty text."""
+        if self.ready:
+            self.call(request, lambda response: then("" if response.success else response.message or "refused"))
+        else:
+            then(f"service {self._client.srv_name} is not available")
+
+    def call(self, request: Any, then: Callable[[Any], None] = lambda response: None) -> Future:
+        """Call the service; ``then`` gets its response, and so does the future."""
+
+        def answered(future: Future) -> None:
+            if future in self._waiting:
+                self._waiting.remove(future)
+                then(future.result())
+
+        future = self._client.call_async(request)
+        self._waiting.append(future)
+        future.add_done_callback(answered)
+        while len(self._waiting) > _MOST_WAITING:
+            self._client.remove_pending_request(self._waiting.pop(0))
+        return future
+
+
+class RemoteParameters:
+    """Asks each of the nodes ``names`` in this node's namespace, when it is available, for all its parameters.
+
+    Attributes:
+        values: the parameters by node and dotted name.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str]) -> None:
+        self.values: dict[str, dict[str, object]] = {}
+        self._clients = {name: AsyncParameterClient(node, name) for name in names}
+        self._looks_left = dict.fromkeys(names, 0)
+        self._timer = node.create_timer(_PARAMETERS_EVERY_S, self._look)
+
+    def _look(self) -> None:
+        for name in [name for name in self._clients if name not in self.values]:
+            self._looks_left[name] -= 1
+            if self._looks_left[name] < 0 and self._clients[name].services_are_ready():
+                self._looks_left[name] = _AGAIN_AFTER
+                self._collect(name, self._clients[name])
+        if self.complete:
+            self._timer.cancel()
+
+    def _collect(self, node: str, client: AsyncParameterClient) -> None:
+        def listed(future: Future) -> None:
+            names = list(future.result().result.names)
+
+            def got(answer: Future) -> None:
+                values = answer.result().values
+                # Not so many after a parameter was undeclared meanwhile: ask again.
+                if len(values) == len(names):
+                    self.values[node] = dict(zip(names, map(parameter_value_to_python, values), strict=True))
+
+            client.get_parameters(names).add_done_callback(got)
+
+        client.list_parameters([], 10).add_done_callback(listed)
 
     @property
-    def samples_come(self) -> bool:
-        """Whether samples arrive."""
-        return self._watch.observation({}).fresh
+    def complete(self) -> bool:
+        """Whether all nodes have answered."""
+        return len(self.values) == len(self._clients)
 
-    def unrecorded(self) -> Sequence[str]:
-        """Topics that the logger is not connected to yet."""
-        return self._watch.observation(self.heartbeats.states).unrecorded
 
-    def _on_safety_state(self, message: DiagnosticStatus) -> None:
-        self.safety = SafetyState.of(message)
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
+def message_from_waypoints(waypoints: Sequence[Waypoint]) -> JointTrajectory:
+    """The stage's trajectory, with one point for each waypoint; stamp zero: it starts when it arrives."""
+    points = []
+    for time_ns, position, velocity in waypoints:
+        sec, nanosec = divmod(time_ns, NANOSECONDS)
+        after = Duration(sec=sec, nanosec=nanosec)
+        points.append(JointTrajectoryPoint(positions=[position], velocities=[velocity], time_from_start=after))
+    return JointTrajectory(joint_names=[STAGE], points=points)

@@ -1,4 +1,4 @@
-"""Observes the graph without loading its loop: streams, diagnostics, safety state, and all in one observation."""
+"""Observes the graph without loading its loop: heartbeats, streams, diagnostics, and all in one observation."""
 
 import math
 import os
@@ -16,16 +16,17 @@ from straightcomp_ros.contract import (
     CONTROLLER_STATE,
     DIAGNOSTICS,
     DRIVER_STATE,
+    HEARTBEAT,
     POSITION,
     SAFETY_STATE,
     UNCONNECTED,
 )
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
-from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
+from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, count, reporting_node
 
+_TICK_S = 0.05
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
 _DRIVER = "driver"
@@ -35,7 +36,48 @@ Messages = Sequence[tuple[int, Sequence[float], int]]
 """As :meth:`SubscriptionQueue.fetch` returns them."""
 
 
-class Fetched(NamedTuple):
+class Heartbeats:
+    """Which nodes are alive. A node is silent until its first heartbeat, and again ``timeout`` s after its last one.
+
+    Attributes:
+        states: lifecycle state of each node by its last heartbeat; empty before the first.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
+        self._timeout = timeout
+        self._ages = dict.fromkeys(names, timeout)
+        self.states = dict.fromkeys(names, "")
+        self._ticked = time.monotonic()
+        node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
+        node.create_timer(_TICK_S, self._tick)
+
+    def silent(self, seconds: float | None = None) -> list[str]:
+        """Nodes without a heartbeat within the timeout, or within ``seconds``."""
+        limit = self._timeout if seconds is None else seconds
+        return [name for name, age in self._ages.items() if age >= limit]
+
+    def forget(self, name: str) -> None:
+        """Count a node that is started again as silent until its next heartbeat."""
+        self._ages[name] = self._timeout
+
+    def in_state(self, state: str) -> bool:
+        """Whether all nodes are alive and in this lifecycle state."""
+        return not self.silent() and set(self.states.values()) == {state}
+
+    def _tick(self) -> None:
+        # A process that was suspended must not mistake its own pause for silence of the nodes.
+        now = time.monotonic()
+        passed, self._ticked = min(now - self._ticked, 2.0 * _TICK_S), now
+        for name in self._ages:
+            self._ages[name] += passed
+
+    def _on_heartbeat(self, message: DiagnosticStatus) -> None:
+        if message.name in self._ages:
+            self._ages[message.name] = 0.0
+            self.states[message.name] = message.message
+
+
+class FetchedMessages(NamedTuple):
     """Messages since the last call."""
 
     positions: Messages
@@ -52,6 +94,9 @@ class GraphWatch:
         fresh: time after the last sample for which the observation is fresh, s.
         patient: the observation is also fresh before the first sample, until :meth:`expect_samples` is called.
         description: of the stage, by which ``node`` itself moves it; empty if it does not.
+
+    Attributes:
+        safety: the driver's newest safety state.
     """
 
     def __init__(
@@ -65,14 +110,13 @@ class GraphWatch:
     ) -> None:
         self._node, self._fresh = node, fresh
         self._own = {node.get_name(): description} if description else {}
-        unspun = unspun_node(node)
-        self._queues = [SubscriptionQueue(node, unspun, POSITION)]
+        self.streams = Streams(node)
+        self._queues = [self.streams.queue(POSITION)]
         if batches:
-            streams = (CONTROLLER_STATE, DRIVER_STATE)
-            self._queues += [batched_queue(node, unspun, stream) for stream in streams]
+            self._queues += [self.streams.batches(stream) for stream in (CONTROLLER_STATE, DRIVER_STATE)]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
-        self._safety = SafetyState()
+        self.safety = SafetyState()
         self._strokes = StrokeErrors()
         self._newest = Observation()
         self._last_came = math.inf if patient else -math.inf
@@ -83,9 +127,9 @@ class GraphWatch:
         """Count the absence of a first sample as silence from now on."""
         self._last_came = min(self._last_came, time.monotonic())
 
-    def fetch(self) -> Fetched:
+    def fetch(self) -> FetchedMessages:
         """Take the messages that have arrived; call it at least ten times a second."""
-        fetched = Fetched(*(queue.fetch() for queue in self._queues))
+        fetched = FetchedMessages(*(queue.fetch() for queue in self._queues))
         for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions, 1):
             self._strokes.add_position(stamp_ns, x)
             if number % _YIELD_EVERY == 0 or number == len(fetched.positions):
@@ -115,19 +159,19 @@ class GraphWatch:
         reports = self.reports()
         controller = reports.get("controller", {})
         # A fault of the driver is in its safety state at once, but in its diagnostics up to a second later.
-        safety = self._safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
+        safety = self.safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
         faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
-        told = {node: values[DESCRIPTION] for node, values in reports.items() if DESCRIPTION in values}
+        reported = {node: values[DESCRIPTION] for node, values in reports.items() if DESCRIPTION in values}
         return replace(
             self._newest,
             nodes=dict(states),
             faults=faults | ({_DRIVER: safety.fault} if safety.fault else {}),
             fault_code=safety.code,
             unrecorded=self._unrecorded(reports) if "logger" in states else (),
-            descriptions=self._own | told,
+            descriptions=self._own | reported,
             fresh=fresh,
             commissioning=commissioning or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
-            amplifier_on=fresh and self._safety.amplifier_on,
+            amplifier_on=fresh and self.safety.amplifier_on,
             still=self._strokes.still,
             stroke_error_pp=self._strokes.last_pp,
             samples=count(controller, SAMPLES),
@@ -142,7 +186,7 @@ class GraphWatch:
         return tuple(sorted(wanted.intersection(unconnected.split())))
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
-        self._safety = SafetyState.of(message)
+        self.safety = SafetyState.of(message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -1,13 +1,20 @@
-"""A node that foreign messages and requests cannot end.
+"""A node that foreign messages and requests cannot end, and whose timers keep their periods.
 
 Any program on the machine may publish on our topics and call our services. Without a guard the executor passes the
 exception of a callback on, and the process ends with the amplifier on.
+
+When a timer is added to an EventsExecutor (rclpy 7.1) or reset, or when the ROS clock steps, the executor queues every
+timer again that is due at that moment. Such timers fire several times at once, and then stay silent until their
+schedule catches up: for seconds, after a slow start. A single timer on the steady clock is never queued twice, so one
+timer of the executor calls all timers of the node.
 """
 
 import time
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from straightcomp_ros.bags import BagError
@@ -15,21 +22,103 @@ from straightcomp_ros.hardware.interface import HardwareError
 
 RUN_FAILURES = (BagError, HardwareError, OSError)
 """Raised while a node runs, when a bag, the machine or a file fails: no fault of a message, so they end the node."""
+TICK_S = 0.02
+"""Resolution of the timers."""
+_TICK_NS = round(TICK_S * 1e9)
 _LOG_EVERY_S = 5.0
 _LONGEST_REASON = 200
+
+
+class SteadyTimer:
+    """Calls ``callback`` every ``period_ns`` until cancelled; after a stall once, not once for each missed period."""
+
+    def __init__(self, period_ns: int, callback: Callable[[], object], first_ns: int) -> None:
+        self._period_ns, self._callback = period_ns, callback
+        self.due_ns: float = first_ns
+
+    def cancel(self) -> None:
+        """Never call again."""
+        self.due_ns = float("inf")
+
+    def call(self, now_ns: int) -> None:
+        """Call now; the next call is due one period after this one was due."""
+        self.due_ns += self._period_ns
+        if self.due_ns <= now_ns:
+            self.due_ns = now_ns + self._period_ns
+        self._callback()
+
+
+class SteadyTimers:
+    """Timers that are called in the order in which they are due, by the clock ``monotonic_ns``."""
+
+    def __init__(self, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._monotonic_ns = monotonic_ns
+        self._begin_ns = monotonic_ns()
+        self._timers: list[SteadyTimer] = []
+
+    def add(self, period_s: float, callback: Callable[[], object]) -> SteadyTimer:
+        """A new timer; its first call is due after ``period_s``, at a tick."""
+        period_ns = round(period_s * 1e9)
+        # A timer that is due between two ticks would be called at one or the other, depending on their jitter.
+        ticks = -((self._begin_ns - self._monotonic_ns()) // _TICK_NS)
+        timer = SteadyTimer(period_ns, callback, self._begin_ns + ticks * _TICK_NS + period_ns)
+        self._timers.append(timer)
+        return timer
+
+    def mark(self) -> int:
+        """The number of timers so far, for :meth:`cancel_after`."""
+        return len(self._timers)
+
+    def cancel_after(self, mark: int) -> None:
+        """Cancel the timers that were added after :meth:`mark`."""
+        for timer in self._timers[mark:]:
+            timer.cancel()
+        del self._timers[mark:]
+
+    def call_one(self) -> bool:
+        """Call the timer that has been due longest; returns whether one was due."""
+        now_ns = self._monotonic_ns()
+        timer = min(self._timers, key=lambda timer: timer.due_ns, default=None)
+        if timer is None or timer.due_ns > now_ns:
+            return False
+        timer.call(now_ns)
+        return True
+
+    def call_all(self) -> None:
+        """Call each timer that is due, once."""
+        for _ in range(len(self._timers)):
+            if not self.call_one():
+                return
 
 
 class GuardedNode(Node):
     """Its callbacks drop a message, and refuse a request, that they cannot handle; the log says so every 5 s at most.
 
-    :data:`RUN_FAILURES` pass. Timers are not guarded: their errors are the node's own.
+    :data:`RUN_FAILURES` pass. Timers are not guarded: their errors are the node's own. A loop that spins the executor
+    one event at a time calls :meth:`SteadyTimers.call_one` between its cycles.
     """
+
+    _steady_timers: SteadyTimers | None = None
+
+    @property
+    def steady_timers(self) -> SteadyTimers:
+        """The node's timers."""
+        if self._steady_timers is None:
+            self._steady_timers = SteadyTimers()
+            super().create_timer(TICK_S, self._steady_timers.call_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self._steady_timers
+
+    def create_timer(self, period: float, callback: Callable[[], object], *more: Any, **options: Any) -> Any:
+        """A timer on the steady clock, with a resolution of :data:`TICK_S`; a faster one is the executor's own."""
+        if period < TICK_S:
+            return super().create_timer(period, callback, *more, **options)
+        return self.steady_timers.add(period, callback)
 
     def create_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any], None], *more: Any, **options: Any
     ) -> Any:
         """As `rclpy.node.Node.create_subscription`."""
-        dropped = Complaints(self, f"a message on '{topic}' is dropped")
+        dropped = ThrottledWarning(self, f"a message on '{topic}' is dropped")
 
         def receive(message: Any) -> None:
             try:
@@ -37,7 +126,7 @@ class GuardedNode(Node):
             except RUN_FAILURES:
                 raise
             except Exception as error:
-                dropped.say(error)
+                dropped.log(error)
 
         return super().create_subscription(kind, topic, receive, *more, **options)
 
@@ -45,7 +134,7 @@ class GuardedNode(Node):
         self, kind: Any, name: str, callback: Callable[[Any, Any], Any], *more: Any, **options: Any
     ) -> Any:
         """As `rclpy.node.Node.create_service`."""
-        refused = Complaints(self, f"a request of '{name}' is refused")
+        refused = ThrottledWarning(self, f"a request of '{name}' is refused")
 
         def answer(request: Any, response: Any) -> Any:
             try:
@@ -53,27 +142,27 @@ class GuardedNode(Node):
             except RUN_FAILURES:
                 raise
             except Exception as error:
-                return refusal(kind.Response(), refused.say(error))
+                return refusal(kind.Response(), refused.log(error))
 
         return super().create_service(kind, name, answer, *more, **options)
 
 
-class Complaints:
+class ThrottledWarning:
     """Warns in ``node``'s log, at most once in 5 s: a flood of messages must not fill the disk."""
 
     def __init__(self, node: Node, what: str) -> None:
-        self._node, self._what, self._next, self._unsaid = node, what, 0.0, 0
+        self._node, self._what, self._next, self._suppressed = node, what, 0.0, 0
 
-    def say(self, error: object) -> str:
+    def log(self, error: object) -> str:
         """Log the ``error``, and how many were not logged before it; returns it in words."""
         reason = (str(error) or type(error).__name__)[:_LONGEST_REASON]
         now = time.monotonic()
         if now < self._next:
-            self._unsaid += 1
+            self._suppressed += 1
             return reason
-        more = f" (and {self._unsaid} more since the last such warning)" if self._unsaid else ""
+        more = f" (and {self._suppressed} more since the last such warning)" if self._suppressed else ""
         self._node.get_logger().warning(f"{self._what}: {reason}{more}")
-        self._next, self._unsaid = now + _LOG_EVERY_S, 0
+        self._next, self._suppressed = now + _LOG_EVERY_S, 0
         return reason
 
 

@@ -93,7 +93,7 @@ def starting(
             return []
         # The arguments' values are known only now. An empty one leaves the parameter to the file or the default.
         given = {argument: LaunchConfiguration(argument).perform(context) for argument in overrides}
-        parameters = _files_beside_stage(LaunchConfiguration("stage").perform(context), name) | {
+        parameters = _surveys_of_stage(LaunchConfiguration("stage").perform(context), name) | {
             overrides[argument].parameter: ParameterValue(value, value_type=overrides[argument].kind)
             for argument, value in given.items()
             if value
@@ -121,8 +121,8 @@ def starting(
     return OpaqueFunction(function=actions)
 
 
-def _files_beside_stage(stage: str, node: str) -> dict[str, ParameterValue]:
-    """Parameters of ``node`` that name a survey beside the stage file: a node alone would not look there."""
+def _surveys_of_stage(stage: str, node: str) -> dict[str, ParameterValue]:
+    """Parameters of ``node`` that name a survey in the folder of the stage file: a node alone would not look there."""
     try:
         found = files_beside(stage, read_parameter_file(stage))
     except ParameterError:

@@ -24,12 +24,11 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.runtime.changes import ParameterChanges
-from straightcomp_ros.runtime.declare import declare
-from straightcomp_ros.runtime.guarded_node import Complaints, refusal
+from straightcomp_ros.runtime.guarded_node import GuardedNode, ThrottledWarning, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
-from straightcomp_ros.runtime.periodic import Loop
-from straightcomp_ros.runtime.timers import WithSteadyTimers
+from straightcomp_ros.runtime.loops import Loop
+from straightcomp_ros.runtime.ros_parameters import ParameterChanges, declare
+from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.cpus import at_normal_priority
 
@@ -37,8 +36,6 @@ REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
 """Raised if parameters, files or the machine cannot be used."""
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
-
-
 _HEARTBEAT_S = 0.1
 
 
@@ -55,11 +52,8 @@ class Component(Protocol):
         """Stop, with safe outputs."""
 
     def prepare(self, parameters: Any) -> Callable[[], None]:
-        """Prepare other values of the dynamic parameters; the returned function applies them.
-
-        Raises:
-            one of :data:`REFUSALS`: the values cannot be applied; nothing has changed.
-        """
+        """Prepare other values of the dynamic parameters; the returned function applies them. One of :data:`REFUSALS`
+        if they cannot be applied; nothing has changed then."""
 
     def close(self) -> None:
         """Release everything, saved and safe. The ROS context may have ended already."""
@@ -68,25 +62,26 @@ class Component(Protocol):
 MakeComponent = Callable[["ManagedNode", Any], Component]
 
 
-class ManagedNode(WithSteadyTimers, LifecycleNode):
+class ManagedNode(GuardedNode, LifecycleNode):
     """Handles the transitions; the component does their work.
 
-    Args:
-        name: of the node.
-        parameter_set: of the node, with a field ``autostart`` and one ``realtime``.
-        make: ``make(node, parameters)`` makes the component.
+    ``parameter_set`` has a field ``autostart`` and one ``realtime``; ``make(node, parameters)`` makes the component.
+
+    Attributes:
+        active: whether the state is active.
+        done: its result is the process's exit code.
+        turn: done when the state has changed, so that the runner runs another loop, or none.
+        streams: the component's ends of the graph's streams.
     """
 
     def __init__(self, name: str, parameter_set: type, make: MakeComponent) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.node = self
-        self.done = Future()
-        """Its result is the process's exit code."""
-        self.turn = Future()
-        """Done when the state has changed, so that the runner runs another loop, or none."""
+        self.done, self.turn = Future(), Future()
+        self.streams = Streams(self)
         self._parameter_set, self._make = parameter_set, make
         self._component: Component | None = None
-        self._active = False
+        self.active = False
         self._failure: Exception | None = None
         self._own: dict[str, set[Any]] = {}
         self._own_timers = 0
@@ -95,11 +90,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         _refuse_wrong_transitions(self)
 
     def begin(self) -> None:
-        """Declare the parameters; with ``autostart`` configure and activate.
-
-        Raises:
-            one of :data:`REFUSALS`: configuration or activation failed.
-        """
+        """Declare the parameters; with ``autostart`` configure and activate. One of :data:`REFUSALS` if that fails."""
         parameters = declare(self, self._parameter_set, changeable=True)
         self.realtime = parameters.realtime
         self._autostart = parameters.autostart
@@ -116,12 +107,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     @property
     def loop(self) -> Loop | None:
         """The loop to run now instead of the executor, if any."""
-        return self._component.loop if self._component is not None and self._active else None
-
-    @property
-    def active(self) -> bool:
-        """Whether the state is active."""
-        return self._active
+        return self._component.loop if self._component is not None and self.active else None
 
     def fail(self, error: Exception) -> None:
         """Report a failure of the component: with ``autostart`` end the process, otherwise become unconfigured."""
@@ -131,13 +117,13 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         self.get_logger().error(str(error))
         if self._autostart:
             self.done.set_result(EXIT_FAILURE)
-        elif self._active:
+        elif self.active:
             self.trigger_deactivate()
 
     def close(self) -> None:
         """Stop and release the component, if there is one."""
-        if self._active and self._component is not None:
-            self._active = False
+        if self.active and self._component is not None:
+            self.active = False
             self._component.deactivate()
         self._release()
 
@@ -152,19 +138,16 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
 
         with at_normal_priority():
             code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
-        if code is TransitionCallbackReturn.SUCCESS and self._component is not None:
+        if self._component is not None:
             self._changes.follow(self._component.prepare)
         else:
             self._destroy_entities()
         return code
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        def activate() -> None:
-            assert self._component is not None
-            self._component.activate()
-            self._active = True
-
-        code = self._attempt(activate, TransitionCallbackReturn.ERROR)
+        assert self._component is not None
+        code = self._attempt(self._component.activate)
+        self.active = code is TransitionCallbackReturn.SUCCESS
         with at_normal_priority():
             # Objects made since the start are long-lived too: exclude them from garbage collection.
             gc.collect()
@@ -173,31 +156,31 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         return code
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._active = False
+        self.active = False
         self._turn()
-        code = self._attempt(
-            self._component.deactivate if self._component is not None else None, TransitionCallbackReturn.ERROR
-        )
+        assert self._component is not None
+        code = self._attempt(self._component.deactivate)
         return TransitionCallbackReturn.ERROR if self._failure is not None else code
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._attempt(self._release, TransitionCallbackReturn.ERROR)
+        return self._attempt(self._release)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._turn()
-        return self._attempt(self.close, TransitionCallbackReturn.ERROR)
+        return self._attempt(self.close)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._turn()
-        self._attempt(self.close, TransitionCallbackReturn.ERROR)
+        self._attempt(self.close)
         # Whatever failed, the component has been released: the node can be configured again.
         return TransitionCallbackReturn.SUCCESS
 
-    def _attempt(self, work: Callable[[], None] | None, otherwise: Any) -> TransitionCallbackReturn:
+    def _attempt(
+        self, work: Callable[[], None], otherwise: TransitionCallbackReturn = TransitionCallbackReturn.ERROR
+    ) -> TransitionCallbackReturn:
         """Do ``work`` and log its exception, which rclpy would swallow silently."""
         try:
-            if work is not None:
-                work()
+            work()
         except REFUSALS as error:
             self._failure = error
             self.get_logger().error(str(error))
@@ -206,7 +189,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
 
     def _release(self) -> None:
         component, self._component = self._component, None
-        self._active = False
+        self.active = False
         self._changes.follow(None)
         with at_normal_priority():
             try:
@@ -219,6 +202,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
                 gc.collect()
 
     def _destroy_entities(self) -> None:
+        self.streams.close()
         self.steady_timers.cancel_after(self._own_timers)
         for kind, destroy in _DESTROY.items():
             own = self._own.get(kind, set())
@@ -252,12 +236,12 @@ _DESTROY = {
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:
     """Answer a transition that the state does not allow with ``success`` false; rclpy lets it end the process."""
     service = state_service(node)
-    change, refused = service.callback, Complaints(node, "a transition is refused")
+    change, refused = service.callback, ThrottledWarning(node, "a transition is refused")
 
     def answer(request: Any, response: Any) -> Any:
         try:
             return change(request, response)
         except RuntimeError as error:
-            return refusal(response, refused.say(str(error).partition("\n")[0]))
+            return refusal(response, refused.log(str(error).partition("\n")[0]))
 
     service.callback = answer

@@ -37,22 +37,15 @@ class Diagnostics:
 
     Either step takes about 0.2 ms with cold caches: in one turn of a loop's idle work they would delay the next cycle.
 
-    Args:
-        node: the node that reports.
-        values: called at 1 Hz; returns values by name, always with ``samples``, and with ``error`` to report an error.
-            A name ends with the unit, unless the value is a count: ``_us``, ``_hz``.
-        hardware_id: what the node reports on; this computer's name if empty.
-        description: of the stage, which the node works with; empty if it works with none.
+    ``values`` returns values by name, always with ``samples``, and with ``error`` to report an error. A name ends with
+    the unit, unless the value is a count: ``_us``, ``_hz``. An empty ``hardware_id`` stands for this computer's name.
+    ``description`` is that of the stage; empty if the node works with none.
     """
 
     def __init__(
-        self,
-        node: Node,
-        values: Callable[[], Mapping[str, object]],
-        hardware_id: str = "",
-        description: str = "",
+        self, node: Node, values: Callable[[], Mapping[str, object]], hardware_id: str = "", description: str = ""
     ) -> None:
-        self._told = {DESCRIPTION: description} if description else {}
+        self._description = {DESCRIPTION: description} if description else {}
         self._hardware_id = hardware_id or platform.node()
         self._levels = Levels()
         self._node = node
@@ -77,7 +70,7 @@ class Diagnostics:
         values = self._values()
         values = {
             **values,
-            **self._told,
+            **self._description,
             RATE: self._rate(int(str(values[SAMPLES]))),
             CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
             SCHEDULING: self._scheduling(),

@@ -1,34 +1,33 @@
 """Records topics outside the contract: finds them by name when they appear, of any type."""
 
+import importlib
 import re
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from straightcomp_ros.bags.topics import Topic, TopicQos
-from straightcomp_ros.runtime.message_definition import definition_of_class, known, message_class
+from straightcomp_ros.bags.topics import Definition, Topic, TopicQos, typestore
 from straightcomp_ros.runtime.streams import RawQueue
 
 Add = Callable[[str, bytes, int, int], None]
 """Takes topic, serialised message, reception time and source time in ns since the epoch."""
 _LOOK_EVERY_S = 0.5
 _UNBOUNDED_DEPTH = 1000
-"""Depth for a publisher that keeps all messages, or does not tell how many it keeps."""
+"""Depth for a publisher that keeps all messages, or does not report how many it keeps."""
+_RULE = "=" * 80
+_PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
+_SEQUENCE = re.compile(r"sequence<(?P<of>.+?)(?:, (?P<bound>\d+))?>")
+_ARRAY = re.compile(r"(?P<of>.+)\[(?P<size>\d+)\]")
+_BOUNDED_TEXT = re.compile(r"(?P<of>w?string)<(?P<bound>\d+)>")
 
 
 class OtherTopics:
-    """Subscribes to each matching topic when its first publisher appears, with the QoS that its publishers offer.
-
-    Args:
-        node: looks for the topics.
-        unspun: from :func:`straightcomp_ros.runtime.streams.unspun_node`.
-        pattern: must match a topic's full name; an empty pattern matches none.
-        ours: full names that are recorded already.
-        announce: called with each topic before its first message is fetched.
-    """
+    """Subscribes to each topic whose full name matches ``pattern`` (an empty one matches none) and is not one of
+    ``ours``, when its first publisher appears, with the QoS that its publishers offer. ``announce`` is called with each
+    topic before its first message is fetched."""
 
     def __init__(
         self,
@@ -69,17 +68,16 @@ class OtherTopics:
                 publishers = self._node.get_publishers_info_by_topic(name)
                 if publishers:
                     self._settled.add(name)
-                    self._subscribe(name, sorted(types), publishers)
+                    self._subscribe(name, sorted(types), [publisher.qos_profile for publisher in publishers])
 
-    def _subscribe(self, name: str, types: list[str], publishers: Iterable[Any]) -> None:
+    def _subscribe(self, name: str, types: list[str], profiles: list[QoSProfile]) -> None:
         kind = message_class(types[0])
         if len(types) > 1 or kind is None:
             reason = f"has the types {', '.join(types)}" if len(types) > 1 else f"is of unknown type {types[0]}"
             self._node.get_logger().warning(f"topic '{name}' is not recorded: it {reason}")
             return
-        profiles = [publisher.qos_profile for publisher in publishers]
         qos = offered(profiles)
-        described = None if known(types[0]) else definition_of_class(kind)
+        described = None if types[0] in typestore().fielddefs else definition_of_class(kind)
         self._announce(Topic(name, types[0], stored(profiles), described))
         self._queues[name] = RawQueue(self._unspun, kind, name, qos)
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -87,9 +85,8 @@ class OtherTopics:
         self._node.get_logger().info(f"recording '{name}' ({types[0]}) too")
 
 
-def offered(profiles: Iterable[QoSProfile]) -> QoSProfile:
+def offered(profiles: Collection[QoSProfile]) -> QoSProfile:
     """The strongest QoS that all of these publishers offer."""
-    profiles = list(profiles)
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
     latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
     depths = [
@@ -104,15 +101,76 @@ def offered(profiles: Iterable[QoSProfile]) -> QoSProfile:
     )
 
 
-def stored(profiles: Iterable[QoSProfile]) -> TopicQos:
-    """The same QoS for a bag. Few middlewares tell a publisher's depth; otherwise it is stored as unknown, with depth
+def stored(profiles: Collection[QoSProfile]) -> TopicQos:
+    """The same QoS for a bag. Few middlewares report a publisher's depth; otherwise it is stored as unknown, with depth
     0, as rosbag2 does, and `ros2 bag play` chooses the depth."""
-    profiles = list(profiles)
-    told = all(profile.history == HistoryPolicy.KEEP_LAST and profile.depth for profile in profiles)
+    known = all(profile.history == HistoryPolicy.KEEP_LAST and profile.depth for profile in profiles)
     qos = offered(profiles)
     return TopicQos(
         reliability=qos.reliability.name.lower(),
         durability=qos.durability.name.lower(),
-        history="keep_last" if told else "unknown",
-        depth=qos.depth if told else 0,
+        history="keep_last" if known else "unknown",
+        depth=qos.depth if known else 0,
     )
+
+
+def message_class(type_name: str) -> Any:
+    """The class of a type such as ``sensor_msgs/msg/Range``; None if its package is not installed."""
+    package, _, name = type_name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except ImportError:
+        return None
+
+
+def definition_of_class(kind: Any) -> Definition:
+    """Definition of a message class: text in encoding ``ros2msg``, and type hash.
+
+    A bag stores a definition with the messages, also of a type that ROS 2's own packages do not have. The class knows
+    names and types of all fields, but not the constants, defaults and comments of the .msg file, which no reader of
+    messages needs.
+    """
+    from rosbags.typesys import get_types_from_msg, get_typestore
+    from rosbags.typesys.stores import Stores
+
+    texts: dict[str, str] = {}
+    _collect(kind, texts)
+    name = _name(kind)
+    others = (f"{_RULE}\nMSG: {one.replace('/msg/', '/')}\n{text}" for one, text in texts.items() if one != name)
+    text = "\n".join([texts[name], *others])
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, name))
+    return Definition(text, store.hash_rihs01(name))
+
+
+def _collect(kind: Any, texts: dict[str, str]) -> None:
+    """Add the text of a message class, and of those that it contains, to ``texts``."""
+    if _name(kind) in texts:
+        return
+    lines: list[str] = []
+    texts[_name(kind)] = ""
+    for name, described in kind.get_fields_and_field_types().items():
+        text, nested = _field_type(described)
+        lines.append(f"{text} {name}")
+        if nested:
+            _collect(message_class(nested), texts)
+    texts[_name(kind)] = "\n".join(lines) + "\n"
+
+
+def _field_type(text: str) -> tuple[str, str]:
+    """A field's type as in a .msg file, and the message type that it contains, if any."""
+    if match := _SEQUENCE.fullmatch(text):
+        inner, nested = _field_type(match["of"])
+        return f"{inner}[{'<=' + match['bound'] if match['bound'] else ''}]", nested
+    if match := _ARRAY.fullmatch(text):
+        inner, nested = _field_type(match["of"])
+        return f"{inner}[{match['size']}]", nested
+    if match := _BOUNDED_TEXT.fullmatch(text):
+        return f"{match['of']}<={match['bound']}", ""
+    if "/" in text:
+        return text, text.replace("/", "/msg/", 1)
+    return _PRIMITIVES.get(text, text), ""
+
+
+def _name(kind: Any) -> str:
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

@@ -1,4 +1,4 @@
-"""Runs a node until it is told to stop: executor, scheduling, signals, exit code. All nodes share it.
+"""Runs a node until it is stopped: executor, scheduling, signals, exit code. All nodes share it.
 
 The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI wheels of Jazzy its bare
 ``spin()`` never fires a timer; ``spin_until_future_complete`` works there and with an installed Jazzy.
@@ -18,11 +18,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from straightcomp_ros.runtime.guarded_node import RUN_FAILURES
+from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, GuardedNode
+from straightcomp_ros.runtime.loops import Loop
 from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
-from straightcomp_ros.runtime.periodic import Loop
-from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.cpus import give_up_priority
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -39,7 +38,7 @@ _LEAVE_WITHIN_S = 2.0
 class Runnable(Protocol):
     """What the runner needs: a node to spin, a future that ends it, its scheduling, and a safe close."""
 
-    node: WithSteadyTimers
+    node: GuardedNode
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
     loop: Loop | None  # runs instead of the executor, which gets the idle time
@@ -59,9 +58,7 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
         Exit code: 0 after a requested stop that interrupted no work, 2 if parameters or files cannot be used, 1 if the
         node failed or its work was interrupted, or the result that the node itself gave to ``done``.
     """
-    return _run(
-        name, lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True), make, arguments
-    )
+    return _run(name, lambda: GuardedNode(name, automatically_declare_parameters_from_overrides=True), make, arguments)
 
 
 def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
@@ -74,9 +71,7 @@ def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: 
     return _run(name, lambda: ManagedNode(name, parameter_set, make), begun, arguments)
 
 
-def _run(
-    name: str, make_node: Callable[[], Any], make: Callable[[Any], Runnable], arguments: Sequence[str] | None
-) -> int:
+def _run(name: str, make_node: Callable[[], Any], make: Callable[[Any], Any], arguments: Sequence[str] | None) -> int:
     # rclpy's own handlers shut the context down during a callback; ours let the callback end first.
     stop = _StopRequest()
     try:
@@ -100,11 +95,10 @@ def _run(
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            code = _spin(runnable)
+            return _spin(runnable)
         finally:
             runnable.close()
             give_up_priority()
-        return code
     except RUN_FAILURES as error:
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_FAILURE
@@ -117,8 +111,7 @@ class _StopRequest:
     """Handles SIGINT and SIGTERM: they complete a node's future as soon as there is one."""
 
     def __init__(self) -> None:
-        self._requested = False
-        self._done: Future | None = None
+        self._requested, self._done = False, Future()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._request)
 
@@ -130,29 +123,28 @@ class _StopRequest:
 
     def _request(self, *_: object) -> None:
         self._requested = True
-        if self._done is not None and not self._done.done():
+        if not self._done.done():
             self._done.set_result(0)
 
 
-def _spin(runnable: Runnable) -> int:
+def _spin(runnable: Any) -> int:
     executor = EventsExecutor()
     idle = _settle(runnable, executor)
     if isinstance(runnable, ManagedNode):
-        return _spin_until_done(runnable, runnable, executor, idle)
+        return _spin_until_done(runnable, executor, idle)
     interrupted = False
     try:
-        code = _spin_until_done(runnable, None, executor, idle)
+        code = _spin_until_done(runnable, executor, idle)
     finally:
         interrupted = _left(runnable, executor)
     return code or (EXIT_FAILURE if interrupted else 0)
 
 
-def _spin_until_done(
-    runnable: Runnable, managed: ManagedNode | None, executor: Executor, idle: Callable[[], None]
-) -> int:
+def _spin_until_done(runnable: Any, executor: Executor, idle: Callable[[], None]) -> int:
+    managed = isinstance(runnable, ManagedNode)
     while not runnable.done.done():
         # Each state of a managed node has its own loop, or none.
-        turn = managed.turn if managed else runnable.done
+        turn = runnable.turn if managed else runnable.done
         try:
             if runnable.loop:
                 runnable.loop.run(turn.done, idle)
@@ -161,9 +153,9 @@ def _spin_until_done(
         except ExternalShutdownException:
             return 0
         except RUN_FAILURES as error:
-            if managed is None:
+            if not managed:
                 raise
-            managed.fail(error)
+            runnable.fail(error)
     return int(runnable.done.result())
 
 

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
-from straightcomp_ros.runtime.clock import now_ns
 from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
+from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
@@ -40,10 +41,10 @@ class SafetyState(NamedTuple):
     @classmethod
     def of(cls, message: DiagnosticStatus) -> SafetyState:
         """Read a message. One without a known condition counts as a fault."""
-        said = {value.key: value.value for value in message.values}
-        condition = {known.value: known for known in Condition}.get(said.get(_CONDITION, ""), Condition.FAULT)
+        values = {value.key: value.value for value in message.values}
+        condition = {known.value: known for known in Condition}.get(values.get(_CONDITION, ""), Condition.FAULT)
         fault = f"{message.name}: {message.message}"[:LONGEST_REASON] if message.name else ""
-        return cls(condition, fault, count(said, _CODE))
+        return cls(condition, fault, count(values, _CODE))
 
     @property
     def amplifier_on(self) -> bool:
@@ -68,15 +69,11 @@ def safety_status(condition: Condition, fault: Latched | None, hardware_id: str)
 
 
 class SafetyPanel:
-    """Provides ``~/enable``, ``~/reset_fault`` and `safety_state`.
+    """The driver's services ``~/enable`` and ``~/reset_fault``, and its topic `safety_state`.
 
     It switches off on requests on `trip`, and when a client that commissions the machine leaves the amplifier on.
-
-    Args:
-        node: the driver.
-        safety: its state machine.
-        refusal: returns why the amplifier may not be switched on now, apart from faults; empty if it may.
-        anew: called before the amplifier is switched on and before a fault is cleared: what came before counts no more.
+    ``refusal`` returns why the amplifier may not be switched on now, apart from faults; empty if it may. ``anew`` is
+    called before the amplifier is switched on and before a fault is cleared: what came before counts no more.
     """
 
     def __init__(
@@ -134,9 +131,9 @@ class SafetyPanel:
         return response
 
     def _on_client_gone(self) -> None:
-        # A client that was refused since somebody else uses the machine leaves it as it is.
+        # A client that was refused since another client uses the machine leaves it as it is.
         if self._safety.condition is Condition.ON and self._on_for_client:
-            self._safety.trip(Fault.CLIENT_GONE, "nobody commissions the machine any more", now_ns())
+            self._safety.trip(Fault.CLIENT_GONE, "the client that commissioned the machine is gone", now_ns())
             self.report()
 
     def _on_trip(self, message: DiagnosticStatus) -> None:
@@ -145,3 +142,16 @@ class SafetyPanel:
             fault = LABELLED.get(message.name, Fault.TRIPPED)
             self._safety.trip(fault, message.message[:LONGEST_REASON] or "no reason given", now_ns())
             self.report()
+
+
+def tripper(node: Node) -> Callable[[Fault, str], None]:
+    """A function ``trip(fault, reason)`` that asks the driver to switch the amplifier off."""
+    publisher = node.create_publisher(DiagnosticStatus, TRIP, 10)
+    source = node.get_fully_qualified_name()
+
+    def trip(fault: Fault, reason: str) -> None:
+        publisher.publish(
+            DiagnosticStatus(level=DiagnosticStatus.ERROR, name=fault.label, message=reason, hardware_id=source)
+        )
+
+    return trip

@@ -1,21 +1,58 @@
-"""Publishers and subscriptions of the contract's streams, as serialised bytes of a fixed layout."""
+"""A node's ends of the contract's streams: publishers and queues of serialised bytes, one by one and in batches.
 
+Publishing a message, waking its subscriber and taking it costs each side about 20 µs, more than all other work on it.
+The controller's samples and the driver's commands must arrive one by one. Subscribers that record, display or look
+ahead take batches, the messages of some milliseconds in one, and cost the loop little. A stream that no control loop
+waits for is published one by one only while it has a subscriber.
+
+The loops know a stream only as a function ``publish(stamp_ns, *numbers)`` and as a queue of (stamp, numbers, arrival);
+they get both from :class:`Streams`. Within a process another class with its methods could hand the numbers over.
+"""
+
+import itertools
+import math
+import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import Stream
-from straightcomp_ros.messages.cdr import LayoutMismatch, read_by_names
-from straightcomp_ros.runtime.guarded_node import Complaints
+from straightcomp_ros.messages.cdr import (
+    SHORTEST,
+    LayoutMismatch,
+    header_stamp_ns,
+    pack_batch,
+    read_by_names,
+    unpack_batch,
+)
+from straightcomp_ros.runtime.guarded_node import ThrottledWarning
 from straightcomp_ros.runtime.inside_rclpy import raw_publish, raw_take, waiter
 
+BATCH_S, LOOK_AHEAD_S = 0.004, 0.002
+"""Length of a batch for subscribers that record or display, and for the feedforward, which looks ahead."""
+_LONGEST = 64
+"""Messages in the largest batch, after a stall: it fits into one packet of a loopback socket."""
+_first_batches = itertools.cycle((0.125, 0.5, 0.875, 0.25, 0.625, 1.0, 0.375, 0.75))
+"""Lengths of the first batches of a process's streams, relative to the later ones: its batches must not all be
+published in the same cycle."""
+_FLUSH_S = 0.5
+"""Longest time for which an incomplete batch waits for more messages."""
+_DELIVERY = Duration(seconds=0.2)
+"""Longest wait for subscribers to acknowledge the last batches."""
+_LOOK_NS = 200_000_000
+_LONGEST_DELAY_NS = 1_000_000_000
 _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
+
+Messages = list[tuple[bytes, Mapping[str, int]]]
+"""Serialised messages with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
 
 
 def message_type(type_name: str) -> Any:
@@ -30,6 +67,11 @@ def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
     return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
 
+def stream_publisher(node: Node, stream: Stream) -> Publisher:
+    """rclpy's publisher of a stream."""
+    return node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
+
+
 def publisher(node: Node, stream: Stream) -> Callable[..., None]:
     """A function ``publish(stamp_ns, *numbers)`` for one stream."""
     publish, pack = raw_publish(stream_publisher(node, stream)), stream.layout.pack
@@ -38,11 +80,6 @@ def publisher(node: Node, stream: Stream) -> Callable[..., None]:
         publish(pack(stamp_ns, *numbers))
 
     return send
-
-
-def stream_publisher(node: Node, stream: Stream) -> Publisher:
-    """rclpy's publisher of a stream."""
-    return node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
 
 
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:
@@ -60,77 +97,70 @@ def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[floa
     node.create_subscription(message_type(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
 
 
-Messages = list[tuple[bytes, Mapping[str, int]]]
-"""Serialised messages with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
+class StreamPublisher:
+    """Publishes a stream in batches, and each message by itself: at once, or with its batch while it has a subscriber.
 
-
-class Fetched(Protocol):
-    """Messages that wait until they are fetched."""
-
-    @property
-    def connected(self) -> bool:
-        """Whether the middleware has connected a publisher."""
-
-    def fetch(self) -> Messages:
-        """Messages since the last call."""
-
-    @property
-    def wait(self) -> Callable[[int], None]:
-        """``wait(timeout_ns)`` returns when messages have arrived, or after that time."""
-
-
-class SubscriptionQueue:
-    """A stream whose messages wait in the middleware until they are fetched.
-
-    A message does not wake this process. A loop that looks into its queue anyway saves two context switches a message.
-    The subscription belongs to an unspun node, which no executor spins.
-
-    Args:
-        node: resolves topic names and logs warnings.
-        unspun: from :func:`unspun_node`.
-        stream: what to receive.
-        queue: where the messages wait, if not in a subscription to the stream's own topic.
-
-    Attributes:
-        sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
+    A control loop waits for what is published ``at_once``; the batch follows when the caller has time for it. ``rate``
+    is in messages per second, ``seconds`` the length of a batch. With ``rate`` None a batch ends when the caller
+    flushes; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
+    batch would never fill.
     """
 
-    def __init__(self, node: Node, unspun: Node, stream: Stream, queue: Fetched | None = None) -> None:
-        self._read = _reader(node, stream)
-        self._queue = queue or RawQueue(
-            unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic)
-        )
-        self.sent_ns: list[int] = []
+    def __init__(
+        self, node: Node, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
+    ) -> None:
+        self._pack, self._at_once = stream.layout.pack, at_once
+        self._publisher = stream_publisher(node, stream)
+        self._publish = raw_publish(self._publisher)
+        self._waiting: list[tuple[int, bytes]] = []
+        """Serialised messages with the time each was made."""
+        self._length = math.inf if rate is None else max(1, round(rate * seconds))
+        self._room = self._length if rate is None else max(1, round(self._length * next(_first_batches)))
+        self._batches: Publisher | None = None
+        if rate is not None or not at_once:
+            self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
+            self._publish_batch = raw_publish(self._batches)
+        if rate is not None:
+            node.create_timer(_FLUSH_S, self.flush)
 
-    def wait(self, timeout_ns: int) -> None:
-        """Return when a message has arrived, or after ``timeout_ns``."""
-        self._queue.wait(timeout_ns)
+    def __call__(self, stamp_ns: int, *numbers: float) -> None:
+        """Publish one message, now or in a batch with later ones."""
+        data = self._pack(stamp_ns, *numbers)
+        if self._at_once:
+            self._publish(data)
+        if self._batches is not None:
+            self._waiting.append((time.time_ns(), data))
+            self._room -= 1
+            if not self._at_once:
+                self.publish_batch()
 
-    def fetch(self) -> list[tuple[int, Sequence[float], int]]:
-        """Messages since the last call: (stamp in ns, numbers, reception time in ns since the epoch)."""
-        read = self._read
-        messages = []
-        self.sent_ns = sent_ns = []
-        for data, info in self._queue.fetch():
-            message = read(data)
-            if message:
-                messages.append((*message, info["received_timestamp"]))
-                sent_ns.append(info["source_timestamp"])
-        return messages
+    def publish_batch(self) -> None:
+        """Publish the batch if it is complete; for a stream at once call it after the control loop has its message."""
+        if self._room <= 0:
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish the incomplete batch."""
+        waiting, self._waiting = self._waiting, []
+        if self._room <= 0:
+            self._room = self._length
+        for first in range(0, len(waiting), _LONGEST):
+            self._publish_batch(pack_batch(waiting[first : first + _LONGEST]))
+        if waiting and not self._at_once and self._publisher.get_subscription_count():
+            for _, data in waiting:
+                self._publish(data)
+
+    def finish(self) -> None:
+        """Publish the incomplete batch and wait for its acknowledgement before the node ends: a subscriber that first
+        learns that its publisher has ended drops the messages."""
+        self.flush()
+        if self._batches is not None:
+            self._batches.wait_for_all_acked(_DELIVERY)
 
 
 class RawQueue:
-    """Serialised messages of one topic, fetched by the caller.
-
-    Args:
-        unspun: from :func:`unspun_node`.
-        kind: message class.
-        topic: full name.
-        qos: of the subscription; its depth limits the number of waiting messages.
-
-    Attributes:
-        wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
-    """
+    """Serialised messages of the topic with this full name, fetched by the caller. The depth of ``qos`` limits the
+    number of waiting messages; ``wait(timeout_ns)`` returns when one has arrived, or after that time."""
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
         self._unspun = unspun
@@ -154,6 +184,116 @@ class RawQueue:
         self._unspun.destroy_subscription(self._subscription)
 
 
+class BatchQueue:
+    """Receives a stream from its batches, or one by one as long as no node publishes batches.
+
+    ``depth`` is the number of messages, or batches, that the middleware keeps. With ``complete`` it asks the publisher
+    for lost batches again (reliable QoS).
+    """
+
+    def __init__(self, node: Node, unspun: Node, stream: Stream, depth: int = 1000, complete: bool = False) -> None:
+        def queue(kind: type, topic: str, reliable: bool = False) -> RawQueue:
+            return RawQueue(unspun, kind, node.resolve_topic_name(topic), stream_qos(depth, reliable))
+
+        kind = message_type(stream.layout.type_name)
+        self._make_direct: Callable[[], RawQueue] = lambda: queue(kind, stream.topic)
+        self._size = stream.layout.size
+        self._batches = queue(UInt8MultiArray, stream.batch_topic, complete)
+        self._direct: RawQueue | None = self._make_direct()
+        self._dropped = ThrottledWarning(node, f"batches on '{stream.batch_topic}' are dropped")
+        self._newest_ns: int | None = None
+        """Stamp of the newest message received one by one; batches repeat the messages up to it."""
+        self._looked_ns = 0
+
+    def wait(self, timeout_ns: int) -> None:
+        """Return when a message or batch has arrived, or after ``timeout_ns``."""
+        (self._direct or self._batches).wait(timeout_ns)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the middleware has connected a publisher."""
+        return self._batches.connected or (self._direct is not None and self._direct.connected)
+
+    def fetch(self) -> Messages:
+        """Messages since the last call, without duplicates."""
+        if self._direct is None:
+            self._look()
+        repeated = self._unpacked(self._batches.fetch())
+        messages: Messages = []
+        if self._direct is not None:
+            # What is too short for a stamp is no message of the stream.
+            messages = [message for message in self._direct.fetch() if len(message[0]) >= SHORTEST]
+            if messages:
+                self._newest_ns = header_stamp_ns(messages[-1][0])
+            if repeated:
+                self._direct.close()
+                self._direct = None
+        if repeated and self._newest_ns is not None:
+            newest_ns = self._newest_ns
+            # A batch is some milliseconds late. One that seems later comes from another source with another clock.
+            repeated = [
+                message for message in repeated if not 0 <= newest_ns - header_stamp_ns(message[0]) < _LONGEST_DELAY_NS
+            ]
+            if repeated:
+                self._newest_ns = None
+        return messages + repeated
+
+    def _unpacked(self, batches: Messages) -> Messages:
+        """The messages of the batches; ``source_timestamp`` is the time at which a message was made."""
+        messages: Messages = []
+        for batch, info in batches:
+            received_ns = info["received_timestamp"]
+            try:
+                messages += [
+                    (data, {"received_timestamp": received_ns, "source_timestamp": made_ns})
+                    for made_ns, data in unpack_batch(batch, self._size)
+                ]
+            except LayoutMismatch as error:
+                self._dropped.log(error)
+        return messages
+
+    def _look(self) -> None:
+        """Check five times a second whether the batches still have a publisher."""
+        now_ns = time.monotonic_ns()
+        if now_ns - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now_ns
+            if not self._batches.connected:
+                self._direct = self._make_direct()
+
+
+class SubscriptionQueue:
+    """A stream whose messages wait in the middleware until they are fetched.
+
+    A message does not wake this process. A loop that looks into its queue anyway saves two context switches a message.
+    ``node`` resolves topic names and logs warnings; ``unspun`` is from :func:`unspun_node`. The messages are those of
+    ``queue``, or of the stream's own topic.
+
+    Attributes:
+        wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
+        sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
+    """
+
+    def __init__(self, node: Node, unspun: Node, stream: Stream, queue: RawQueue | BatchQueue | None = None) -> None:
+        self._read = _reader(node, stream)
+        self._queue = queue or RawQueue(
+            unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic)
+        )
+        self.wait = self._queue.wait
+        self.sent_ns: list[int] = []
+
+    def fetch(self) -> list[tuple[int, Sequence[float], int]]:
+        """Messages since the last call: (stamp in ns, numbers, reception time in ns since the epoch)."""
+        read = self._read
+        messages = []
+        self.sent_ns = sent_ns = []
+        for data, info in self._queue.fetch():
+            message = read(data)
+            if message:
+                messages.append((*message, info["received_timestamp"]))
+                sent_ns.append(info["source_timestamp"])
+        return messages
+
+
 def unspun_node(node: Node) -> Node:
     """A node that no executor spins, for subscriptions that are only fetched; `ros2 node list` hides it by its `_`."""
     return Node(
@@ -165,6 +305,41 @@ def unspun_node(node: Node) -> Node:
     )
 
 
+class Streams:
+    """The ends of streams that one component of ``node`` uses, until :meth:`close`."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._unspun: Node | None = None
+
+    @property
+    def unspun(self) -> Node:
+        """See :func:`unspun_node`."""
+        if self._unspun is None:
+            self._unspun = unspun_node(self._node)
+        return self._unspun
+
+    def queue(self, stream: Stream) -> SubscriptionQueue:
+        """The stream's messages, each as it was published."""
+        return SubscriptionQueue(self._node, self.unspun, stream)
+
+    def batches(self, stream: Stream) -> SubscriptionQueue:
+        """The stream's messages, taken from its batches."""
+        return SubscriptionQueue(self._node, self.unspun, stream, BatchQueue(self._node, self.unspun, stream))
+
+    def publisher(
+        self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
+    ) -> StreamPublisher:
+        """See :class:`StreamPublisher`."""
+        return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once)
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        if self._unspun is not None:
+            self._unspun.destroy_node()
+            self._unspun = None
+
+
 def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence[float]] | None]:
     """A function from a serialised message to (stamp_ns, numbers), or None if it lacks a field of the stream.
 
@@ -173,7 +348,7 @@ def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence
     """
     layout = stream.layout
     kind = message_type(layout.type_name)
-    unpack, dropped = layout.unpack, Complaints(node, f"messages on '{stream.topic}' are dropped")
+    unpack, dropped = layout.unpack, ThrottledWarning(node, f"messages on '{stream.topic}' are dropped")
 
     def read(data: bytes) -> tuple[int, Sequence[float]] | None:
         try:
@@ -183,9 +358,9 @@ def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence
         try:
             return read_by_names(layout, deserialize_message(data, kind))
         except LayoutMismatch as error:
-            dropped.say(f"they lack {error}")
+            dropped.log(f"they lack {error}")
         except Exception as error:  # The middleware raises errors of several kinds on malformed bytes.
-            dropped.say(f"they are malformed: {error}")
+            dropped.log(f"they are malformed: {error}")
         return None
 
     return read

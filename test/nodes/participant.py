@@ -1,20 +1,33 @@
-"""Somebody else in the graph: waits while it listens, and calls services."""
+"""Another participant of the graph, in the test's process: it waits, calls services, knows the amplifier's state."""
 
 import time
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_srvs.srv import SetBool, Trigger
 
-PATIENCE_S = 60.0
+from straightcomp_ros.contract import SAFETY_STATE, TRIP
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
+
+PATIENCE_S = 90.0
 
 
 class Participant:
-    """A node in this process, while it is entered as a context."""
+    """A node in this process, while it is entered as a context. ``safety`` has the driver's safety states."""
 
-    def __init__(self, name):
+    def __init__(self, name="participant"):
         rclpy.init()
         self.node = Node(name)
         self._clients = {}
+        self.safety = [SafetyState()]
+        self.node.create_subscription(
+            DiagnosticStatus, SAFETY_STATE, lambda message: self.safety.append(SafetyState.of(message)), LATCHED
+        )
+        self._trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
 
     def until(self, condition, seconds=PATIENCE_S):
         end = time.monotonic() + seconds
@@ -23,12 +36,50 @@ class Participant:
             assert time.monotonic() < end, "it never came true"
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
-    def call(self, kind, name, request):
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > end)
+
+    def call(self, kind, name, request=None):
         client = self._clients.setdefault(name, self.node.create_client(kind, name))
         self.until(client.service_is_ready)
-        future = client.call_async(request)
+        future = client.call_async(request or kind.Request())
         self.until(future.done)
         return future.result()
+
+    def trigger(self, name):
+        return self.call(Trigger, name)
+
+    def enable(self, on=True):
+        return self.call(SetBool, "driver/enable", SetBool.Request(data=on))
+
+    def trip(self, reason="the door is open"):
+        self.until(self._trip.get_subscription_count)
+        self._trip.publish(DiagnosticStatus(name="whatever", message=reason))
+
+    def amplifier_on(self):
+        return self.safety[-1].amplifier_on
+
+    def switch_on(self):
+        self.until(lambda: self.enable().success)
+        self.until(self.amplifier_on)
+
+    def state(self, node):
+        return self.call(GetState, f"{node}/get_state").current_state.label
+
+    def change(self, node, label):
+        request = ChangeState.Request()
+        request.transition.label = label
+        return self.call(ChangeState, f"{node}/change_state", request).success
+
+    def parameter(self, node, name):
+        answer = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
+        return parameter_value_to_python(answer.values[0])
+
+    def set(self, node, values):
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
 
     def __enter__(self):
         return self

@@ -6,7 +6,7 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 
-pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
+pytestmark = [pytest.mark.live, pytest.mark.keeps_time, pytest.mark.nightly]
 
 NODES = ("driver", "feedforward", "controller", "logger")
 

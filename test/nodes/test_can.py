@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import yaml
 from participant import PATIENCE_S, Participant
-from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
@@ -24,7 +23,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.streams import subscribe
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
@@ -35,7 +34,7 @@ RATE = 500
 
 
 class Operator(Participant):
-    """Switches on, moves the stage, resets; sees the samples."""
+    """Moves the stage; sees the samples."""
 
     def __init__(self):
         super().__init__("operator")
@@ -49,7 +48,7 @@ class Operator(Participant):
         self.x, self.current = numbers[0], numbers[3]
 
     def enabled(self):
-        return self.call(SetBool, "driver/enable", SetBool.Request(data=True)).success
+        return self.enable().success
 
     def on(self):
         return math.isfinite(self.current)
@@ -61,7 +60,7 @@ def operator():
         yield operator
 
 
-@pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
+@pytest.fixture(params=["", pytest.param("board_posix", marks=pytest.mark.nightly)], ids=["emulator", "firmware"])
 def values(request, short_cycle, tmp_path):
     """A graph whose machine is a board on a hub: slow, and patient with a busy computer."""
     short_cycle["stage"]["rate"] = RATE
@@ -110,6 +109,7 @@ def test_a_stroke_through_hub_and_board_is_recorded(tmp_path, values):
     assert np.abs(record.true_x - record.x).max() <= 0.51e-7 and np.abs(record.true_y - record.y).max() <= 0.51e-7
 
 
+@pytest.mark.nightly
 def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_switch_off(
     graph, operator, values, tmp_path
 ):
@@ -143,7 +143,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     operator.stamps.clear()
     operator.until(lambda: len(operator.stamps) > 100)
     assert not operator.enabled() and not operator.on()
-    assert operator.call(Trigger, "driver/reset_fault", Trigger.Request()).success
+    assert operator.trigger("driver/reset_fault").success
     operator.until(operator.enabled)
     operator.until(operator.on)
 

@@ -1,41 +1,35 @@
-"""The driver as others see it: over its topics and services."""
+"""The driver as others see it: over its topics and services. One driver serves all tests."""
 
 import itertools
 import math
-import os
-import random
-import time
 
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
+from parameters_of_tests import FORGIVING
 from participant import Participant
-from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.cell.launcher import Graph
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import Waypoint
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.streams import publisher, subscribe
+from straightcomp_ros.safety.faults import Fault
 
 pytestmark = pytest.mark.live
 
 _APPLIED, _ENABLED = (DRIVER_STATE.layout.columns.index(name) for name in ("applied_current", "enabled"))
+# A test's own process is slow to answer at times; the timeout under test has a test of its own.
+PARAMETERS = {**FORGIVING, "stage.rate": 200, "simulated.command_timeout": 0.5}
 
 
 class Peer(Participant):
-    """A stand-in for the controller."""
+    """A stand-in for the controller, which answers each sample with ``current``; None: with no command."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__("peer")
-        self.samples: list[tuple[int, list[float]]] = []
-        self.states: list[list[float]] = []
-        self.current: float | None = 0.0
+        self.samples, self.states, self.current = [], [], 0.0
         self.command = publisher(self.node, COMMAND)
         self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self.trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
         subscribe(self.node, ENCODER, self._on_sample)
         subscribe(self.node, DRIVER_STATE, lambda _, numbers: self.states.append(numbers))
 
@@ -44,115 +38,70 @@ class Peer(Participant):
         if self.current is not None:
             self.command(stamp_ns, self.current)
 
-    def spin(self, seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def enable(self, on=True):
-        return self.call(SetBool, "driver/enable", SetBool.Request(data=on))
-
-    def amplifier_on(self):
+    def on(self):
         return bool(self.samples) and not math.isnan(self.samples[-1][1][3])
 
-
-# A test's own process is slow to answer at times; the timeout under test has a test of its own.
-PARAMETERS = {"stage.rate": 200, "simulated.command_timeout": 0.5}
+    def switch_on(self):
+        self.until(lambda: len(self.samples) > 20)
+        self.until(lambda: self.enable().success)
+        self.until(self.on)
 
 
 @pytest.fixture(scope="module")
-def domain(tmp_path_factory):
-    """Where a driver is that several tests use."""
-    domain = str(random.SystemRandom().randint(1, 101))
-    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
-    with Graph(tmp_path_factory.mktemp("driver") / "logs", environment) as graph:
-        graph.start("driver", PARAMETERS)
-        yield domain
+def driver(shared_graph):
+    shared_graph.start("driver", PARAMETERS)
 
 
 @pytest.fixture
-def peer(domain, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+def peer(driver, own_domain):
     with Peer() as peer:
         # As the test before found it: off, and no fault.
         assert peer.enable(False).success
-        peer.call(Trigger, "driver/reset_fault", Trigger.Request())
+        peer.trigger("driver/reset_fault")
         peer.states.clear()
         yield peer
 
 
-@pytest.fixture
-def pushing_peer(graph):
-    """Of a driver of its own: a constant current leaves the platform where the next test could not use it."""
-    graph.start("driver", PARAMETERS)
-    with Peer() as peer:
-        yield peer
-
-
-def test_samples_come_on_the_grid_of_the_sampling_clock(peer):
+def test_samples_come_on_the_grid_of_the_sampling_clock(shared_graph, peer):
     peer.until(lambda: len(peer.samples) > 100)
-    stamps = [stamp for stamp, _ in peer.samples]
-    steps = {later - earlier for earlier, later in itertools.pairwise(stamps)}
+    steps = {later - earlier for (earlier, _), (later, _) in itertools.pairwise(peer.samples)}
     assert all(step % 5_000_000 == 0 for step in steps)
 
 
-def test_without_commands_enable_is_refused(peer):
+@pytest.mark.parametrize(
+    ("current", "fault"),
+    [(math.nan, Fault.COMMAND_NOT_FINITE), (2.0, Fault.COMMAND_OUT_OF_RANGE), (None, Fault.COMMAND_TIMEOUT)],
+)
+def test_a_wrong_command_or_none_switches_off_until_a_reset(shared_graph, peer, current, fault):
+    peer.switch_on()
+    peer.current = current
+    peer.until(lambda: not peer.on())
+    peer.until(lambda: peer.safety[-1].code == fault.code)
+    assert all(math.isfinite(state[_APPLIED]) and abs(state[_APPLIED]) <= 1.0 for state in peer.states)
+    peer.current = 0.0
+    peer.spin(0.2)
+    refusal = peer.enable()
+    assert not refusal.success and fault.label in refusal.message
+    assert peer.trigger("driver/reset_fault").success
+    peer.switch_on()
+
+
+def test_one_command_stamped_an_hour_ahead_is_a_fault_and_a_reset_forgets_it(shared_graph, peer):
+    peer.switch_on()
+    peer.command(peer.samples[-1][0] + 3600 * 10**9, 0.0)
+    peer.until(lambda: peer.safety[-1].code == Fault.TWO_CONTROLLERS.code and not peer.on())
+    peer.trigger("driver/reset_fault")
+    peer.switch_on()
+    assert peer.enable(False).success
     peer.current = None
-    # For longer than the timeout, beyond which no command of the test before is fresh.
+    # For longer than the timeout: neither a stamp in the future nor an older command counts as fresh.
     peer.spin(1.0)
     answer = peer.enable()
     assert not answer.success and "no fresh command" in answer.message
 
 
-@pytest.mark.parametrize("current", [math.nan, math.inf, 2.0])
-def test_a_command_that_is_not_finite_or_out_of_range_switches_off_and_latches(peer, current):
-    peer.until(lambda: len(peer.samples) > 20)
-    peer.until(lambda: peer.enable().success)
-    peer.until(peer.amplifier_on)
-    peer.current = current
-    peer.until(lambda: not peer.amplifier_on())
-    applied = [state[2] for state in peer.states]
-    assert all(math.isfinite(value) and abs(value) <= 1.0 for value in applied)
-    peer.current = 0.0
-    peer.spin(0.2)
-    refusal = peer.enable()
-    assert not refusal.success and "latched" in refusal.message
-    assert peer.call(Trigger, "driver/reset_fault", Trigger.Request()).success
-    peer.until(lambda: peer.enable().success)
-
-
-def test_commands_that_cease_switch_the_amplifier_off_until_a_reset(peer):
-    peer.until(lambda: len(peer.samples) > 20)
-    peer.until(lambda: peer.enable().success)
-    peer.until(peer.amplifier_on)
-    peer.current = None
-    peer.until(lambda: not peer.amplifier_on())
-    peer.current = 0.0
-    peer.spin(0.2)
-    refusal = peer.enable()
-    assert not refusal.success and "no command for" in refusal.message
-
-
-def test_one_command_stamped_an_hour_ahead_is_a_fault_and_a_reset_forgets_it(peer):
-    peer.until(lambda: len(peer.samples) > 20)
-    peer.until(lambda: peer.enable().success)
-    peer.until(peer.amplifier_on)
-    peer.command(peer.samples[-1][0] + 3600 * 10**9, 0.0)
-    peer.until(lambda: not peer.amplifier_on())
-    refusal = peer.enable()
-    assert not refusal.success and "two_controllers" in refusal.message
-    peer.call(Trigger, "driver/reset_fault", Trigger.Request())
-    peer.until(lambda: peer.enable().success)
-    peer.until(peer.amplifier_on)
-    assert peer.enable(False).success
-    peer.current = None
-    # For longer than the timeout: a stamp in the future must not seem fresh.
-    peer.spin(1.0)
-    assert not peer.enable().success
-
-
-def test_trajectories_that_no_stage_can_follow_are_refused_and_the_driver_goes_on(pushing_peer):
-    peer, rest, second = pushing_peer, Waypoint(0, 0.0, 0.0), 10**9
+def test_trajectories_that_no_stage_can_follow_are_refused_and_the_driver_goes_on(shared_graph, peer):
+    rest, second = Waypoint(0, 0.0, 0.0), 10**9
     peer.until(lambda: len(peer.samples) > 20 and peer.trajectory.get_subscription_count())
     for *points, end in (
         [Waypoint(second, 1e300, 0.0)],
@@ -168,20 +117,14 @@ def test_trajectories_that_no_stage_can_follow_are_refused_and_the_driver_goes_o
     peer.until(lambda: peer.samples[-1][1][0] == pytest.approx(1e-3))
 
 
-@pytest.mark.parametrize("switch_off", ["disable", "trip"])
-def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_commanded(pushing_peer, switch_off):
-    peer = pushing_peer
-    peer.until(lambda: len(peer.samples) > 20)
+@pytest.mark.parametrize("switch_off", [lambda peer: peer.enable(False), Peer.trip], ids=["disable", "trip"])
+def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_commanded(shared_graph, peer, switch_off):
     peer.current = 0.02
-    peer.until(lambda: peer.enable().success)
+    peer.switch_on()
     peer.until(lambda: peer.states and peer.states[-1][_APPLIED] > 0.01)
-    if switch_off == "disable":
-        assert peer.enable(False).success
-    else:
-        peer.trip.publish(DiagnosticStatus(message="somebody is in there"))
-    peer.until(lambda: not peer.amplifier_on())
+    switch_off(peer)
+    peer.until(lambda: not peer.on())
     peer.states.clear()
     peer.until(lambda: len(peer.states) > 20)
     # The first batch may have begun with the amplifier on.
     assert {state[_APPLIED] for state in peer.states if not state[_ENABLED]} == {0.0}
-    assert not any(state[_ENABLED] for state in peer.states[8:])

@@ -9,7 +9,7 @@ from std_srvs.srv import SetBool
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.runtime import guarded_node
-from straightcomp_ros.runtime.guarded_node import Complaints, GuardedNode, refusal
+from straightcomp_ros.runtime.guarded_node import GuardedNode, ThrottledWarning, refusal
 
 
 class Logged:
@@ -25,11 +25,11 @@ class Logged:
 def test_a_flood_of_wrong_messages_is_logged_every_five_seconds_with_the_number_of_the_others(monkeypatch):
     now, node = [100.0], Logged()
     monkeypatch.setattr(guarded_node, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    complaints = Complaints(node, "a message is dropped")
+    warning = ThrottledWarning(node, "a message is dropped")
     for _ in range(5000):
-        complaints.say(ValueError("x" * 100_000))
+        warning.log(ValueError("x" * 100_000))
     now[0] += 5.0
-    complaints.say(KeyError())
+    warning.log(KeyError())
     assert len(node.warnings) == 2 and max(map(len, node.warnings)) < 400
     assert "KeyError (and 4999 more" in node.warnings[1]
 

@@ -57,6 +57,7 @@ def test_a_node_of_a_replay_has_no_other_parameter_that_names_a_file():
         assert found <= TEXTS, node
 
 
+@pytest.mark.nightly
 @pytest.mark.live
 def test_a_replay_leaves_the_table_that_the_machine_has_learned(tmp_path, short_cycle, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -75,6 +76,7 @@ def test_a_replay_leaves_the_table_that_the_machine_has_learned(tmp_path, short_
     assert not read_streams(found.bag, {"/command": COMMAND.layout})
 
 
+@pytest.mark.nightly
 @pytest.mark.live
 def test_a_demonstration_is_run_twice_without_an_option(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

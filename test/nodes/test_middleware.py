@@ -17,101 +17,80 @@ from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 
 FAST_DDS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 CYCLONE = "CYCLONEDDS_URI"
+LOOPBACK = f"file://{share_path('config/cyclonedds_loopback.xml')}"
 
 
 @pytest.fixture
-def unset(monkeypatch):
-    for name in (*FAST_DDS, CYCLONE, RANGE_VARIABLE):
-        monkeypatch.delenv(name, raising=False)
-    return monkeypatch
+def under(monkeypatch):
+    """``under(middleware, environment)`` is what `own_profile` sets then, and that it restores what was before."""
+
+    def added(middleware, environment):
+        monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: middleware)
+        for name in (*FAST_DDS, CYCLONE, RANGE_VARIABLE):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        before = dict(os.environ)
+        with own_profile():
+            inside = dict(os.environ)
+        assert dict(os.environ) == before
+        return dict(inside.items() - before.items())
+
+    return added
 
 
-@pytest.fixture
-def cyclone(unset):
-    unset.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
-    return unset
-
-
-def transports(file):
-    """Types of the transports in a profile."""
-    return [element.text for element in ElementTree.parse(file).iter() if element.tag.endswith("}type")]
+def fast_dds(profile, **more):
+    return {**dict.fromkeys(FAST_DDS, str(share_path(profile))), **more}
 
 
 @pytest.mark.parametrize(
-    ("asked", "profile", "given"),
+    ("middleware", "environment", "expected"),
     [
-        ("LOCALHOST", "config/fastdds_loopback.xml", "SYSTEM_DEFAULT"),
-        ("SUBNET", "config/fastdds.xml", "SUBNET"),
-        (None, "config/fastdds.xml", None),
+        (
+            "rmw_fastrtps_cpp",
+            {RANGE_VARIABLE: "LOCALHOST"},
+            fast_dds("config/fastdds_loopback.xml", **{RANGE_VARIABLE: "SYSTEM_DEFAULT"}),
+        ),
+        ("rmw_fastrtps_cpp", {RANGE_VARIABLE: "SUBNET"}, fast_dds("config/fastdds.xml")),
+        ("rmw_fastrtps_cpp", {}, fast_dds("config/fastdds.xml")),
+        *(("rmw_fastrtps_cpp", {RANGE_VARIABLE: "LOCALHOST", one: "mine.xml"}, {}) for one in FAST_DDS),
+        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST"}, {CYCLONE: LOOPBACK}),
+        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST", CYCLONE: "file:///mine.xml"}, {}),
+        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST", CYCLONE: ""}, {}),
+        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "SUBNET"}, {}),
+        ("rmw_cyclonedds_cpp", {}, {}),
+        ("rmw_of_tomorrow", {RANGE_VARIABLE: "LOCALHOST"}, {}),
     ],
 )
-def test_the_profile_has_sockets_only_and_goes_no_further_than_was_asked(unset, asked, profile, given):
-    if asked:
-        unset.setenv(RANGE_VARIABLE, asked)
-    before = dict(os.environ)
-    with own_profile():
-        assert {os.environ[name] for name in FAST_DDS} == {str(share_path(profile))}
-        assert transports(os.environ[FAST_DDS[0]]) == ["UDPv4"]
-        assert os.environ.get(RANGE_VARIABLE) == given
-    assert dict(os.environ) == before
+def test_a_process_gets_a_profile_that_goes_no_further_than_was_asked_unless_its_user_chose_one(
+    under, middleware, environment, expected
+):
+    assert under(middleware, environment) == expected
 
 
-@pytest.mark.parametrize("variable", FAST_DDS)
-def test_a_profile_of_the_users_own_stays_and_so_does_his_discovery_range(unset, variable):
-    unset.setenv(RANGE_VARIABLE, "LOCALHOST")
-    unset.setenv(variable, "mine.xml")
-    before = dict(os.environ)
-    with own_profile():
-        assert dict(os.environ) == before
-    assert dict(os.environ) == before
-
-
-def test_cyclone_dds_gets_a_profile_of_the_loopback_interface_alone_and_the_discovery_range_stays(cyclone):
-    cyclone.setenv(RANGE_VARIABLE, "LOCALHOST")
-    before = dict(os.environ)
-    with own_profile():
-        added = dict(os.environ.items() - before.items())
-    assert dict(os.environ) == before
-    assert added == {CYCLONE: f"file://{share_path('config/cyclonedds_loopback.xml')}"}
+def test_the_profiles_have_sockets_only_and_those_of_loopback_no_other_interface():
+    for profile in ("config/fastdds_loopback.xml", "config/fastdds.xml"):
+        tree = ElementTree.parse(share_path(profile))
+        assert [one.text for one in tree.iter() if one.tag.endswith("}type")] == ["UDPv4"]
     profile = {
         element.tag.partition("}")[2]: element.attrib.get("name") or element.attrib.get("address") or element.text
-        for element in ElementTree.parse(added[CYCLONE].removeprefix("file://")).iter()
+        for element in ElementTree.parse(share_path("config/cyclonedds_loopback.xml")).iter()
     }
     assert profile["NetworkInterface"] == "lo" and profile["Peer"] == "localhost"
     assert profile["AllowMulticast"] == "false" and profile["ParticipantIndex"] == "auto"
 
 
 @pytest.mark.parametrize(
-    ("asked", "set_by_the_user"), [("LOCALHOST", "file:///mine.xml"), ("LOCALHOST", ""), ("SUBNET", None), (None, None)]
+    ("middleware", "environment", "words"),
+    [
+        ("rmw_of_tomorrow", {}, "rmw_of_tomorrow, profile: its own default"),
+        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST"}, f"rmw_cyclonedds_cpp, profile: {LOOPBACK}"),
+        ("rmw_cyclonedds_cpp", {CYCLONE: "file:///mine.xml"}, f"rmw_cyclonedds_cpp, profile: {CYCLONE}"),
+    ],
 )
-def test_cyclone_dds_is_left_to_the_user_on_a_network_and_where_he_has_set_its_profile(cyclone, asked, set_by_the_user):
-    for name, value in ((RANGE_VARIABLE, asked), (CYCLONE, set_by_the_user)):
-        if value is not None:
-            cyclone.setenv(name, value)
-    before = dict(os.environ)
-    with own_profile():
-        assert dict(os.environ) == before
-
-
-def test_under_an_unknown_middleware_nothing_is_set_and_the_discovery_range_stays(unset):
-    unset.setenv(RANGE_VARIABLE, "LOCALHOST")
-    unset.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_of_tomorrow")
-    before = dict(os.environ)
-    with own_profile():
-        assert dict(os.environ) == before
-    assert middleware_in_words().startswith("middleware: rmw_of_tomorrow, profile: its own default; it does not say")
-
-
-def test_the_log_names_the_middleware_and_whose_profile_it_has(cyclone):
-    cyclone.setenv(RANGE_VARIABLE, "LOCALHOST")
-    profile = f"file://{share_path('config/cyclonedds_loopback.xml')}"
-    assert middleware_in_words().startswith(f"middleware: rmw_cyclonedds_cpp, profile: {profile}; it does not say")
-    cyclone.setenv(CYCLONE, "file:///mine.xml")
-    assert middleware_in_words().startswith("middleware: rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say")
-    cyclone.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_fastrtps_cpp")
-    assert middleware_in_words() == (
-        f"middleware: rmw_fastrtps_cpp, profile: {share_path('config/fastdds_loopback.xml')}"
-    )
+def test_the_log_names_the_middleware_and_whose_profile_it_has(under, middleware, environment, words):
+    under(middleware, environment)
+    assert middleware_in_words().startswith(f"middleware: {words}")
 
 
 def test_no_module_needs_a_package_of_fast_dds():
@@ -120,8 +99,10 @@ def test_no_module_needs_a_package_of_fast_dds():
         assert not imports.search(module.read_text(encoding="utf-8")), module
 
 
-def test_a_process_opens_no_shared_memory_and_no_socket_beyond_loopback(unset):
-    unset.setenv(RANGE_VARIABLE, "LOCALHOST")
+def test_a_process_opens_no_shared_memory_and_no_socket_beyond_loopback(monkeypatch):
+    for name in (*FAST_DDS, CYCLONE):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(RANGE_VARIABLE, "LOCALHOST")
     script = """
 import os, psutil, rclpy
 from straightcomp_ros.runtime.middleware import own_profile

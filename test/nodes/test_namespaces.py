@@ -1,67 +1,44 @@
 """Two stages in two namespaces on one machine, in one ROS domain."""
 
-import time
-
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
+from parameters_of_tests import loop_parameters
+from participant import Participant
 from std_srvs.srv import SetBool
 
 from straightcomp_ros.cell.launcher import executable_command
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
-from straightcomp_ros.runtime.safety_panel import LATCHED
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
+from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.state_machine import Condition
 
 pytestmark = pytest.mark.keeps_time
 
-PATIENCE_S = 60.0
 
-
-def test_two_graphs_in_two_namespaces_do_not_disturb_each_other(graph, forgiving):
+def test_two_graphs_in_two_namespaces_do_not_disturb_each_other(graph):
     for stage in ("left", "right"):
-        for node, parameters in (
-            ("driver", forgiving),
-            ("feedforward", {}),
-            ("controller", {"sample_timeout": 30.0}),
-        ):
+        for node, parameters in loop_parameters().items():
             command = [*executable_command(f"{node}_node"), "--ros-args", "-r", f"__ns:=/{stage}"]
             graph.start(f"{stage} {node}", parameters, command=command)
-    rclpy.init()
-    node = Node("observer")
-    try:
-        conditions = {}
-
-        def until(condition):
-            end = time.monotonic() + PATIENCE_S
-            while not condition():
-                assert time.monotonic() < end, f"it never came true: {conditions}"
-                rclpy.spin_once(node, timeout_sec=0.05)
+    with Participant("observer") as observer:
+        states = {stage: SafetyState(Condition.FAULT) for stage in ("left", "right")}
 
         def enabled(stage):
-            client = node.create_client(SetBool, f"/{stage}/driver/enable")
-            until(client.service_is_ready)
-            future = client.call_async(SetBool.Request(data=True))
-            until(future.done)
-            node.destroy_client(client)
-            return future.result().success
+            return observer.call(SetBool, f"/{stage}/driver/enable", SetBool.Request(data=True)).success
 
         for stage in ("left", "right"):
 
             def note(message, stage=stage):
-                conditions[stage] = (message.name, {value.key: value.value for value in message.values}["condition"])
+                states[stage] = SafetyState.of(message)
 
-            node.create_subscription(DiagnosticStatus, f"/{stage}/{SAFETY_STATE}", note, LATCHED)
-        trip = node.create_publisher(DiagnosticStatus, f"/right/{TRIP}", 10)
-        until(lambda: enabled("left"))
-        until(lambda: conditions.get("left") == ("", "on") and conditions.get("right") == ("", "off"))
-        until(lambda: enabled("right"))
-        until(lambda: conditions["right"] == ("", "on"))
+            observer.node.create_subscription(DiagnosticStatus, f"/{stage}/{SAFETY_STATE}", note, LATCHED)
+        trip = observer.node.create_publisher(DiagnosticStatus, f"/right/{TRIP}", 10)
+        observer.until(lambda: enabled("left"))
+        observer.until(lambda: states["left"].amplifier_on and states["right"].condition is Condition.OFF)
+        observer.until(lambda: enabled("right"))
+        observer.until(lambda: states["right"].amplifier_on)
         trip.publish(DiagnosticStatus(name="tripped", message="the right one only"))
-        until(lambda: conditions["right"] == ("tripped", "fault"))
+        observer.until(lambda: states["right"].code == Fault.TRIPPED.code)
         # Not one command of one went to the other: the left one sees no second controller, and goes on.
-        end = time.monotonic() + 1.0
-        until(lambda: time.monotonic() > end)
-        assert conditions["left"] == ("", "on")
-    finally:
-        node.destroy_node()
-        rclpy.shutdown()
+        observer.spin(1.0)
+        assert states["left"].amplifier_on

@@ -1,12 +1,8 @@
-"""The nodes' diagnostics as an aggregator gets them."""
-
-import platform
-import re
-import time
+"""A node's diagnostics as an aggregator gets them; what the nodes report is in test_lifecycle.py."""
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from participant import Participant
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS
@@ -15,91 +11,53 @@ from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 pytestmark = pytest.mark.live
 
-NODES = ("driver", "feedforward", "controller", "logger")
-COUNT = re.compile(r"\d+")
-UNITS = ("_us", "_hz")
-
-
-class Aggregator:
-    """Keeps all that is published on diagnostics, by the node's name."""
-
-    def __init__(self):
-        self.node = Node("aggregator")
-        self.found: dict[str, list[DiagnosticStatus]] = {}
-        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
-
-    def _on_diagnostics(self, message):
-        assert message.header.stamp.sec > 0
-        for status in message.status:
-            self.found.setdefault(status.name, []).append(status)
-
-    def until(self, condition, seconds=90.0):
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, f"it never came true: {self.found}"
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
 
 @pytest.fixture
 def aggregator():
-    rclpy.init()
-    aggregator = Aggregator()
-    yield aggregator
-    aggregator.node.destroy_node()
-    rclpy.shutdown()
+    with Participant("aggregator") as aggregator:
+        aggregator.found = []
+        aggregator.node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS, lambda message: aggregator.found.extend(message.status), 100
+        )
+        yield aggregator
 
 
-def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(graph, aggregator, tmp_path):
-    for node in NODES:
-        graph.start(node, {"output": str(tmp_path / "bag")} if node == "logger" else {})
-    aggregator.until(lambda: all(len(aggregator.found.get(node, ())) > 1 for node in NODES))
-    for node in NODES:
-        status = aggregator.found[node][-1]
-        assert status.hardware_id == ("simulated" if node == "driver" else platform.node())
-        assert status.message
-        values = {value.key: value.value for value in status.values}
-        assert {"samples", "rate_hz", "overruns", "lost_samples"} <= values.keys()
-        for name, value in values.items():
-            if re.fullmatch(r"-?[\d.]+(e-?\d+)?|nan|inf", value) and not name.endswith(UNITS):
-                assert COUNT.fullmatch(value), f"{node}: {name} = {value} is no count and names no unit"
+def reported(aggregator, diagnostics):
+    """The next report."""
+    before = len(aggregator.found)
+    diagnostics._collect()
+    diagnostics._publish()
+    aggregator.until(lambda: len(aggregator.found) > before)
+    return aggregator.found[-1]
+
+
+def connected(aggregator, node):
+    aggregator.until(lambda: aggregator.node.get_publishers_info_by_topic("/diagnostics"))
+    aggregator.until(lambda: node.count_subscribers("/diagnostics") > 0)
 
 
 def test_a_node_in_a_namespace_reports_on_the_common_topic_with_its_namespace_in_the_status(aggregator):
     node = Node("reporter", namespace="/line_3")
     diagnostics = Diagnostics(node, lambda: {SAMPLES: 1})
-    try:
-        aggregator.until(lambda: node.count_subscribers("/diagnostics") > 0)
-        diagnostics._collect()
-        diagnostics._publish()
-        aggregator.until(lambda: "line_3/reporter" in aggregator.found)
-    finally:
-        node.destroy_node()
+    connected(aggregator, node)
+    assert reported(aggregator, diagnostics).name == "line_3/reporter"
+    node.destroy_node()
 
 
 def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean(aggregator):
-    values = {SAMPLES: 0, LOST: 0}
-    node = Node("reporter")
+    node, values = Node("reporter"), {SAMPLES: 0, LOST: 0}
     diagnostics = Diagnostics(node, lambda: values, "bench 7")
+    connected(aggregator, node)
 
-    def reported(error=""):
-        """Level and words of the next report."""
-        values["error"] = error
-        seen = aggregator.found.setdefault("reporter", [])
-        before = len(seen)
-        values[SAMPLES] += 2000
-        diagnostics._collect()
-        diagnostics._publish()
-        aggregator.until(lambda: len(seen) > before)
-        return seen[-1].level, seen[-1].message
+    def level(error=""):
+        values.update({"error": error, SAMPLES: values[SAMPLES] + 2000})
+        status = reported(aggregator, diagnostics)
+        return status.level, status.message
 
-    try:
-        aggregator.until(lambda: aggregator.node.get_publishers_info_by_topic("/diagnostics"))
-        aggregator.until(lambda: node.count_subscribers("/diagnostics") > 0)
-        assert reported() == (DiagnosticStatus.OK, "running")
-        assert reported("coil burnt") == (DiagnosticStatus.ERROR, "coil burnt")
-        assert [reported()[0] for _ in range(5)] == [*[DiagnosticStatus.WARN] * 4, DiagnosticStatus.OK]
-        values[LOST] += 3
-        assert reported() == (DiagnosticStatus.WARN, "3 samples lost in the last second")
-        assert {status.hardware_id for status in aggregator.found["reporter"]} == {"bench 7"}
-    finally:
-        node.destroy_node()
+    assert level() == (DiagnosticStatus.OK, "running")
+    assert level("coil burnt") == (DiagnosticStatus.ERROR, "coil burnt")
+    assert [level()[0] for _ in range(5)] == [*[DiagnosticStatus.WARN] * 4, DiagnosticStatus.OK]
+    values[LOST] += 3
+    assert level() == (DiagnosticStatus.WARN, "3 samples lost in the last second")
+    assert {status.hardware_id for status in aggregator.found} == {"bench 7"}
+    node.destroy_node()

@@ -44,49 +44,43 @@ def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd
     # At so low a rate no law holds the platform.
     assert code == (0 if figures["verdict"] == "in_order" else 1)
     assert figures["received_samples"] > 200
-    told = (tmp_path / "logs" / "opcua.log").read_text()
-    states = ["resetting", "idle", "starting", "execute", "complete"]
-    places = [told.index(f" {state}: ") for state in states]
+    log = (tmp_path / "logs" / "opcua.log").read_text()
+    places = [log.index(f" {state}: ") for state in ("resetting", "idle", "starting", "execute", "complete")]
     assert places == sorted(places)
 
 
-def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_state_allows(graph, tmp_path):
+def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_maintenance(graph, tmp_path):
     survey = tmp_path / "survey.csv"
     shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", survey)
-    users, port = tmp_path / "users", free_port()
+    users, advice, port = tmp_path / "users", tmp_path / "gantry.json", free_port()
     add_user(users, "ann", "correct horse", OPERATOR)
     nodes = ("driver", "feedforward", "controller")
     stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
     for node in nodes:
         own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
         graph.start(node, own | stage | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
-    graph.start("opcua", {"opcua.port": port, "opcua.users": str(users), "nodes": " ".join(nodes), **stage})
+    own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice), "nodes": " ".join(nodes)}
+    graph.start("opcua", {**own, **stage})
     wait_for_line(graph, "opcua", "OPC UA at")
-    probe = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), "orders"]
     url = OpcuaParameters(port=port).endpoint
-    done = subprocess.run([*probe, url, str(survey)], capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stderr
-    results = json.loads(done.stdout.splitlines()[-1])
+
+    def probed(name, file):
+        words = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), name, url, str(file)]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=200)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+    # Advice in the file is an alarm until it is gone.
+    found, text = probed("maintenance", advice), "as of 2026-05-01: the guide moved; survey it"
+    assert found["values"] == ["", text, ""]
+    assert [f"MaintenanceDue: {text}", 200] in found["events"] and ["MaintenanceDue: over", 1] in found["events"]
+    results = probed("orders", survey)
     assert "ReloadMap is not accepted in state Stopped" in results["reload while stopped"]
     assert (results["reload"], results["center"], results["back"]) == ("done", "done", "done")
     assert (results["centred"], results["centred then"]) == (True, False)
     assert "call Center(false) first" in results["start in the middle"]
     assert all(words in results["reload of a spoilt file"] for words in ("BadInvalidState", "survey.csv"))
     assert results["state"] == "Idle"
-
-
-def test_advice_in_the_maintenance_file_is_an_alarm_until_it_is_gone(graph, tmp_path):
-    port, file = free_port(), tmp_path / "gantry.json"
-    graph.start("opcua", {"opcua.port": port, "maintenance_file": str(file)})
-    wait_for_line(graph, "opcua", "OPC UA at")
-    probe = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), "maintenance"]
-    url = OpcuaParameters(port=port).endpoint
-    done = subprocess.run([*probe, url, str(file)], capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    text = "as of 2026-05-01: the guide moved; survey it"
-    assert told["values"] == ["", text, ""]
-    assert told["events"] == [[f"MaintenanceDue: {text}", 200], ["MaintenanceDue: over", 1]]
 
 
 @pytest.mark.parametrize("words", [["--opcua", "--lockstep"], ["--strokes", "0"], ["--opcua", "--strokes", "0"]])

@@ -8,9 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
+from participant import Participant
 from rclpy.time import Time
 from waiting import wait_for_line
 
@@ -23,7 +22,7 @@ if importlib.util.find_spec("asyncua") is None:
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.admission import OpcuaParameters
 
-pytestmark = [pytest.mark.keeps_time, pytest.mark.soak]
+pytestmark = [pytest.mark.keeps_time, pytest.mark.nightly]
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROBES = REPOSITORY / "test" / "opcua" / "probes.py"
 FLOOD_S = 3.0
@@ -34,46 +33,32 @@ LOOPS = ("driver", "controller")
 COUNTS = (SAMPLES, LOST, OVERRUNS, "commands")
 
 
-class Counters:
-    """The newest counts in the loops' diagnostics."""
-
-    def __init__(self):
-        rclpy.init()
-        self._node = Node("counters")
-        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
-        self._values, self._stamps = {}, {}
-
-    def _on_diagnostics(self, message):
-        for status in message.status:
-            values = {one.key: one.value for one in status.values}
-            self._values[status.name] = {name: int(values.get(name, 0)) for name in COUNTS}
-            self._stamps[status.name] = Time.from_msg(message.header.stamp).nanoseconds
-
-    def now(self, seconds=60.0):
-        """Counts of all loops in reports that were published from now on."""
-        begin_ns, end = time.time_ns(), time.monotonic() + seconds
-        while not all(self._stamps.get(loop, 0) > begin_ns for loop in LOOPS):
-            assert time.monotonic() < end, f"no diagnostics of {LOOPS}; of {sorted(self._stamps)}"
-            rclpy.spin_once(self._node, timeout_sec=0.1)
-        return {loop: dict(self._values[loop]) for loop in LOOPS}
-
-    def grown_within(self, work):
-        """What each loop's counts grew by while ``work()`` was done."""
-        before = self.now()
-        work()
-        after = self.now()
-        return {loop: {name: after[loop][name] - before[loop][name] for name in before[loop]} for loop in LOOPS}
-
-    def close(self):
-        self._node.destroy_node()
-        rclpy.shutdown()
-
-
 @pytest.fixture
-def counters():
-    counters = Counters()
-    yield counters
-    counters.close()
+def grown():
+    """A function that returns what each loop's counts in its diagnostics grew by while ``work()`` was done."""
+    with Participant("counters") as participant:
+        values, stamps = {}, {}
+
+        def note(message):
+            for status in message.status:
+                found = {one.key: one.value for one in status.values}
+                values[status.name] = {name: int(found.get(name, 0)) for name in COUNTS}
+                stamps[status.name] = Time.from_msg(message.header.stamp).nanoseconds
+
+        participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, note, 10)
+
+        def now():
+            begin_ns = time.time_ns()
+            participant.until(lambda: all(stamps.get(loop, 0) > begin_ns for loop in LOOPS))
+            return {loop: dict(values[loop]) for loop in LOOPS}
+
+        def grown(work):
+            before = now()
+            work()
+            after = now()
+            return {loop: {name: after[loop][name] - before[loop][name] for name in COUNTS} for loop in LOOPS}
+
+        yield grown
 
 
 def flood(url):
@@ -88,7 +73,7 @@ def flood(url):
     try:
         # A machine that is busy with other things leaves the gateway little: then it takes longer.
         while not answered or time.monotonic() < end:
-            assert time.monotonic() < end + FIRST_ANSWER_S, "the gateway answers nobody"
+            assert time.monotonic() < end + FIRST_ANSWER_S, "the gateway answers no client"
             answered = int(process.stdout.readline())
     finally:
         process.send_signal(signal.SIGKILL)
@@ -97,7 +82,7 @@ def flood(url):
     return answered
 
 
-def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(graph, short_cycle, counters, capsys):
+def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(graph, short_cycle, grown, capsys):
     port = free_port()
     # What the test itself does to the machine is not to end the run.
     short_cycle["controller"]["sample_timeout"] = 30.0
@@ -105,10 +90,10 @@ def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(
         graph.start(node, short_cycle[node])
     graph.start("opcua", {**short_cycle["opcua"], "opcua.port": port, "nodes": " ".join(NODES)})
     wait_for_line(graph, "opcua", "OPC UA at")
-    quiet = counters.grown_within(lambda: time.sleep(FLOODS * FLOOD_S))
+    quiet = grown(lambda: time.sleep(FLOODS * FLOOD_S))
     answers = []
     url = OpcuaParameters(port=port).endpoint
-    flooded = counters.grown_within(lambda: answers.extend(flood(url) for _ in range(FLOODS)))
+    flooded = grown(lambda: answers.extend(flood(url) for _ in range(FLOODS)))
     with capsys.disabled():
         print(f"\nanswered while flooded: {answers}\nquiet: {quiet}\nflooded: {flooded}")
     graph.check(["opcua", *NODES])

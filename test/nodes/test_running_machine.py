@@ -138,6 +138,6 @@ def test_a_platform_that_strays_in_a_frequency_response_ended_the_excitation(tmp
 
 def test_a_machine_in_use_is_left_as_it_is(tmp_path):
     client = Client(safety=ON)
-    with pytest.raises(CommissioningError, match="somebody else uses the machine"):
+    with pytest.raises(CommissioningError, match="another client uses the machine"):
         machine(client, tmp_path)
     assert not client.asked and not client.given and not client.states

@@ -4,8 +4,10 @@ import itertools
 import time
 
 import pytest
+import rclpy
+from rclpy.experimental import EventsExecutor
 
-from straightcomp_ros.runtime.timers import TICK_S, SteadyTimers
+from straightcomp_ros.runtime.guarded_node import TICK_S, GuardedNode, SteadyTimers
 
 _STALL_S, _PERIOD_S, _TURN_S = 1.0, 0.1, 0.006
 _THREE_PERIODS = 3 * _PERIOD_S / _TURN_S
@@ -46,8 +48,6 @@ def _beating(node, turn):
 def _longest_silence(node, add_more=lambda: None):
     """Turns without a beat of one of six timers, under an executor that is spun as a loop spins it, with a stall before
     its first turn and one amid."""
-    from rclpy.experimental import EventsExecutor
-
     turn = [0]
     beats = _beating(node, turn)
     executor = EventsExecutor()
@@ -62,51 +62,30 @@ def _longest_silence(node, add_more=lambda: None):
     return max(later - sooner for noted in beats for sooner, later in itertools.pairwise([0, *noted, 260]))
 
 
-@pytest.fixture
-def context(monkeypatch):
-    import rclpy
-
+@pytest.mark.parametrize("add_more", [lambda node: None, lambda node: _beating(node, [0])], ids=["alone", "added"])
+def test_timers_that_are_due_when_their_node_or_others_are_added_do_not_fall_silent(monkeypatch, add_more):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     rclpy.init()
-    yield
+    node = GuardedNode("beating")
+    assert _longest_silence(node, lambda: add_more(node)) < _THREE_PERIODS
+    node.destroy_node()
     rclpy.try_shutdown()
 
 
-def test_timers_that_were_due_when_their_node_was_added_do_not_fall_silent(context):
-    from straightcomp_ros.runtime.timers import WithSteadyTimers
-
-    node = WithSteadyTimers("beating")
-    assert _longest_silence(node) < _THREE_PERIODS
-    node.destroy_node()
-
-
-def test_timers_do_not_fall_silent_when_others_are_added_while_they_are_due(context):
-    from straightcomp_ros.runtime.timers import WithSteadyTimers
-
-    node = WithSteadyTimers("beating")
-    assert _longest_silence(node, add_more=lambda: _beating(node, [0])) < _THREE_PERIODS
-    node.destroy_node()
-
-
-def test_a_timer_is_called_once_in_each_period(timers, clock):
+def test_a_timer_is_called_once_in_each_period_and_once_after_a_stall(timers, clock):
     calls = []
     timers.add(0.1, lambda: calls.append(clock.now_ns))
     for _ in range(100):
         clock.pass_s(0.01)
         timers.call_all()
     assert len(calls) == 10
-
-
-def test_after_a_stall_a_timer_is_called_once_and_then_in_each_period_again(timers, clock):
-    calls = []
-    timers.add(0.1, lambda: calls.append(clock.now_ns))
     clock.pass_s(1.05)
     timers.call_all()
     timers.call_all()
-    assert len(calls) == 1
+    assert len(calls) == 11
     clock.pass_s(0.1)
     timers.call_all()
-    assert len(calls) == 2
+    assert len(calls) == 12
 
 
 def test_one_turn_calls_the_timer_that_has_been_due_for_longest(timers, clock):
@@ -121,26 +100,16 @@ def test_one_turn_calls_the_timer_that_has_been_due_for_longest(timers, clock):
     assert not timers.call_one()
 
 
-def test_a_cancelled_timer_is_never_called(timers, clock):
+def test_a_cancelled_timer_is_never_called_even_if_another_cancels_it_in_the_same_turn(timers, clock):
     calls = []
     timers.add(0.1, lambda: calls.append("kept"))
     mark = timers.mark()
-    timers.add(0.1, lambda: calls.append("released"))
+    timers.add(0.11, lambda: timers.cancel_after(mark))
     timers.add(0.1, lambda: calls.append("cancelled")).cancel()
-    timers.cancel_after(mark)
-    clock.pass_s(0.5)
-    timers.call_all()
-    assert calls == ["kept"]
-
-
-def test_a_timer_that_another_one_cancels_is_not_called_in_the_same_turn(timers, clock):
-    calls = []
-    mark = timers.mark()
-    timers.add(0.1, lambda: timers.cancel_after(mark))
     timers.add(0.12, lambda: calls.append("late"))
     clock.pass_s(0.5)
     timers.call_all()
-    assert calls == []
+    assert calls == ["kept"]
 
 
 def test_a_timer_is_due_at_a_tick_whenever_it_was_added(clock):

@@ -1,14 +1,14 @@
-"""The load that `straightcomp bench bags` puts on the logger, in its real processes."""
+"""The load that `python -m trials bags` puts on the logger, in its real processes."""
 
 import sys
 
 import pytest
+from straightcomp_ros.bags.messages import read_messages
 
-from straightcomp_ros.bags.reader import read_messages
 from straightcomp_ros.cell.launcher import LaunchError
 from trials.traffic import TRAFFIC, record_traffic
 
-pytestmark = pytest.mark.keeps_time
+pytestmark = [pytest.mark.keeps_time, pytest.mark.nightly]
 
 SECONDS = 2.0
 
@@ -32,4 +32,4 @@ def test_traffic_without_a_reader_ends_with_their_names(single):
     command = [sys.executable, "-m", "trials.traffic"]
     traffic = single.start("traffic", {"start_timeout": 0.5}, command=command)
     assert traffic.wait(120) == 1
-    assert "nobody subscribes to encoder, reference" in single.log("traffic").read_text()
+    assert "no subscriber of encoder, reference" in single.log("traffic").read_text()

@@ -1,41 +1,56 @@
 """commissioning: runs the steps of commissioning and frequency responses on the graph when a cell asks for them.
 
-The work is done by the command line's verbs in a process of their own, which may compute for minutes and may be stopped
-at any time. This node starts it, says how it goes, and stops it.
+A process of its own does the work, since it may compute for minutes and may be interrupted at any time. This node
+starts it, reports how it goes, and interrupts it.
 """
 
-import json
+import contextlib
+import multiprocessing
+import os
 import signal
-import subprocess
 import sys
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable
 from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import IO, Any
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from straightcomp_ros.cell.launcher import verb_command
+import straightcomp_ros.nodes  # noqa: F401 - before NumPy: one thread of OpenBLAS
 from straightcomp_ros.contract import COMMISSIONING_STATE
+from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
-from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters, node_parameters
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import Runnable, run
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.timing.node_timing import SAMPLES
-from straightcomp_ros.tuning.commissioning import STEP_NAMES
+from straightcomp_ros.tuning.commissioning import STEP_NAMES, CommissioningError
 
 _LOOK_S = 0.1
 _STOP_WITHIN_S = 30.0
-_LAST_WORDS = 2000
+_LONGEST_REASON = 2000
+_ACCEPTANCE = "acceptance"
+_PLOT = "frequency_response.png"
+
+
+class Result(NamedTuple):
+    """How the work ended."""
+
+    good: bool
+    sentence: str
 
 
 class CommissioningNode(Runnable):
-    """Serves ``~/run`` and ``~/stop``, ``~/measure_response``, and each step of commissioning by its name."""
+    """Provides ``~/run`` and ``~/stop``, ``~/measure_response``, and each step of commissioning by its name."""
 
     def __init__(self, node: Node) -> None:
         self._parameters = parameters = declare(node, CommissioningNodeParameters)
@@ -44,9 +59,8 @@ class CommissioningNode(Runnable):
             raise ParameterError("parameter 'output' is empty; allowed: a folder for the record and the bags")
         self._folder = Path(parameters.output).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: BaseProcess | None = None
         self._doing, self._answers = "", 0
-        self._output: IO[bytes] | None = None
         self._publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_STATE, LATCHED)
         node.create_service(Trigger, "~/run", self._on_run)
         node.create_service(Trigger, "~/stop", self._on_stop)
@@ -55,67 +69,61 @@ class CommissioningNode(Runnable):
             node.create_service(Trigger, f"~/{step}", partial(self._on_step, step))
         node.create_timer(_LOOK_S, self._look)
         Diagnostics(node, lambda: {SAMPLES: self._answers, "doing": self._doing})
-        self._tell("", True, "ready")
+        self._report("", True, "ready")
 
     def _on_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Do all steps that have not passed; the topic `commissioning_state` tells how it goes."""
-        return self._begin("all steps", self._steps(), response)
+        """Do all steps that have not passed; the topic `commissioning_state` reports how it goes."""
+        return self._begin("all steps", partial(commission, self._parameters, ""), response)
 
     def _on_step(self, step: str, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Do one step of commissioning alone, even if it is done: `connection` and so on."""
-        return self._begin(step, self._steps("--only", step), response)
+        return self._begin(step, partial(commission, self._parameters, step), response)
 
     def _on_measure_response(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Measure the frequency response under the controller's present law, with plots in the output folder."""
-        plot = self._folder / "frequency_response.png"
-        return self._begin("measure_response", ["frequency-response", "--output", str(plot), "--force"], response)
+        return self._begin("measure_response", measure_response, response)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """End what is going on, with the amplifier off."""
-        if self._process is None:
-            response.success, response.message = False, "nothing is going on"
-        else:
-            self._process.send_signal(signal.SIGINT)
-            response.success, response.message = True, f"stops {self._doing}"
+        response.success = self._interrupt()
+        response.message = f"stops {self._doing}" if response.success else "nothing is going on"
         return response
 
-    def _steps(self, *arguments: str) -> list[str]:
-        chosen = ((name, getattr(self._parameters, name)) for name in ("evaluations", "machines", "learn"))
-        words = [word for name, value in chosen for word in (f"--{name}", str(value))]
-        return ["commission", "--output", str(self._folder), *words, *arguments]
-
-    def _begin(self, doing: str, words: Sequence[str], response: Trigger.Response) -> Trigger.Response:
+    def _begin(self, doing: str, work: Callable[[Path, str], Result], response: Trigger.Response) -> Trigger.Response:
         if self._process is not None:
             response.success, response.message = False, f"{self._doing} is going on; ~/stop ends it"
             return response
+        # A new interpreter: a copy of this process would share its ROS context.
+        new = multiprocessing.get_context("spawn")
+        self._answer, answer = new.Pipe(duplex=False)
         namespace = self.node.get_namespace().strip("/")
-        words = [*words, "--graph", "running", "--json", *(["--namespace", namespace] if namespace else [])]
-        self._output = (self._folder / "commissioning.log").open("w+b")
-        self._process = subprocess.Popen(
-            verb_command(*words), stdin=subprocess.DEVNULL, stdout=self._output, stderr=self._output
-        )
+        self._process = new.Process(target=_work, args=(work, self._folder, namespace, answer))
+        self._process.start()
+        answer.close()
         self._doing = doing
-        self._tell(doing, True, "is going on", running=True)
+        self._report(doing, True, "is going on", running=True)
         response.success, response.message = True, f"begins {doing}"
         return response
 
+    def _interrupt(self) -> bool:
+        if self._process is None or self._process.pid is None:
+            return False
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self._process.pid, signal.SIGINT)
+        return True
+
     def _look(self) -> None:
-        if self._process is None or self._process.poll() is None:
+        if self._process is None or self._process.is_alive():
             return
-        code, doing = self._process.returncode, self._doing
-        self._process, self._doing = None, ""
+        result = Result(False, f"its process ended with exit code {self._process.exitcode}")
+        with contextlib.suppress(EOFError):
+            if self._answer.poll():
+                result = Result(*self._answer.recv())
+        doing, self._process, self._doing = self._doing, None, ""
         self._answers += 1
-        self._tell(doing, code == 0, self._last_words())
+        self._report(doing, *result)
 
-    def _last_words(self) -> str:
-        """The last sentence of the process."""
-        assert self._output is not None
-        self._output.seek(0)
-        text = self._output.read().decode(errors="replace")
-        self._output.close()
-        return _sentence(text)
-
-    def _tell(self, doing: str, good: bool, message: str, running: bool = False) -> None:
+    def _report(self, doing: str, good: bool, message: str, running: bool = False) -> None:
         level = DiagnosticStatus.OK if good else DiagnosticStatus.ERROR
         values = [KeyValue(key="running", value=str(running).lower())]
         self._publisher.publish(DiagnosticStatus(level=level, name=doing, message=message, values=values))
@@ -128,32 +136,85 @@ class CommissioningNode(Runnable):
 
     def close(self) -> None:
         """End what is going on; it leaves the amplifier off."""
-        if self._process is None:
+        if self._process is None or not self._interrupt():
             return
-        self._process.send_signal(signal.SIGINT)
-        try:
-            self._process.wait(_STOP_WITHIN_S)
-        except subprocess.TimeoutExpired:
+        self._process.join(_STOP_WITHIN_S)
+        if self._process.is_alive():
             self._process.kill()
-            self._process.wait()
+            self._process.join()
 
 
-def _sentence(text: str) -> str:
-    """What a verb's output ends with: the sentence of its last step, or its last line."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    said = ""
-    for line in lines:
-        try:
-            told: dict[str, Any] = json.loads(line)
-        except ValueError:
-            continue
-        steps = told.get("steps")
-        if steps:
-            said = str(list(steps.values())[-1]["sentence"])
-        elif "model_explains_the_plant" in told:
-            explains = "explains" if told["model_explains_the_plant"] else "does not explain"
-            said = f"the description {explains} the plant"
-    return said or (lines[-1][:_LAST_WORDS] if lines else "it said nothing")
+def commission(parameters: CommissioningNodeParameters, step: str, folder: Path, namespace: str) -> Result:
+    """Do one step of commissioning on the running graph, or without a name all steps that have not passed."""
+    # Only here: the steps import all of the design.
+    from straightcomp_ros.tuning.commissioning.procedure import Procedure
+    from straightcomp_ros.tuning.commissioning.step_files import MADE
+    from straightcomp_ros.tuning.graph.machine_access import running_graph
+
+    sentence = "all steps have been done"
+    with making(folder, MADE, anew=False), running_graph(folder, namespace) as (machine, values, tell):
+        procedure = Procedure(
+            machine,
+            values,
+            folder,
+            evaluations=parameters.evaluations,
+            machines=parameters.machines,
+            learning_strokes=parameters.learn,
+        )
+        done = procedure.outcomes.get(_ACCEPTANCE)
+        if not step and parameters.learn and done is not None and done.passed and not done.gains:
+            raise CommissioningError(
+                f"parameter 'learn': step '{_ACCEPTANCE}' has passed without it; ~/{_ACCEPTANCE} repeats it"
+            )
+        for name in [step] if step else procedure.remaining():
+            tell(name)
+            outcome = procedure.run(name)
+            sentence = outcome.sentence
+            if not outcome.passed:
+                return Result(False, sentence)
+    return Result(True, sentence)
+
+
+def measure_response(folder: Path, namespace: str) -> Result:
+    """Measure the frequency response under the controller's present law and plot it."""
+    # Only here: both import much.
+    from straightcomp_ros.tuning.frequency_response.response_plot import plot_response
+    from straightcomp_ros.tuning.graph.machine_access import running_graph
+
+    plot = folder / _PLOT
+    bags = plot.with_name(f"{plot.stem}_graph")
+    with (
+        making(bags, ("bags", "logs", "parameters.yaml"), force=True) as place,
+        running_graph(place, namespace) as (machine, values, tell),
+    ):
+        tell("frequency response")
+        found = machine.response(values, MultisineParameters())
+    name = node_parameters("controller", values).stage.name
+    plot_response(found, plot, f"Stage '{name}' under law '{found.law}'")
+    return Result(found.explained, f"the description {'explains' if found.explained else 'does not explain'} the plant")
+
+
+def _work(work: Callable[[Path, str], Result], folder: Path, namespace: str, answer: Connection) -> None:
+    """The other process: do ``work``, send its result, and log what it prints."""
+    with (folder / "commissioning.log").open("w") as log:
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(log.fileno(), stream.fileno())
+    signal.signal(signal.SIGINT, _stop)
+    try:
+        result = work(folder, namespace)
+    except KeyboardInterrupt:
+        result = Result(False, "interrupted; the amplifier is off")
+    except Exception as error:
+        # The node reports an error of any kind.
+        traceback.print_exc()
+        result = Result(False, (str(error) or type(error).__name__)[:_LONGEST_REASON])
+    answer.send(tuple(result))
+
+
+def _stop(*_: object) -> None:
+    # A second request must not interrupt what the first has begun: to release the machine.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def main() -> int:

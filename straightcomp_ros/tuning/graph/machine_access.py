@@ -1,13 +1,18 @@
-"""Access to a running graph as a machine: one that runs already, or one that is started for it."""
+"""Access to a running graph as a machine: one that runs already, or one that is started for it.
+
+A client that is killed leaves its own parameters in the nodes: a travel of 3 µm in the driver, the law `open_loop` in
+the controller. The next client must not take these for the machine's.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,15 +22,14 @@ from straightcomp_ros.parameters.declaration import belongs_to_ros
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.parameters.share import make_private
-from straightcomp_ros.runtime.first_parameters import FirstParameters
-from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
+from straightcomp_ros.parameters.share import make_private, private_folder
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.graph.running_machine import RunningMachine
+from straightcomp_ros.tuning.graph.waiting_client import GraphError, WaitingClient
 
 
 class Access(NamedTuple):
-    """A machine, the parameters with which its nodes were found, and how to say what is being done with it."""
+    """A machine, the parameters with which its nodes were found, and a function that reports what is done with it."""
 
     machine: RunningMachine
     values: Values
@@ -34,18 +38,10 @@ class Access(NamedTuple):
 
 @contextmanager
 def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] = lambda: "") -> Iterator[Access]:
-    """The machine of the graph that runs; it is released at the end.
-
-    Args:
-        folder: gets the bags.
-        namespace: of the nodes.
-        trouble: returns why the graph cannot work any more; empty if it can.
-
-    Raises:
-        CommissioningError: the graph cannot be used, or stopped working.
-    """
+    """The machine of the graph that runs, whose bags go to ``folder``; it is released at the end. CommissioningError if
+    the graph cannot be used, or ``trouble`` returns why it cannot work any more."""
     try:
-        with GraphClient(RECORDED, namespace, trouble) as client:
+        with WaitingClient(RECORDED, namespace, trouble) as client:
             # Before the nodes are asked: another client would have its own parameters in them.
             tell = client.claim()
             first = FirstParameters(client.values(), client.processes())
@@ -64,33 +60,26 @@ def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] 
 
 @contextmanager
 def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> Iterator[Access]:
-    """The machine of a graph that runs for this alone, with parameters by node and dotted name.
-
-    Args:
-        values: parameters of all nodes.
-        folder: gets the bags, the parameter file and the logs.
-        emulated: the machine is an emulated board on a hub.
-
-    Raises:
-        CommissioningError: a node does not start, or ended.
-    """
+    """The machine of a graph that runs for this alone, with ``values`` by node and dotted name. It is simulated, or
+    with ``emulated`` a board on a hub; ``folder`` gets bags, parameter file and logs. CommissioningError if a node does
+    not start, or ended."""
     os.environ.update(isolated_environment())
     with _bus_folder(folder) as bus:
         if emulated:
             values = {**values, "driver": {**values.get("driver", {}), **on_hub(values, str(bus / "bus"))}}
         parameter_file = folder / "parameters.yaml"
         write_whole(parameter_file, as_parameter_file(values))
-        beside = emulated_machine(values, parameter_file)
+        machine = emulated_machine(values, parameter_file)
         try:
             with Graph(folder / "logs") as graph:
-                for name, command in beside.items():
+                for name, command in machine.items():
                     graph.start_program(name, command)
                 for name in RECORDED:
                     graph.start(name, {"autostart": False}, parameter_file)
 
                 def trouble() -> str:
                     try:
-                        graph.check((*beside, *RECORDED))
+                        graph.check((*machine, *RECORDED))
                     except LaunchError as error:
                         return str(error)
                     return ""
@@ -120,18 +109,15 @@ def _bus_folder(folder: Path) -> Iterator[Path]:
 
 
 def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Parameters of the running loop as values with one description of the stage.
-
-    Raises:
-        CommissioningError: the nodes have different descriptions.
-    """
+    """Parameters of the running loop as values with one description of the stage; CommissioningError if the nodes have
+    different ones."""
     own = {
         node: {name: value for name, value in parameters[node].items() if not belongs_to_ros(name)}
         for node in IN_THE_LOOP
     }
-    told = {node: node_parameters(node, own).stage.identity for node in own}
-    if len(set(told.values())) > 1:
-        found = ", ".join(f"{node} {identity}" for node, identity in told.items())
+    identities = {node: node_parameters(node, own).stage.identity for node in own}
+    if len(set(identities.values())) > 1:
+        found = ", ".join(f"{node} {identity}" for node, identity in identities.items())
         raise CommissioningError(
             f"the nodes' descriptions of the stage differ ({found}): start all with one stage file"
         )
@@ -143,3 +129,36 @@ def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str
     facts = own["controller"].items()
     values[STAGE] = {name.removeprefix(prefix): value for name, value in facts if name.startswith(prefix)}
     return values
+
+
+class FirstParameters:
+    """The parameters with which a client found the nodes, in files until the nodes have them again.
+
+    There is a file for each node, named after its process: parameters of a node that was started anew are new. All
+    clients of the user have the same ``folder``, to which no other user may write.
+
+    Attributes:
+        values: by node and dotted name: those that a client which was killed has kept, otherwise those ``found``.
+    """
+
+    def __init__(
+        self, found: Mapping[str, Mapping[str, Any]], processes: Mapping[str, str], folder: Path | None = None
+    ) -> None:
+        self._files = {
+            node: (folder or private_folder()) / f"parameters_{hashlib.sha256(process.encode()).hexdigest()[:24]}.json"
+            for node, process in processes.items()
+        }
+        self.values = {node: dict(section) for node, section in found.items()}
+        for node, file in self._files.items():
+            with suppress(FileNotFoundError, ValueError):
+                self.values[node] |= json.loads(file.read_text(encoding="utf-8"))
+
+    def keep(self) -> None:
+        """Write the files; call it before any parameter is changed."""
+        for node, file in self._files.items():
+            write_whole(file, json.dumps(self.values[node], default=list))
+
+    def forget(self) -> None:
+        """Remove the files; call it when the nodes have their first parameters again."""
+        for file in self._files.values():
+            file.unlink(missing_ok=True)

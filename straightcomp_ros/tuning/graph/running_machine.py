@@ -16,7 +16,6 @@ from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
-from straightcomp_ros.runtime.graph_client import ANSWER_S, GraphClient
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.timing.cpus import use_kept_free
@@ -26,6 +25,7 @@ from straightcomp_ros.tuning.commissioning.recorded_series import excited, recor
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
 from straightcomp_ros.tuning.frequency_response.recorded_measurement import response_from_bag
 from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.tuning.graph.waiting_client import ANSWER_S, WaitingClient
 
 _AT_ONCE = ("excitation.", "error_limit")
 """Parameters of the controller that change without a bump, so that it need not be configured again."""
@@ -48,25 +48,17 @@ class RunningMachine:
     """Drives the nodes of a graph by their services; what it records is in ``folder``.
 
     The driver keeps its parameters; controller, feedforward and logger get those of each call, and their first ones
-    again at the end, see :meth:`release`.
-
-    Args:
-        client: of the graph.
-        values: with which the nodes of the loop were found, by node and dotted name.
-        logger: parameters with which the logger was found, by dotted name.
-        folder: gets a bag for each action.
-
-    Raises:
-        CommissioningError: somebody else uses the machine.
+    again at the end, see :meth:`release`. ``values`` and ``logger`` are the parameters with which the nodes of the loop
+    and the logger were found. CommissioningError if another client uses the machine.
     """
 
-    def __init__(self, client: GraphClient, values: Values, logger: Mapping[str, Any], folder: Path) -> None:
+    def __init__(self, client: WaitingClient, values: Values, logger: Mapping[str, Any], folder: Path) -> None:
         self._client, self._values, self._folder = client, values, folder
         self._logger = {name: logger[name] for name in _RECORDING}
         self._travel = values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
         self._given: dict[str, dict[str, Any]] = {}
         if client.safety.amplifier_on:
-            raise CommissioningError("the amplifier is on: somebody else uses the machine; stop that first")
+            raise CommissioningError("the amplifier is on: another client uses the machine; stop that first")
 
     def listen(self, seconds: float) -> Series:
         """See `Machine`."""

@@ -7,8 +7,12 @@ import rclpy
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue, CopiedPublisher
-from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
+from straightcomp_ros.runtime.streams import (
+    BatchQueue,
+    StreamPublisher,
+    SubscriptionQueue,
+    unspun_node,
+)
 
 pytestmark = pytest.mark.live
 
@@ -43,7 +47,7 @@ class Pair:
     def send(self, publish, count):
         for _ in range(count):
             publish(self.sent * PERIOD, 0.0, 0.0, 0.0, 0.0)
-            publish.copy()
+            publish.publish_batch()
             self.sent += 1
             if self.sent % 30 == 0:
                 time.sleep(0.002)
@@ -59,44 +63,26 @@ def pair():
     rclpy.try_shutdown()
 
 
-def test_without_a_copy_the_stream_itself_is_read(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, None)
-    pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
-    time.sleep(0.5)
-    pair.send(publish, 300)
-    pair.wait(lambda: len(pair.stamps) == 300)
-    assert pair.stamps == [k * PERIOD for k in range(300)]
+def test_a_reader_has_each_message_once_whether_batches_come_go_or_never_were(pair):
+    sent = 0
+    for rate, count in ((None, 300), (2000, 1000), (None, 100)):
+        # The reader of one by one is there again when the publisher of batches has gone.
+        publish = StreamPublisher(pair.writer, ENCODER, rate, at_once=True)
+        pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
+        time.sleep(0.2)
+        pair.send(publish, count)
+        sent += count
+        # What a batch still lacks comes with the next look of its timer.
+        pair.wait(lambda sent=sent: len(pair.stamps) >= sent)
+        assert pair.stamps == [k * PERIOD for k in range(sent)]
+        if rate is not None:
+            pair.wait(lambda: pair.direct_readers() == 0)
+        for publisher in list(pair.writer.publishers):
+            pair.writer.destroy_publisher(publisher)
 
 
-def test_a_reader_goes_over_to_the_copy_and_has_each_message_once(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, 2000)
-    pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
-    time.sleep(0.5)
-    pair.send(publish, 1000)
-    pair.wait(lambda: len(pair.stamps) >= 1000)
-    # What a batch still lacks comes with the next look of its timer.
-    assert pair.stamps == [k * PERIOD for k in range(1000)]
-    pair.wait(lambda: pair.direct_readers() == 0)
-
-
-def test_when_the_copy_s_publisher_goes_the_stream_itself_is_read_again(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, 2000)
-    pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
-    time.sleep(0.5)
-    pair.send(publish, 100)
-    pair.wait(lambda: len(pair.stamps) >= 100 and pair.direct_readers() == 0)
-    for publisher in list(pair.writer.publishers):
-        pair.writer.destroy_publisher(publisher)
-    another = CopiedPublisher(pair.writer, ENCODER, None)
-    pair.wait(lambda: pair.direct_readers() == 1)
-    time.sleep(0.5)
-    pair.send(another, 100)
-    pair.wait(lambda: len(pair.stamps) >= 200)
-    assert pair.stamps == [k * PERIOD for k in range(200)]
-
-
-def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to_it(pair):
-    publish, sent = BatchPublisher(pair.writer, TRUTH, 2000), 0
+def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes_to_it(pair):
+    publish, sent = StreamPublisher(pair.writer, TRUTH, 2000), 0
     batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
 
@@ -114,13 +100,13 @@ def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to
         return received
 
     pair.wait(lambda: batches.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
-    time.sleep(0.5)
+    time.sleep(0.2)
     send(100)
-    # Having had the first batch the reader leaves the stream itself, and nobody else reads that.
+    # Having had the first batch the reader leaves the stream itself, and no other node reads that.
     pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
     direct = SubscriptionQueue(pair.reader, pair.unspun, TRUTH)
     pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
-    time.sleep(0.5)
+    time.sleep(0.2)
     send(20)
     seen = []
     pair.wait(lambda: seen.extend(stamp // PERIOD for stamp, _, _ in direct.fetch()) or len(seen) == 20)
@@ -129,11 +115,11 @@ def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to
 
 
 def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
-    publish = BatchPublisher(pair.writer, TRUTH, None)
+    publish = StreamPublisher(pair.writer, TRUTH, None)
     batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
     pair.wait(lambda: batches.connected)
-    time.sleep(0.5)
+    time.sleep(0.2)
     publish(0, *numbers)
     publish.flush()
     first = []

@@ -1,10 +1,13 @@
-"""Handles the commands that reach the driver: writes each to the machine, drops it as stale, or trips."""
+"""What the driver does with commands: it checks and writes each; in lockstep each brings the next sample."""
 
 import math
 from collections import deque
 from collections.abc import Callable
 
-from straightcomp_ros.hardware.interface import Hardware
+from rclpy.node import Node
+
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, Truth
+from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import CommandWatch
 from straightcomp_ros.timing.delays import Histogram
@@ -12,6 +15,7 @@ from straightcomp_ros.timing.node_timing import LATENCY, written
 
 _SPARE = 4
 """Samples remembered beyond those of the timeout."""
+_REPEAT_AFTER_S = 0.05
 
 
 class CommandIntake:
@@ -19,14 +23,8 @@ class CommandIntake:
 
     A controller takes its stamps from these samples. A command with another stamp is from elsewhere, and one is enough
     for a fault; only before the first sample are there innocent ones, of a controller that answers a driver's former
-    life. No accepted stamp is newer than the newest sample.
-
-    Args:
-        hardware: the machine.
-        timeout_ns: age in ns beyond which a command is stale.
-        period_ns: sampling period in ns.
-        current_limit: largest current in A.
-        trip: called with a fault and the reason in words.
+    life. No accepted stamp is newer than the newest sample. A command older than ``timeout_ns`` is stale; ``trip`` is
+    called with a fault and the reason in words.
 
     Attributes:
         current_limit: largest current in A; may be changed.
@@ -123,3 +121,64 @@ class CommandIntake:
             "foreign_commands": self._foreign,
             **written(LATENCY, self._latencies.take()),
         }
+
+
+class Lockstep:
+    """Advances the simulated machine by one sample at a time, from the stage trajectory's start to its end: it takes
+    the next sample when the command for the last has arrived.
+
+    The graph then computes exactly what `straightcomp simulate` computes, however slow or busy the computer is. The
+    streams are best effort, so a message may be lost: a sample without an answer is sent again, and feedforward and
+    controller answer a repeated sample as they did before. No other code may read ``hardware``; ``delay`` is that of a
+    command from its sample, in periods.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        hardware: Hardware,
+        period_ns: int,
+        delay: float,
+        publish: Callable[[Sample, Truth | None], None],
+    ) -> None:
+        self.delay_ns = round(delay * period_ns)
+        self._hardware, self._period_ns, self._publish = hardware, period_ns, publish
+        self._end_ns = 0
+        self._pending: tuple[Sample, Truth | None] | None = None
+        self._repeat = False
+        node.create_timer(_REPEAT_AFTER_S, self._repeat_pending)
+
+    def start(self, trajectory: Trajectory, now_ns: int) -> None:
+        """Start the trajectory at the machine's first sample, and take that sample.
+
+        Raises:
+            HardwareError: a trajectory is running already.
+        """
+        if self._pending:
+            raise HardwareError("in lockstep a trajectory runs to its end before the next may start")
+        self._hardware.start(now_ns)
+        self._hardware.move(trajectory, now_ns)
+        self._end_ns = now_ns + trajectory.end_ns
+        self._take(now_ns)
+
+    def awaits(self, stamp_ns: int) -> bool:
+        """Whether a command with this stamp answers the last sample."""
+        return self._pending is not None and self._pending[0].stamp_ns == stamp_ns
+
+    def answer(self, stamp_ns: int, current: float) -> None:
+        """Apply the command for the last sample, of ``stamp_ns``, after the delay, and take the next sample."""
+        self._hardware.write(current, stamp_ns + self.delay_ns)
+        self._pending = None
+        if stamp_ns + self._period_ns < self._end_ns:
+            self._take(stamp_ns + self._period_ns)
+
+    def _take(self, at_ns: int) -> None:
+        self._pending = self._hardware.read(at_ns)[-1]
+        self._repeat = False
+        self._publish(*self._pending)
+
+    def _repeat_pending(self) -> None:
+        # Send a sample again only after it has waited for a whole timer period.
+        if self._pending and self._repeat:
+            self._publish(*self._pending)
+        self._repeat = True

@@ -4,15 +4,17 @@ import random
 from types import SimpleNamespace
 
 import pytest
+
+pytest.importorskip("rclpy")
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from trials.soak_scene import Scene
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
-from trials.soak import actions as soak_actions
-from trials.soak import scene as soak_scene
+from trials import soak_actions
+from trials.soak_actions import Scene
 from trials.soak_verdict import Soak
 from trials.stand import MOTION, Seen
 
@@ -46,7 +48,7 @@ class Stand:
 
 @pytest.fixture
 def stand(monkeypatch):
-    monkeypatch.setattr(soak_scene, "subscribe", lambda *_: None)
+    monkeypatch.setattr(soak_actions, "subscribe", lambda *_: None)
     return Stand()
 
 
@@ -112,7 +114,7 @@ def test_a_motion_begins_where_the_stage_was_seen_to_leave_and_ends_where_it_goe
     assert scene.commanded.moving
     positions(scene, (3.91,), offset=0.02)
     assert not scene.commanded.moving
-    ((begin, end),) = scene.commanded.motions()
+    ((begin, end),) = scene.commanded.motions
     assert begin == pytest.approx(NOW, abs=3_000_000) and end == NOW + 3_900_000_000
 
 
@@ -215,7 +217,7 @@ def test_a_refusal_after_a_lost_answer_is_none(scene, stand):
     answers = [None, SimpleNamespace(success=False, message="nothing is being recorded")]
     stand.answers["logger/stop"] = lambda request: answers.pop(0)
     stand.answers["logger/start"] = SimpleNamespace(success=True, message="")
-    assert soak_actions.another_bag(scene) == []
+    assert soak_actions.ACTIONS["another bag"](scene) == []
     assert scene.result.answers_lost == 1
 
 

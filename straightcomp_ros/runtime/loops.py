@@ -1,0 +1,241 @@
+"""The loops on a process's main thread, their clock, and work in a worker thread in parallel with them. No ROS."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
+from typing import Protocol, TypeVar
+
+from straightcomp_ros.timing.delays import Histogram
+from straightcomp_ros.timing.node_timing import TIMER_ERROR, MissedPeriods, written
+
+_PR_SET_TIMERSLACK = 29
+IDLE_EVERY_NS = 6_000_000
+"""Interval between two turns of idle work, each short so that the next cycle is not late. A turn with less than half a
+period left waits for the next period, but at most for one more interval."""
+_EARLIER_NS = 50
+"""Step by which the loop adapts to the machine's wake-up delay: at 2 kHz it covers 50 µs in half a second."""
+_GAIN = 0.02
+"""Of the phase-locked loop."""
+_SWITCH_INTERVAL_S = 1e-4
+"""Longest wait of the loop for the interpreter lock while the worker thread computes. Python's default of 5 ms is ten
+sampling periods."""
+_OFFSET_NS = time.time_ns() - time.monotonic_ns()
+
+T = TypeVar("T")
+
+
+def now_ns() -> int:
+    """A clock that never steps, in ns since the epoch, since stamps must stay on the sampling grid: the monotonic
+    clock, set to the system time once, when the process starts."""
+    return from_monotonic(time.monotonic_ns())
+
+
+def from_monotonic(monotonic_ns: int) -> int:
+    """Convert a reading of ``time.monotonic_ns`` to :func:`now_ns`."""
+    return monotonic_ns + _OFFSET_NS
+
+
+class Loop(Protocol):
+    """What a node runs instead of an executor."""
+
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+        """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
+
+    def report(self) -> dict[str, object]:
+        """Values for the diagnostics: missed periods, and how late the cycles since the last report were."""
+
+
+class PeriodicLoop:
+    """Calls ``cycle`` once in each period, at absolute wake-up times. After a stall it continues with the next period
+    and counts the periods it missed; it never calls twice to catch up.
+
+    A timer of the executor costs a thread and two context switches in each period, this loop one wake-up.
+
+    ``cycle`` gets the monotonic time in ns at which the period was to start. A ``punctual`` loop wakes up early by this
+    machine's usual delay and busy-waits for the rest; otherwise every answer would be late by a tenth of a period.
+
+    Attributes:
+        cycles: periods in which ``cycle`` was called.
+        missed: those without a call.
+    """
+
+    def __init__(self, period_ns: int, cycle: Callable[[int], object], punctual: bool = False) -> None:
+        self._period_ns = period_ns
+        self._most_early_ns = period_ns // 8 if punctual else 0
+        self._early_ns = 0
+        self._cycle = cycle
+        self.cycles = 0
+        self.missed = MissedPeriods(period_ns)
+        self._timer_errors = Histogram()
+
+    def report(self) -> dict[str, object]:
+        """See :class:`Loop`."""
+        return {**self.missed.report(), **written(TIMER_ERROR, self._timer_errors.take())}
+
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+        """See :class:`Loop`."""
+        _exact_sleep()
+        period_ns, cycle, missed = self._period_ns, self._cycle, self.missed
+        monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
+        give_way = os.sched_yield
+        wake_ns = monotonic_ns()
+        idle_turn = IdleWork(idle, wake_ns, period_ns)
+        while not stopped():
+            wait_ns = wake_ns - self._early_ns - monotonic_ns()
+            if wait_ns > 0:
+                sleep(wait_ns * 1e-9)
+                self._follow(monotonic_ns() - (wake_ns - self._early_ns))
+            else:
+                # At a real-time priority a loop that never sleeps would keep the middleware's threads from running.
+                give_way()
+            while monotonic_ns() < wake_ns:
+                pass
+            record(monotonic_ns() - wake_ns)
+            cycle(wake_ns)
+            self.cycles += 1
+            idle_turn(wake_ns, wake_ns + period_ns - monotonic_ns())
+            wake_ns += period_ns
+            behind_ns = monotonic_ns() - wake_ns
+            if behind_ns > 0:
+                periods = behind_ns // period_ns
+                missed.count(periods)
+                wake_ns += periods * period_ns
+
+    def _follow(self, late_ns: int) -> None:
+        """Adapt how early to wake up, so that half of all wake-ups are late."""
+        step_ns = _EARLIER_NS if late_ns > self._early_ns else -_EARLIER_NS
+        self._early_ns = min(max(0, self._early_ns + step_ns), self._most_early_ns)
+
+
+class LockedLoop:
+    """A loop with the frequency and the phase of a stream: a cycle begins when a message arrives.
+
+    A timer locked behind the arrivals would need a margin for their jitter, 100 µs of latency on a busy machine, and
+    would set the CPU's timer in each period, which in a virtual machine costs as much as the control law. A first-order
+    phase-locked loop predicts each arrival from those before; its error shows how steadily messages arrive. Without
+    messages the loop only does its idle work.
+
+    ``wait(timeout_ns)`` returns when a message has arrived, or after that time. ``cycle`` returns the number of
+    messages found, where those sent together count as one, and the age of the newest in ns.
+
+    Attributes:
+        missed: messages without a cycle of their own, because a cycle found a later one too.
+        phase_error_ns: how much later than predicted the newest message arrived.
+    """
+
+    def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
+        self._period_ns, self._wait, self._cycle = period_ns, wait, cycle
+        self.missed = MissedPeriods(period_ns)
+        self.phase_error_ns = 0.0
+        self._lateness = Histogram()
+
+    def report(self) -> dict[str, object]:
+        """See :class:`Loop`; a cycle's lateness is the delay from a message's arrival."""
+        return {
+            **self.missed.report(),
+            "phase_error_us": self.phase_error_ns * 1e-3,
+            **written(TIMER_ERROR, self._lateness.take()),
+        }
+
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+        """See :class:`Loop`."""
+        period_ns, wait, cycle, record = self._period_ns, self._wait, self._cycle, self._lateness.record
+        monotonic_ns = time.monotonic_ns
+        due_ns = monotonic_ns()
+        idle_turn = IdleWork(idle, due_ns, period_ns)
+        while not stopped():
+            wait(IDLE_EVERY_NS)
+            now_ns = monotonic_ns()
+            count, age_ns = cycle()
+            if count:
+                record(age_ns)
+                if count > 1:
+                    self.missed.count(count - 1)
+                    # At a real-time priority a loop that never waits would keep the middleware's threads from running.
+                    os.sched_yield()
+                due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns
+            # Without a message no cycle is due: the idle work has the whole period.
+            idle_turn(now_ns, due_ns - monotonic_ns() if count else period_ns)
+
+    def _follow(self, arrival_ns: int, due_ns: int) -> int:
+        """The corrected time at which the message received at ``arrival_ns`` was due."""
+        error_ns = arrival_ns - due_ns
+        if abs(error_ns) > self._period_ns:
+            due_ns, error_ns = arrival_ns, 0  # restart: messages were lost, or their source restarted
+        self.phase_error_ns = float(error_ns)
+        return due_ns + round(_GAIN * error_ns)
+
+
+def sendings(sent_ns: Sequence[int], apart_ns: int) -> int:
+    """The number of separate sends: a message less than ``apart_ns`` after its predecessor was sent together with it.
+
+    A source that was late sends the messages it missed together. A receiver that gets them in one cycle was not late.
+    ``sent_ns`` are the times at which the messages were sent, ascending.
+    """
+    return sum(later - sooner >= apart_ns for sooner, later in pairwise(sent_ns)) + bool(sent_ns)
+
+
+class IdleWork:
+    """Schedules the turns of idle work; see :data:`IDLE_EVERY_NS`. ``first_ns`` is the time of the first turn."""
+
+    def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int) -> None:
+        self._idle, self._next_ns, self._enough_ns = idle, first_ns, period_ns // 2
+
+    def __call__(self, now_ns: int, left_ns: int) -> None:
+        """Do a turn if one is due; call it after a cycle that began at ``now_ns``, ``left_ns`` before the next."""
+        late_ns = now_ns - self._next_ns
+        if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= IDLE_EVERY_NS):
+            self._idle()
+            self._next_ns = now_ns + IDLE_EVERY_NS
+
+
+def _exact_sleep() -> None:
+    # To save power, Linux wakes a normal thread up to 50 µs late: a tenth of our period.
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
+
+
+def awaited(job: Callable[[], T], meanwhile: Callable[[], object]) -> T:
+    """What ``job`` returns or raises, done once in a thread that ends with it; scheduling as of `WorkerThread`.
+
+    ``meanwhile`` is called again and again until it is done.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        done = thread.submit(job)
+        while not done.done():
+            meanwhile()
+        return done.result()
+
+
+class WorkerThread:
+    """Does jobs of some milliseconds in a thread, in the order of submission, so that the loop misses no cycle.
+
+    The thread is started by the first job, in the loop's thread, so it inherits the loop's scheduling. With a lower
+    priority it could be preempted while it holds the interpreter lock, and would block the loop. ``failed`` is called
+    with the reason when a job fails.
+    """
+
+    def __init__(self, failed: Callable[[str], object]) -> None:
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        self._failed = failed
+        self._thread = ThreadPoolExecutor(max_workers=1)
+
+    def run(self, job: Callable[[], None]) -> None:
+        """Queue ``job`` and return at once."""
+        self._thread.submit(job).add_done_callback(self._report)
+
+    def close(self) -> None:
+        """Wait for all jobs."""
+        self._thread.shutdown(wait=True)
+
+    def _report(self, done: Future[None]) -> None:
+        error = done.exception()
+        if error is not None:
+            self._failed(f"a job of the worker thread failed: {error!r}")

@@ -1,0 +1,123 @@
+"""A node's parameter set as ROS 2 parameters: declared from its dataclass, and changed together or not at all."""
+
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from straightcomp_ros.parameters.declaration import (
+    Declaration,
+    ParameterError,
+    belongs_to_ros,
+    declarations,
+    from_mapping,
+)
+from straightcomp_ros.parameters.node_parameters import STAGE
+
+T = TypeVar("T")
+Prepare = Callable[[Any], Callable[[], None]]
+
+_FIXED = ("autostart", "realtime")
+"""Parameters that are used once, when the process starts."""
+
+
+def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> T:
+    """Read and validate what launch file, YAML and command line gave to ``node``; declare every parameter.
+
+    Make the node with ``automatically_declare_parameters_from_overrides=True``: otherwise it hides unknown names.
+    With ``changeable`` only the parameters that are used at the start of the process are read-only. ParameterError for
+    an unknown name, a wrong type or a value out of range.
+    """
+    given = {name: value.value for name, value in node.get_parameters_by_prefix("").items() if not belongs_to_ros(name)}
+    # A stage file describes the stage to all nodes; some need nothing of it.
+    if STAGE not in parameter_set.__annotations__:
+        for name in [name for name in given if name.startswith(f"{STAGE}.")]:
+            node.undeclare_parameter(name)
+            del given[name]
+    parameters = from_mapping(parameter_set, given)
+    for declaration in declarations(parameter_set):
+        value = declaration.check(given.get(declaration.name, declaration.default))
+        if declaration.name in given:
+            node.undeclare_parameter(declaration.name)
+        fixed = not changeable or declaration.name.split(".")[0] in _FIXED
+        # ``value`` is the given value, with an integer converted to float where the declaration says so.
+        node.declare_parameter(declaration.name, value, _descriptor(declaration, fixed), ignore_override=True)
+    return parameters
+
+
+def _descriptor(declaration: Declaration, fixed: bool) -> ParameterDescriptor:
+    unit = f" [{declaration.unit}]" if declaration.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{declaration.description}{unit}",
+        additional_constraints=declaration.allowed(),
+        read_only=fixed,
+    )
+    low, high = declaration.minimum, declaration.maximum
+    if low is None and high is None:
+        return descriptor
+    if declaration.kind is float:
+        lowest = -sys.float_info.max if low is None else float(low)
+        highest = sys.float_info.max if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
+    elif declaration.kind is int:
+        lowest, highest = -(2**63) if low is None else int(low), 2**63 - 1 if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=lowest, to_value=highest, step=1)]
+    return descriptor
+
+
+class ParameterChanges:
+    """Refuses what the parameter set or the component refuses; the requesting client gets the reason.
+
+    While the node is unconfigured any parameter may change: the next configuration reads it. In other states only the
+    parameters that the set names in ``dynamic`` may change. ``refusals`` are the exceptions by which the component
+    refuses values.
+    """
+
+    def __init__(self, node: Node, parameter_set: type, refusals: tuple[type[Exception], ...]) -> None:
+        self._node, self._parameter_set, self._refusals = node, parameter_set, refusals
+        self._names = [declaration.name for declaration in declarations(parameter_set)]
+        self._prepare: Prepare | None = None
+        self._take_over: Callable[[], None] | None = None
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._changed)
+
+    def parameters(self) -> Any:
+        """The parameter set with the current values; ParameterError if they contradict each other."""
+        return from_mapping(self._parameter_set, self._values())
+
+    def follow(self, prepare: Prepare | None) -> None:
+        """Let the component's ``prepare`` decide on changes from now on; None while the node is unconfigured."""
+        self._prepare = prepare
+
+    def _values(self) -> dict[str, Any]:
+        return {name: self._node.get_parameter(name).value for name in self._names}
+
+    def _check(self, asked: list[Parameter]) -> SetParametersResult:
+        self._take_over = None
+        values = self._values()
+        changed = {p.name: p.value for p in asked if not belongs_to_ros(p.name) and values.get(p.name) != p.value}
+        try:
+            parameters = from_mapping(self._parameter_set, {**values, **changed})
+            if changed and self._prepare is not None:
+                self._refuse_fixed(changed)
+                self._take_over = self._prepare(parameters)
+        except self._refusals as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _refuse_fixed(self, changed: dict[str, Any]) -> None:
+        dynamic = self._parameter_set.dynamic  # type: ignore[attr-defined]
+        for name in changed:
+            if not any(name == one or name.startswith(f"{one}.") for one in dynamic):
+                raise ParameterError(
+                    f"parameter '{name}' is fixed while the node is configured; clean the node up first, "
+                    f"or change one of: {', '.join(dynamic) or 'none'}"
+                )
+
+    def _changed(self, _: list[Parameter]) -> None:
+        take_over, self._take_over = self._take_over, None
+        if take_over is not None:
+            take_over()
