@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick soak processors mutants docs setup clean
+.PHONY: help demo test quick nightly trials processors mutants docs setup clean
 
 
 ARGS ?=
@@ -13,9 +13,9 @@ PYTHON ?=
 # A graph of ours talks to this machine only, and tests to no other graph on it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Several processes import the same tests: bytecode that one has made serves the others.
-test processors: export PYTHONDONTWRITEBYTECODE :=
+test nightly processors: export PYTHONDONTWRITEBYTECODE :=
 # Above 101 the ports of DDS collide with those that Linux hands out.
-test quick soak processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
+test quick nightly processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
 
 # A sourced Jazzy is used as it is; elsewhere its wheels come from PyPI.
 JAZZY := $(shell [ "$${ROS_DISTRO:-}" = jazzy ] && python3 -c 'import rclpy' 2> /dev/null && echo yes)
@@ -29,10 +29,11 @@ help:
 	@cat <<'TEXT'
 	make demo              simulated stroke, uncompensated and compensated; writes plots and a bag
 	make demo ARGS="..."   the same with options, e.g. ARGS="--law linear"; ARGS=--help lists them
-	make test              all tests, with branch coverage: below 95 % of the core or 85 % of all it fails
-	make test ARGS="..."   some of them, without coverage, e.g. ARGS="-k bags"
+	make test              what CI runs: some ten minutes on two cores
+	make test ARGS="..."   some of the tests, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
-	make soak              the longest tests, which make test leaves out: CONTRIBUTING.md says which
+	make nightly           all tests, with coverage, as on other processors, some mutants: an hour; CONTRIBUTING.md says more
+	make trials ARGS="..." faults, long runs and benches of development, e.g. ARGS="faults --only foreign"
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make mutants           200 random changes of the core: tests of the changed folder must notice 92 % of them
 	make mutants ARGS="..."  with options, e.g. ARGS="--seed 2 --processes 4"; ARGS=--help lists them
@@ -45,32 +46,45 @@ help:
 demo: setup
 	@exec .venv/bin/straightcomp demo $(ARGS)
 
+PYTEST := OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest
+# One process more than there are cores, since many tests wait for programs that they start.
+PARALLEL := -n $$(( $$(nproc) + 1 )) --dist worksteal
+# Live nodes share the machine with nothing else; the other tests share out its cores first.
+define TEST_ALL
+code=0
+echo "Tests without live nodes:"
+$(PYTEST) -m "not live and not nightly" $(PARALLEL) || code=1
+echo "Tests of live nodes, one after the other:"
+$(PYTEST) test/nodes -m "live and not nightly" --rerun-show-tracebacks || code=1
+[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
+endef
+test: setup
+	$(if $(ARGS),exec .venv/bin/python -m pytest $(ARGS),$(TEST_ALL))
+
 # What of the core is only reached through a running graph is not tested well enough: it has a figure of its own.
 CORE := analysis control messages model stage straightness timing
 CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/parameters/declaration.py
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
-# Live nodes share the machine with nothing else; the other tests share out its cores first.
-define TEST_ALL
-.venv/bin/python -m coverage erase
-code=0
-echo "Tests without live nodes, one process more than there are cores, since many wait for programs that they start:"
-OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -m "not live and not soak" -n $$(( $$(nproc) + 1 )) --dist worksteal --cov --cov-report= || code=1
-echo "Tests of live nodes, one after the other:"
-.venv/bin/python -m pytest test/nodes test/kernel -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
-echo "Some tests as on other processors:"
-.venv/bin/python scripts/processors.py --only SKYLAKEX PRESCOTT -n logical $(PROCESSOR_DEPENDENT:%=test/%) || code=1
-[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
-echo "Branch coverage of the core:"
-.venv/bin/python -m coverage report --fail-under=95 --include='$(call comma_separated,$(CORE:%=straightcomp_ros/%/*) $(CORE_FILES))'
-echo "Branch coverage of all:"
-.venv/bin/python -m coverage report --fail-under=85
-endef
 # What sums, solves and fits the most.
 PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py survey_series.py) \
   trials/test_measuring.py control/test_observer.py control/test_surface_design.py
-test: setup
+nightly: setup
 	@mkdir -p .coverage_data
-	$(if $(ARGS),exec .venv/bin/python -m pytest $(ARGS),$(TEST_ALL))
+	.venv/bin/python -m coverage erase
+	code=0
+	echo "All tests without live nodes, with branch coverage:"
+	$(PYTEST) -m "not live" $(PARALLEL) --cov --cov-report= || code=1
+	echo "All tests of live nodes, and those in a guest kernel:"
+	$(PYTEST) test/nodes test/trials test/kernel -m live --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
+	echo "Branch coverage of the core:"
+	.venv/bin/python -m coverage report --fail-under=95 --include='$(call comma_separated,$(CORE:%=straightcomp_ros/%/*) $(CORE_FILES))' || code=1
+	echo "Branch coverage of all:"
+	.venv/bin/python -m coverage report --fail-under=85 || code=1
+	echo "Some tests as on other processors:"
+	.venv/bin/python scripts/processors.py -n logical $(PROCESSOR_DEPENDENT:%=test/%) || code=1
+	echo "Do the tests notice changes of the core?"
+	$(MAKE) --no-print-directory mutants ARGS="--number 40 --seed $$(date +%j)" || code=1
+	[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
 
 # No live graph, no build, no whole strokes: what a change of an equation, a format or a parameter needs while one works.
 QUICK := model control straightness timing doctor packaging/test_gates.py messages settings
@@ -78,8 +92,8 @@ LONGER := control/test_learning.py control/test_learning_file.py control/test_ob
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
 
-soak: setup
-	@exec .venv/bin/python -m pytest -m soak $(ARGS)
+trials: setup
+	@exec .venv/bin/python -m trials $(ARGS)
 
 processors: setup
 	@exec .venv/bin/python scripts/processors.py -n logical $(ARGS)
@@ -139,4 +153,4 @@ $(MADE):
 
 clean:
 	rm -rf .venv build install log demo_output site *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage*
-	find straightcomp_ros test launch -name __pycache__ -type d -prune -exec rm -rf {} +
+	find straightcomp_ros trials test launch -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -10,7 +10,8 @@ from straightcomp_ros.cell.launcher import Graph
 
 pytest_plugins = ["repeats", "pytester", "firmware_programs", "dask_scheduler"]
 
-LIVE = [Path(__file__).parent / name for name in ("nodes", "kernel")]
+HERE = Path(__file__).parent
+NIGHTLY = {HERE / name for name in ("kernel", "trials")}
 
 # A machine that others use too stands still for half a second now and then: an example is not wrong for being late.
 settings.register_profile("shared machine", deadline=None)
@@ -41,15 +42,14 @@ def pytest_runtest_call(item):
         one.start()
 
 
-@pytest.hookimpl(trylast=True)
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """`make test` looks for live tests there only: to import all the others takes a quarter of a minute."""
-    live = [item for item in items if item.get_closest_marker("live")]
-    elsewhere = [item.nodeid for item in live if not set(LIVE) & set(item.path.parents)]
-    if elsewhere:
-        raise pytest.UsageError(
-            f"tests with the mark 'live' belong in test/nodes or test/kernel: {', '.join(elsewhere)}"
-        )
+    for item in items:
+        if NIGHTLY & set(item.path.parents):
+            item.add_marker(pytest.mark.nightly)
+        # `make test` looks for live tests in few folders: to import all the others takes a quarter of a minute.
+        if item.get_closest_marker("live") and not {*NIGHTLY, HERE / "nodes"} & set(item.path.parents):
+            raise pytest.UsageError(f"{item.nodeid}: tests with the mark 'live' belong in test/nodes, kernel or trials")
 
 
 @pytest.fixture(autouse=True)
