@@ -11,31 +11,28 @@ from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.plain_json import plain
 from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.tuning.commissioning import STEP_NAMES, CommissioningError
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.certificate import certificate
-from straightcomp_ros.tuning.commissioning.connection import connection
-from straightcomp_ros.tuning.commissioning.designed_law import design
-from straightcomp_ros.tuning.commissioning.identified_machine import identification
-from straightcomp_ros.tuning.commissioning.loop_response import frequency_response
+from straightcomp_ros.tuning.commissioning.closed_loop import design, frequency_response, identification, safe_loop
 from straightcomp_ros.tuning.commissioning.machine import Machine
-from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
-from straightcomp_ros.tuning.commissioning.safe_loop import safe_loop
-from straightcomp_ros.tuning.commissioning.signs_and_scales import signs_and_scales
-from straightcomp_ros.tuning.commissioning.step_files import RECORD, STEP_FILES
+from straightcomp_ros.tuning.commissioning.open_loop import connection, signs_and_scales
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
-_DONE_BY = (
-    connection,
-    signs_and_scales,
-    safe_loop,
-    identification,
-    design,
-    frequency_response,
-    acceptance,
-    certificate,
-)
-STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(zip(STEP_NAMES, _DONE_BY, strict=True))
-"""The steps by name, in their order."""
+STEPS: Mapping[str, Callable[[Work], Outcome]] = {
+    step.__name__: step
+    for step in (
+        connection,
+        signs_and_scales,
+        safe_loop,
+        identification,
+        design,
+        frequency_response,
+        acceptance,
+        certificate,
+    )
+}
+"""The steps by name, in their order: that of STEP_NAMES."""
 
 
 class Procedure:
@@ -99,7 +96,7 @@ class Procedure:
         """Take ``steps`` out of the record, then remove their files."""
         for step in steps:
             self.outcomes.pop(step, None)
-        # First the record: a file that it does not name misleads nobody for long, since the next call removes it.
+        # First the record: a file that it does not name misleads only until the next call, which removes it.
         self._write()
         for step in steps:
             for name in STEP_FILES.get(step, ()):
@@ -108,7 +105,7 @@ class Procedure:
     def remaining(self) -> list[str]:
         """Names of the steps from the first on that has not passed, in their order.
 
-        Those after it are among them even if they have passed: where a repeat was interrupted, nobody knows any more
+        Those after it are among them even if they have passed: where a repeat was interrupted, it is no longer known
         whether they rest on what it will find.
         """
         names = list(STEPS)

@@ -16,8 +16,8 @@ from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.design.gains import scaled, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
-from straightcomp_ros.tuning.design.searched_gains import scaled, with_gains
 from straightcomp_ros.tuning.sweep.draws import sample_times, streams
 
 _STARTS = 3
@@ -41,7 +41,7 @@ class _Variant(NamedTuple):
     """One run of the budget: the law has the description ``stage``; the delay in s."""
 
     cause: str
-    course: PreparedStroke
+    stroke: PreparedStroke
     plant: PlantParameters
     control: ControlParameters
     stage: StageParameters
@@ -56,20 +56,12 @@ def error_budget(
     seed: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[BudgetEntry, ...]:
-    """The budget of ``gains``; the first entry is the stage as described.
-
-    Args:
-        scenario: the stage.
-        law: name of the law.
-        gains: by dotted name.
-        seed: of the jitter.
-        progress: called with the fraction that is done.
-    """
+    """The budget of ``gains``, by dotted name; the first entry is the stage as described. ``seed`` draws the jitter."""
     found = []
     variants = _variants(scenario, law, gains, seed)
     for number, variant in enumerate(variants, 1):
         made = make_law(variant.control, variant.stage)
-        runs = [variant.course.run(made, variant.delay, start, variant.plant) for start in range(_STARTS)]
+        runs = [variant.stroke.run(made, variant.delay, start, variant.plant) for start in range(_STARTS)]
         pp, rms = (float(np.median([getattr(run, name) for run in runs])) for name in ("pp", "rms"))
         found.append(BudgetEntry(variant.cause, pp, rms))
         progress(number / len(variants))
@@ -78,7 +70,7 @@ def error_budget(
 
 def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int) -> list[_Variant]:
     base, stage, plant = next(iter(scenario.controls.values())), scenario.description, scenario.driver.plant
-    course, delay = prepared_stroke(scenario), stage.drive.delay * stage.period
+    stroke, delay = prepared_stroke(scenario), stage.drive.delay * stage.period
     control = with_gains(base, law, gains)
     encoder = dataclasses.replace(plant.encoder, y_resolution=_FINE * plant.encoder.y_resolution)
     converter = dataclasses.replace(plant.drive, dac_bits=_DAC_BITS)
@@ -98,7 +90,7 @@ def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: in
 
     def variant(cause: str, own: Mapping[str, Any] | None = None, **changes: Any) -> _Variant:
         """As described, with other parts of the plant in ``own``, and other fields of the variant."""
-        plain = _Variant(cause, course, dataclasses.replace(plant, **(own or {})), control, stage, delay)
+        plain = _Variant(cause, stroke, dataclasses.replace(plant, **(own or {})), control, stage, delay)
         return plain._replace(**changes)
 
     return [
@@ -120,8 +112,8 @@ def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: in
             control=with_gains(base, law, _faster(law, gains, stage, wide)),
             stage=wide,
         ),
-        variant("exact reference at each sample", course=prepared_stroke(scenario, ideal=True)),
-        variant("with the jitter of the uncertainty", course=prepared_stroke(scenario, stamps=stamps)),
+        variant("exact reference at each sample", stroke=prepared_stroke(scenario, ideal=True)),
+        variant("with the jitter of the uncertainty", stroke=prepared_stroke(scenario, stamps=stamps)),
     ]
 
 

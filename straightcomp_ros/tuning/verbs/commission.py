@@ -18,8 +18,7 @@ from straightcomp_ros.parameters.output_folder import making
 from straightcomp_ros.parameters.parameter_sets import CommissioningNodeParameters
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
-from straightcomp_ros.tuning.commissioning import STEP_NAMES
-from straightcomp_ros.tuning.commissioning.step_files import MADE
+from straightcomp_ros.tuning.commissioning import MADE, STEP_NAMES
 from straightcomp_ros.tuning.verbs.graph_option import (
     RUNNING,
     add_graph_option,
@@ -99,7 +98,7 @@ def run(options: argparse.Namespace) -> None:
                 _commission(options, folder, check, machine, found, tell)
             return
         # Only here: the steps import all of the design.
-        from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+        from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 
         _commission(options, folder, check, SimulatedMachine(values), values, lambda doing: None)
 

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         _print(design, scenario.description.name)
         if output is None:
             console.print("Nothing is written: -o FILE writes the stage file with these gains.", highlight=False)
-    return 0 if design.verification.holds else 1
+    return 0 if design.holds else 1
 
 
 def _writable(source: Path, output: Path) -> None:
@@ -110,7 +110,7 @@ def _with_gains(text: str, design: Design) -> str:
 
 
 def _in_json(design: Design) -> dict[str, Any]:
-    sweep = design.verification.summary
+    sweep = design.verification
     return {
         "law": design.law,
         "quiet": design.quiet,
@@ -118,8 +118,7 @@ def _in_json(design: Design) -> dict[str, Any]:
         "predicted": _figures(design.figures),
         "closed_form": {"values": dict(design.start_values), **_figures(design.start_figures)},
         "uncertain_machines": sweep.to_display(),
-        "budget": [{"cause": one.cause, "pp_um": one.pp * 1e6, "rms_um": one.rms * 1e6} for one in design.budget],
-        "limits": {state: one._asdict() for state, one in design.limits.items()},
+        **design.limits_to_display(),
         "rounds": design.rounds,
     }
 
@@ -162,6 +161,6 @@ def _print(design: Design, name: str) -> None:
             f"{limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
             highlight=False,
         )
-    sweep = design.verification.summary
+    sweep = design.verification
     shown = ", ".join(f"{key} {sweep.pp[key] * 1e6:.2f}" for key in PERCENTILES)
     console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)

@@ -27,10 +27,9 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_survey,
     parameter_file,
 )
-from straightcomp_ros.tuning.identification.excitation import excitation_survey
-from straightcomp_ros.tuning.identification.untold import untold
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
 _DEFAULT_KNOWN = "actuator.turns"
@@ -97,7 +96,7 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
             for name, found in estimate.parameters.items()
         },
         "advice": estimate.advice,
-        "untold": untold(estimate),
+        "untold": estimate.not_identifiable,
     }
 
 
@@ -124,7 +123,7 @@ def _print(estimate: Estimate) -> None:
     )
     if estimate.centre:
         notes.print(f"{estimate.centre}", highlight=False)
-    for sentence in untold(estimate):
+    for sentence in estimate.not_identifiable:
         notes.print(sentence, highlight=False)
     for name, words in estimate.advice.items():
         notes.print(f"{name} would need: {words}")

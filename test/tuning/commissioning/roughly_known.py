@@ -8,8 +8,8 @@ from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.commissioning.outcome import Work
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine, sound
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
+from straightcomp_ros.tuning.commissioning.step import Work
 
 TRUTH = "simulated.truth."
 ROUGH = Path(__file__).with_name("rough.yaml")

@@ -11,9 +11,9 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.host_stalls import Stall
 from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
-from straightcomp_ros.tuning.commissioning.step_files import LEARNED, LIMITS
 from trials.faults.faulty_machine import FaultyHardware
 
 STALL, APART = 0.03, 0.5

@@ -19,11 +19,11 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
-from straightcomp_ros.tuning.commissioning import simulated_machine
+from straightcomp_ros.tuning.commissioning import machine
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
-from straightcomp_ros.tuning.commissioning.outcome import Outcome
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine, sound
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
+from straightcomp_ros.tuning.commissioning.step import Outcome
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
 
 Wiring = Callable[[SimulatedHardware], Hardware]
 TRUTH = "driver.simulated.truth."
@@ -49,7 +49,7 @@ def commissioned(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
             built.append(wiring(hardware))
             return built[-1]
 
-        monkeypatch.setattr(simulated_machine, "SimulatedMachine", lambda values: machine(values, kept))
+        monkeypatch.setattr(machine, "SimulatedMachine", lambda values: machine(values, kept))
         told = [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
         few = ("--evaluations", "40", "--machines", "20", "--json")
         folder = tmp_path / "done"

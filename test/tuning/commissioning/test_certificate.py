@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from roughly_known import values_of, work_on
 
+from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
-from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
-from straightcomp_ros.tuning.commissioning.step_files import STEP_FILES
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
 LATENCY = {"p50": 335.12100000000004, "p99": 335.12100000000004, "p99.9": 335.2, "p100": 335.2}
 TIMING = {

@@ -10,10 +10,10 @@ from roughly_known import ROUGH
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.output_folder import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.commissioning import STEP_NAMES
-from straightcomp_ros.tuning.commissioning.outcome import Outcome
-from straightcomp_ros.tuning.commissioning.procedure import RECORD, STEPS, Procedure
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_NAMES
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
+from straightcomp_ros.tuning.commissioning.step import Outcome
 
 
 @pytest.fixture

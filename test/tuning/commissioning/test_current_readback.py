@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.tuning.commissioning.current_readback import current_readback
 from straightcomp_ros.tuning.commissioning.machine import Series
+from straightcomp_ros.tuning.commissioning.open_loop import current_readback
 
 PERIOD = 5e-4
 RANDOM = np.random.default_rng(3)

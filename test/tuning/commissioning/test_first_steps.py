@@ -11,11 +11,9 @@ from roughly_known import MACHINES, TRUTH, values_of, work_on
 
 from straightcomp_ros.control.excitation_parameters import ExcitationParameters
 from straightcomp_ros.tuning.commissioning import LeftTravel
-from straightcomp_ros.tuning.commissioning.connection import connection
-from straightcomp_ros.tuning.commissioning.machine import Series
-from straightcomp_ros.tuning.commissioning.outcome import Outcome
-from straightcomp_ros.tuning.commissioning.signs_and_scales import signs_and_scales
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.machine import Series, SimulatedMachine
+from straightcomp_ros.tuning.commissioning.open_loop import connection, signs_and_scales
+from straightcomp_ros.tuning.commissioning.step import Outcome
 
 
 @pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)

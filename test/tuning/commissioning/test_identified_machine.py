@@ -11,9 +11,9 @@ from roughly_known import TRUTH, values_of, work_on
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
-from straightcomp_ros.tuning.commissioning.identified_machine import facts_found, identification, strangeness
-from straightcomp_ros.tuning.commissioning.outcome import Outcome
-from straightcomp_ros.tuning.commissioning.simulated_machine import sound
+from straightcomp_ros.tuning.commissioning.closed_loop import facts_found, identification, strangeness
+from straightcomp_ros.tuning.commissioning.machine import sound
+from straightcomp_ros.tuning.commissioning.step import Outcome
 from straightcomp_ros.tuning.identification.estimate import UNITS, Estimate, Estimated
 
 SAFE = {"control.law": "linear", "control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}

@@ -8,12 +8,16 @@ from roughly_known import values_of, work_on
 
 from straightcomp_ros.control.excitation_parameters import MultisineParameters
 from straightcomp_ros.parameters.node_parameters import Values
-from straightcomp_ros.tuning.commissioning import loop_response
-from straightcomp_ros.tuning.commissioning.loop_response import frequency_response
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning import closed_loop
+from straightcomp_ros.tuning.commissioning.closed_loop import frequency_response
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded, response_plot
-from straightcomp_ros.tuning.frequency_response.response_margins import ResponseMargins, response_margins
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse, measure_simulated
+from straightcomp_ros.tuning.frequency_response.measured_response import (
+    ComparedResponse,
+    ResponseMargins,
+    response_margins,
+)
+from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 
 
 class Lively(SimulatedMachine):
@@ -66,10 +70,10 @@ def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
     machine = Noted(values)
     machine.bears = 1.0
     work = dataclasses.replace(work_on(values, tmp_path), machine=machine)
-    monkeypatch.setattr(loop_response, "measure_simulated", simulated)
+    monkeypatch.setattr(closed_loop, "measure_simulated", simulated)
     assert frequency_response(work).passed
     assert machine.motion == pytest.approx(share * usual)
-    monkeypatch.setattr(loop_response, "_MOTIONS", (1.0,))
+    monkeypatch.setattr(closed_loop, "_MOTIONS", (1.0,))
     if share < 1.0:
         sentence = frequency_response(work).sentence
         assert (
@@ -103,8 +107,8 @@ def test_margins_are_judged_to_both_sides_and_told_in_the_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = ResponseMargins(0.5, 2.0, 40.0, 80.0, 1e-3, 1.8, 200.0)._replace(**margins)
-    monkeypatch.setattr(loop_response, "response_margins", lambda frequencies, loop: whole)
-    monkeypatch.setattr(loop_response, "_measured", lambda work: measured)
+    monkeypatch.setattr(closed_loop, "response_margins", lambda frequencies, loop: whole)
+    monkeypatch.setattr(closed_loop, "_measured", lambda work: measured)
     monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
     outcome = frequency_response(work_on(values_of(), tmp_path))
     assert outcome.passed is not bool(words) and words in outcome.sentence
@@ -117,7 +121,7 @@ def test_margins_are_those_of_the_coherent_lines(tmp_path: Path, monkeypatch: py
         used.append(len(frequencies))
         return response_margins(frequencies, loop)
 
-    monkeypatch.setattr(loop_response, "response_margins", noted)
+    monkeypatch.setattr(closed_loop, "response_margins", noted)
     values = values_of(friction__coulomb=6.0, friction__static=8.0)
     machine = Lively(values)
     machine.bears = 1.0

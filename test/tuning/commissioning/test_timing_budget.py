@@ -7,8 +7,8 @@ import pytest
 from roughly_known import values_of
 
 from straightcomp_ros.offline.compiled_stroke import run_stroke
-from straightcomp_ros.tuning.commissioning import timing_budget
-from straightcomp_ros.tuning.commissioning.timing_budget import allowed_cost_um
+from straightcomp_ros.tuning.commissioning import acceptance
+from straightcomp_ros.tuning.commissioning.acceptance import allowed_cost_um
 
 
 def test_a_platform_that_late_commands_lose_costs_infinitely_much(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -17,8 +17,8 @@ def test_a_platform_that_late_commands_lose_costs_infinitely_much(monkeypatch: p
             raise ValueError("position or control current is not finite")
         return run_stroke(values)
 
-    monkeypatch.setattr(timing_budget, "run_stroke", lost)
-    found = timing_budget.timing_budget(values_of(motion__stroke=0.1), np.full(1000, 6e-4), 2e-4)
+    monkeypatch.setattr(acceptance, "run_stroke", lost)
+    found = acceptance.timing_budget(values_of(motion__stroke=0.1), np.full(1000, 6e-4), 2e-4)
     assert found["as_measured_costs_um"] == found["p99_costs_um"] == math.inf
     assert set(found["stall_error_um"].values()) == {math.inf} and found["longest_stall_survived_ms"] == 0
     assert math.isfinite(found["in_time_pp_um"])
@@ -26,9 +26,9 @@ def test_a_platform_that_late_commands_lose_costs_infinitely_much(monkeypatch: p
 
 def test_commands_in_time_cost_nothing_and_commands_without_latencies_are_not_judged() -> None:
     values = values_of(motion__stroke=0.1)
-    early = timing_budget.timing_budget(values, np.array([1e-4, math.nan, 5e-4]), 2e-4)
+    early = acceptance.timing_budget(values, np.array([1e-4, math.nan, 5e-4]), 2e-4)
     assert early["as_measured_costs_um"] == early["p99_costs_um"] == 0.0
-    assert "as_measured_costs_um" not in timing_budget.timing_budget(values, np.full(5, math.nan), 2e-4)
+    assert "as_measured_costs_um" not in acceptance.timing_budget(values, np.full(5, math.nan), 2e-4)
 
 
 def test_late_commands_may_double_the_error_or_add_a_count() -> None:

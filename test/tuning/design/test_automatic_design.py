@@ -9,14 +9,13 @@ from motions import moving
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.least_margins import missing_margin
 from straightcomp_ros.model.motion import MotionParameters
-from straightcomp_ros.tuning.design.automatic_design import closed_form, design_gains
+from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.error_budget import error_budget
-from straightcomp_ros.tuning.design.extreme_machines import extreme_machines
 from straightcomp_ros.tuning.design.gain_search import search
-from straightcomp_ros.tuning.design.judged_gains import Judgement, judge_of
+from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, starts, with_gains
+from straightcomp_ros.tuning.design.judged_gains import Judgement, extreme_machines, judge_of
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
-from straightcomp_ros.tuning.design.searched_gains import SEARCHED, scaled, starts, with_gains
-from straightcomp_ros.tuning.design.stability_demands import StabilityCheck
+from straightcomp_ros.tuning.design.stability import StabilityCheck
 
 FEW = {"evaluations": 18, "machines": 4, "jobs": 1}
 
@@ -42,7 +41,7 @@ def test_a_designed_stage_keeps_its_margins(designed, shipped):
 
 def test_a_design_is_verified_and_silent_at_rest(designed):
     design, _ = designed
-    assert design.verification.holds and design.verification.summary.trials == 4
+    assert design.holds and design.verification.trials == 4
     assert design.figures.rest_work.max == 0.0
     assert design.figures.pp.median < 2.0 * design.start_figures.pp.median
 

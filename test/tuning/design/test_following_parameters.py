@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from scripts.stage_files import stage_scenario
-from straightcomp_ros.tuning.design.following_parameters import following
+from straightcomp_ros.tuning.design.gains import following
 
 OBSERVER = "control.smc_observer."
 

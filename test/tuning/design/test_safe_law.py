@@ -12,9 +12,9 @@ from straightcomp_ros.control.margins import closed_loop, linearised, sampled_pl
 from straightcomp_ros.offline.scenario import Scenario, make_scenario
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.truth import Factors, deviating
-from straightcomp_ros.tuning.design.feasible_gains import DesignError
-from straightcomp_ros.tuning.design.safe_law import LAW, SafeLaw, _corners, _growths, safe_law
-from straightcomp_ros.tuning.design.searched_gains import with_gains
+from straightcomp_ros.tuning.design.feasible_gains import LAW, DesignError, SafeLaw, growths, safe_law
+from straightcomp_ros.tuning.design.gains import with_gains
+from straightcomp_ros.tuning.design.stability import corners_of
 
 HARDLY_KNOWN = {
     "mass": 0.4,
@@ -71,7 +71,7 @@ def test_facts_without_uncertainty_are_no_corners() -> None:
 
 def test_gains_beyond_their_ranges_are_no_candidates(found: SafeLaw) -> None:
     scenario = make_scenario(shipped_parameters(), [LAW])
-    corners = _corners(scenario.description)
+    corners = corners_of(scenario.description)
     far = {**found.values, "control.smc.velocity_bandwidth": 2e6}
-    assert max(_growths(scenario, corners, found.values)) < 0.0
-    assert set(_growths(scenario, corners, far)) == {math.inf}
+    assert max(growths(scenario, corners, found.values)) < 0.0
+    assert set(growths(scenario, corners, far)) == {math.inf}

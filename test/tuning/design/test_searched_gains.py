@@ -6,9 +6,8 @@ from scripts.stage_files import stage_names, stage_scenario
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law, stiffened
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.design.automatic_design import closed_form
-from straightcomp_ros.tuning.design.searched_gains import SEARCHED, rule, scaled, starts, with_gains
-from straightcomp_ros.tuning.design.stability_demands import StabilityCheck
+from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, rule, scaled, starts, with_gains
+from straightcomp_ros.tuning.design.stability import StabilityCheck
 
 STAGE = StageParameters()
 OBSERVER = "control.smc_observer."

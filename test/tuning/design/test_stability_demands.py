@@ -9,11 +9,10 @@ from scripts.stage_files import stage_scenario
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.least_margins import missing_margin
 from straightcomp_ros.control.margins import loop_margins
-from straightcomp_ros.tuning.design.automatic_design import closed_form, design_gains
-from straightcomp_ros.tuning.design.failing_limits import failing_limits
+from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError, feasible_gains, refusal
-from straightcomp_ros.tuning.design.searched_gains import scaled, with_gains
-from straightcomp_ros.tuning.design.stability_demands import Demands, StabilityCheck
+from straightcomp_ros.tuning.design.gains import closed_form, scaled, with_gains
+from straightcomp_ros.tuning.design.stability import Demands, StabilityCheck, failing_limits
 
 GAINS_OF_A_SEARCH = {
     "control.smc_observer.bandwidth": 305.62,

@@ -24,9 +24,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     estimate_from_bag,
     parameter_file,
 )
-from straightcomp_ros.tuning.identification.sliding_start import centre, sliding_start
-from straightcomp_ros.tuning.identification.unknowns import NAMES, unknowns
-from straightcomp_ros.tuning.identification.untold import untold
+from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, sliding_start, unknowns
 from trials.faults.faulty_machine import FaultyHardware
 
 START = StageParameters()
@@ -132,7 +130,7 @@ def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(f
         assert found[name].value == pytest.approx(truth[name] * ratio, rel=0.01), name
     assert estimate.path.rate == pytest.approx(2.0 * math.pi * FAR["drive.bandwidth"], rel=1e-3)
     assert estimate.path.delay == pytest.approx(FAR["drive.delay"] / START.rate, rel=1e-3)
-    assert "platform.mass was given" in untold(estimate)[0]
+    assert "platform.mass was given" in estimate.not_identifiable[0]
 
 
 def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
@@ -140,7 +138,7 @@ def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
     parameters["friction.viscous"] = Estimated("friction.viscous", 1.0, 0.5, 2.0, False, ("friction.static",))
     parameters["friction.static"] = Estimated("friction.static", 1.0, 0.9, 1.1, False, ("friction.viscous",))
     path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))  # type: ignore[arg-type]
-    sentences = untold(Estimate(parameters, None, path, None))  # type: ignore[arg-type]
+    sentences = Estimate(parameters, None, path, None).not_identifiable  # type: ignore[arg-type]
     assert "platform.mass was given" in sentences[0] and "actuator.turns" not in sentences[0]
     assert "bandwidth" in sentences[1]
     assert sum("told apart" in sentence for sentence in sentences) == 1
