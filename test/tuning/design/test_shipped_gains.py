@@ -15,7 +15,7 @@ BEHIND = {"true_pp_um": 1.1, "true_rms_um": 1.05, "control_rms_step_A": 1.1}
 """Factors by which the shipped gains may be behind a design, by figure; a p-p is one extreme of a stroke."""
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 @pytest.mark.no_cover
 def test_the_shipped_gains_are_little_behind_a_design_for_the_shipped_stage():
     shipped = shipped_parameters()
