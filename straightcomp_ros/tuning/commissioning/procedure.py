@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +38,8 @@ STEPS: Mapping[str, Callable[[Work], Outcome]] = {
 class Procedure:
     """Commissioning of one machine in one folder.
 
-    Args:
-        machine: the machine.
-        values: its description by node and dotted name.
-        folder: where the record and all files are; a record of the same description is taken up again.
-        evaluations: candidates of the search for gains.
-        machines: uncertain machines of its verification.
-        learning_strokes: cycles in which `acceptance` first lets the controller learn; 0 for none.
-        check_survey: an independent measurement of the guide, by which `acceptance` checks the map.
+    ``values`` describe the machine by node and dotted name. The record and all files are in ``folder``; a record of the
+    same description is taken up again. The other arguments are those of :class:`Work`.
 
     Raises:
         CommissioningError: the folder has a record of another description, or one that cannot be read.
@@ -63,10 +57,11 @@ class Procedure:
         learning_strokes: int = 0,
         check_survey: Survey | None = None,
     ) -> None:
-        self._machine, self._values, self._folder = machine, values, folder
-        self._evaluations, self._machines = evaluations, machines
-        self._learning_strokes, self._check_survey = learning_strokes, check_survey
-        self._description = node_parameters("controller", values).stage
+        self._values, self._folder = values, folder
+        description = node_parameters("controller", values).stage
+        self._work = Work(
+            machine, values, description, folder, evaluations, machines, {}, learning_strokes, check_survey
+        )
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
 
@@ -120,18 +115,7 @@ class Procedure:
             if name in self.outcomes:
                 values.setdefault("stage", {}).update(self.outcomes[name].stage)
                 values.setdefault("controller", {}).update(self.outcomes[name].gains)
-        return Work(
-            self._machine,
-            values,
-            self._description,
-            self._folder,
-            self._evaluations,
-            self._machines,
-            dict(self.outcomes),
-            self._learning_strokes,
-            self._check_survey,
-            progress,
-        )
+        return replace(self._work, values=values, outcomes=dict(self.outcomes), progress=progress)
 
     def _write(self) -> None:
         record: dict[str, Any] = {

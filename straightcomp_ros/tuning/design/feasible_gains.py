@@ -23,7 +23,7 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import Factors, deviating
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.tuning.design.gain_search import cheapest
-from straightcomp_ros.tuning.design.gains import SEARCHED, Values, rule, scaled, starts, with_gains
+from straightcomp_ros.tuning.design.gains import SEARCHED, Values, rule, scaled, scaled_facts, starts, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corners_of
 
@@ -152,7 +152,7 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
     for sentence, facts, present, furthest in changes:
         share = _least_change(
             lambda share, like, facts=facts, furthest=furthest: _possible(
-                scenario.on(_scaled_stage(stage, facts, furthest**share)), law, demands, like, seed
+                scenario.on(scaled_facts(stage, facts, furthest**share)), law, demands, like, seed
             ),
             halvings=5,
             tries=(1.0, 0.5, 0.25),
@@ -166,19 +166,6 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
         f"at {rate:g} Hz with a delay of {delay:g} samples, an amplifier of {amplifier:g} Hz and a bias current of "
         f"{bias:g} A no gains of '{law}' have margins (missed first: {'; '.join(missed[:_MISSED])}): {advice}"
     )
-
-
-def _scaled_stage(stage: StageParameters, facts: Sequence[str], factor: float) -> StageParameters:
-    """``stage`` with the ``facts``, as dotted below ``stage.``, times ``factor``."""
-    for fact in facts:
-        group, _, field = fact.rpartition(".")
-        if group:
-            inner = getattr(stage, group)
-            value = dataclasses.replace(inner, **{field: factor * getattr(inner, field)})
-            stage = dataclasses.replace(stage, **{group: value})
-        else:
-            stage = dataclasses.replace(stage, **{field: round(factor * getattr(stage, field))})
-    return stage
 
 
 class _Feasible(NamedTuple):

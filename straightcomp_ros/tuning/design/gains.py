@@ -12,8 +12,8 @@ Two parameters of `smc_observer` are not searched, since they follow from the st
 """
 
 import dataclasses
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
+T = TypeVar("T")
 Values = Mapping[str, float]
 """Numbers by dotted name, from ``control.`` on."""
 _BELOW = 0.9
@@ -173,3 +174,17 @@ def _between_reversals(scenario: Scenario) -> float:
 def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
     """The values of ``law`` in closed form, by dotted name: gains, and what follows from the stage."""
     return {**rule(law, scenario.description), **following(scenario, law)}
+
+
+def scaled_facts(described: T, facts: Sequence[str], factor: float) -> T:
+    """A stage or a plant with the ``facts``, dotted names of its numbers, times ``factor``."""
+    changed: Any = described
+    for fact in facts:
+        group, _, field = fact.rpartition(".")
+        if group:
+            inner = getattr(changed, group)
+            value = dataclasses.replace(inner, **{field: factor * getattr(inner, field)})
+            changed = dataclasses.replace(changed, **{group: value})
+        else:
+            changed = dataclasses.replace(changed, **{field: round(factor * getattr(changed, field))})
+    return changed

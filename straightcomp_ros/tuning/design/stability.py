@@ -65,16 +65,9 @@ class Demands:
 
     def tightened(self, by: float) -> "Demands":
         """The demands with gain ranges wider by the factor ``by``, and ``by`` times the phase and the spare delay."""
-        return dataclasses.replace(
-            self,
-            gain_low=self.gain_low / by,
-            gain_high=self.gain_high * by,
-            stiff_gain_low=self.stiff_gain_low / by,
-            stiff_gain_high=self.stiff_gain_high * by,
-            amplifier_gain=self.amplifier_gain * by,
-            phase=self.phase * by,
-            spare_delay=self.spare_delay * by,
-        )
+        narrow = {name: getattr(self, name) / by for name in ("gain_low", "stiff_gain_low")}
+        wide = ("gain_high", "stiff_gain_high", "amplifier_gain", "phase", "spare_delay")
+        return dataclasses.replace(self, **narrow, **{name: getattr(self, name) * by for name in wide})
 
 
 STANDARD = Demands()

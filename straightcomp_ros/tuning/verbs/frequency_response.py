@@ -30,6 +30,7 @@ from straightcomp_ros.tuning.frequency_response.measurement import measure_simul
 from straightcomp_ros.tuning.verbs.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"
+PURPOSE = "tune"
 _WORDS = {
     "gain_low": "least gain",
     "gain_high": "most gain",

@@ -32,6 +32,7 @@ from straightcomp_ros.tuning.identification.estimate import (
 )
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
+PURPOSE = "tune"
 _DEFAULT_KNOWN = "actuator.turns"
 _EXCITATION_COMMENTS = (
     "Made up, not measured: a map for stage.guide.file that excites friction, mass and stiffness.",
