@@ -150,13 +150,14 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
     )
     helpful = []
     for sentence, facts, present, furthest in changes:
-        share = _least_change(
-            lambda share, like, facts=facts, furthest=furthest: _possible(
-                scenario.on(scaled_facts(stage, facts, furthest**share)), law, demands, like, seed
-            ),
-            halvings=5,
-            tries=(1.0, 0.5, 0.25),
-        )
+
+        def possible(
+            share: float, like: _Feasible | None, facts: Sequence[str] = facts, furthest: float = furthest
+        ) -> _Feasible | None:
+            changed = scenario.on(scaled_facts(stage, facts, furthest**share))
+            return _possible(changed, law, demands, like, seed)
+
+        share = _least_change(possible, halvings=5, tries=(1.0, 0.5, 0.25))
         if share is not None:
             helpful.append(sentence.format(f"{_outward(present * furthest**share, up=furthest > 1.0):g}"))
     control = with_gains(next(iter(scenario.controls.values())), law, rule(law, stage))

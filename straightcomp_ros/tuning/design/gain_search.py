@@ -8,7 +8,7 @@ the best starts; the worse searches are given up on the way.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed
 
@@ -41,7 +41,7 @@ class Valley:
         searched = [gain for gain in SEARCHED[law] if gain.name in self._rest]
         self._names = [gain.name for gain in searched]
         first = [math.log(begin[name]) for name in self._names]
-        options = {"seed": seed, "popsize": _POPULATION, "verbose": -9}
+        options: dict[str, Any] = {"seed": seed, "popsize": _POPULATION, "verbose": -9}
         if rule is not None:
             scales = [rule[gain.name] if gain.power else 1.0 for gain in searched]
             low = [math.log(gain.low * scale) for gain, scale in zip(searched, scales, strict=True)]

@@ -178,13 +178,11 @@ def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
 
 def scaled_facts(described: T, facts: Sequence[str], factor: float) -> T:
     """A stage or a plant with the ``facts``, dotted names of its numbers, times ``factor``."""
-    changed: Any = described
     for fact in facts:
         group, _, field = fact.rpartition(".")
-        if group:
-            inner = getattr(changed, group)
-            value = dataclasses.replace(inner, **{field: factor * getattr(inner, field)})
-            changed = dataclasses.replace(changed, **{group: value})
-        else:
-            changed = dataclasses.replace(changed, **{field: round(factor * getattr(changed, field))})
-    return changed
+        inner: Any = getattr(described, group) if group else described
+        value = factor * getattr(inner, field)
+        # The rate alone has no group, and is a whole number.
+        changed = {group: dataclasses.replace(inner, **{field: value})} if group else {field: round(value)}
+        described = dataclasses.replace(described, **changed)  # type: ignore[type-var]
+    return described

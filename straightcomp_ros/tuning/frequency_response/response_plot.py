@@ -1,4 +1,4 @@
-"""Bode and Nyquist plots of a measured loop beside its model."""
+"""Bode and Nyquist plots of a measured loop and its model."""
 
 from pathlib import Path
 

@@ -46,7 +46,7 @@ NAMES = (
 )
 """Order of the vector; dotted names as below ``stage.``."""
 FORCE_SCALE = ("platform.mass", "actuator.turns")
-"""At least one of these must be known: position and current tell all forces only up to a common factor."""
+"""At least one of these must be known: position and current determine all forces only up to a common factor."""
 _STOP = 0.9
 """Stop as a fraction of the air gap; the platform stays far from it."""
 _SMALLEST = {"friction.bristle_damping": 1.0, "friction.viscous": 0.1}
@@ -105,7 +105,7 @@ def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
     if not set(FORCE_SCALE) & set(known):
         raise IdentificationError(
             f"known parameters are {', '.join(known) or 'none'}; allowed: with {' or '.join(FORCE_SCALE)} among them, "
-            "since position and current tell all forces only up to a common factor"
+            "since position and current determine all forces only up to a common factor"
         )
     values: dict[str, Any] = {**to_mapping(stage), RATIO: stage.friction.static / stage.friction.coulomb}
     start = np.log([max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES])

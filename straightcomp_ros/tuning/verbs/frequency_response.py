@@ -89,7 +89,7 @@ def _measure_running(
 ) -> tuple[ComparedResponse, Values]:
     """The response of a graph's loop, and its parameters.
 
-    The bag is kept beside the plot, if there is one, in a folder of its own: others there may have bags and parameters.
+    The bag is kept next to the plot, if there is one, in a folder of its own: others may have bags and parameters.
     """
     with ExitStack() as stack:
         if options.output:

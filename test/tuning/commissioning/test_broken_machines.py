@@ -21,6 +21,7 @@ from straightcomp_ros.tuning.frequency_response.measured_response import Compare
 pytestmark = pytest.mark.nightly
 
 Wiring = Callable[[SimulatedHardware], Hardware]
+SIGNS = "signs_and_scales"
 TRUTH = "driver.simulated.truth."
 WELL_KNOWN = {f"stage.uncertainty.{name}": value for name, value in {"mass": 0.2, "force": 0.2, "air_gap": 0.1}.items()}
 
@@ -58,37 +59,28 @@ def commissioned(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     return run
 
 
-@pytest.mark.parametrize(
-    ("settings", "wiring", "step", "words"),
-    [
-        ({}, broken.lossy_bus, "connection", "of 60000 samples (1 %) were lost; look at the bus"),
-        ({}, broken.noisy_encoder, "connection", "y moves by 5 counts RMS with the amplifier off"),
-        ({}, broken.readback_backwards, "signs_and_scales", "the readback is wired backwards"),
-        ({}, broken.readback_of_half_the_scale, "signs_and_scales", "the readback shows 0.5 times the commanded"),
-        ({}, broken.encoder_backwards, "signs_and_scales", "the coils or the encoder of y are wired backwards"),
-        ({}, broken.encoder_dead, "signs_and_scales", "an encoder of y that does not count"),
-        ({}, broken.OneCoilDead, "signs_and_scales", "the magnets do not balance; look for a coil without current"),
-        ({f"{TRUTH}amplifier": 0.1}, sound, "signs_and_scales", "the amplifier has 50 Hz, 0.1 times"),
-        ({"driver.stage.drive.delay": 3.0}, sound, "signs_and_scales", "commands act 3.00 samples after theirs"),
-        ({}, broken.encoder_of_twice_the_count, "identification", "the count of the encoder of y"),
-        ({f"{TRUTH}friction": 10.0}, sound, "identification", "friction is"),
-        ({**WELL_KNOWN, f"{TRUTH}mass": 0.5}, sound, "identification", "look whether the platform is loose"),
-    ],
-    ids=[
-        "a bus that loses one frame in a hundred",
-        "an encoder of ten times the noise",
-        "readback wired backwards",
-        "readback of half the scale",
-        "sign of y reversed",
-        "encoder dead",
-        "one coil dead",
-        "amplifier of a tenth of the bandwidth",
-        "three times the delay",
-        "encoder of twice the count",
-        "ten times the friction",
-        "half the mass",
-    ],
-)
+MACHINES = {
+    "a bus that loses one frame in a hundred": ({}, broken.lossy_bus, "connection", "of 60000 samples (1 %) were lost"),
+    "an encoder of ten times the noise": ({}, broken.noisy_encoder, "connection", "y moves by 5 counts RMS"),
+    "readback wired backwards": ({}, broken.readback_backwards, SIGNS, "the readback is wired backwards"),
+    "readback of half the scale": ({}, broken.readback_of_half_the_scale, SIGNS, "the readback shows 0.5 times"),
+    "sign of y reversed": ({}, broken.encoder_backwards, SIGNS, "the coils or the encoder of y are wired backwards"),
+    "encoder dead": ({}, broken.encoder_dead, SIGNS, "an encoder of y that does not count"),
+    "one coil dead": ({}, broken.OneCoilDead, SIGNS, "the magnets do not balance; look for a coil without current"),
+    "amplifier of a tenth of the bandwidth": ({f"{TRUTH}amplifier": 0.1}, sound, SIGNS, "the amplifier has 50 Hz"),
+    "three times the delay": ({"driver.stage.drive.delay": 3.0}, sound, SIGNS, "commands act 3.00 samples after"),
+    "encoder of twice the count": ({}, broken.encoder_of_twice_the_count, "identification", "the count of the encoder"),
+    "ten times the friction": ({f"{TRUTH}friction": 10.0}, sound, "identification", "friction is"),
+    "half the mass": (
+        {**WELL_KNOWN, f"{TRUTH}mass": 0.5},
+        sound,
+        "identification",
+        "look whether the platform is loose",
+    ),
+}
+
+
+@pytest.mark.parametrize(("settings", "wiring", "step", "words"), MACHINES.values(), ids=MACHINES)
 def test_it_is_named_at_the_first_step_that_can_see_it(
     commissioned, settings: dict[str, float], wiring: Wiring, step: str, words: str
 ) -> None:
