@@ -104,7 +104,7 @@ class Estimate:
         recording: the used stretch of the bag.
         path: the coil current between the samples.
         fit: figures of the search.
-        centre: where the magnets balance, in the encoder's y; None where the record does not show it. If it is certainly
+        centre: where the magnets balance, in the encoder's y; None where the record has none. If it is certainly
             not zero, ``recording`` has y from there on.
     """
 
