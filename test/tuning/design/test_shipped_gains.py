@@ -1,4 +1,4 @@
-"""The shipped gains of 'smc_observer' are those of the closed form (`test_searched_gains.py`), little behind a search.
+"""The shipped gains of 'smc_observer' are those of the closed form (`test_gains.py`), little behind a search.
 
 Those of 'linear' and 'smc' are the paper's, whose figures they are to repeat.
 """
