@@ -32,8 +32,8 @@ from straightcomp_ros.parameters.node_parameters import Values, by_node, node_pa
 from straightcomp_ros.parameters.output_files import making, write_whole
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import Procedure
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from trials.faulty_machine import FaultyHardware

@@ -20,12 +20,12 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import spread
 from straightcomp_ros.parameters.output_files import write_whole
-from straightcomp_ros.tuning.design.automatic_design import Design, closed_form, design_gains
+from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.gain_search import search
+from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
 from straightcomp_ros.tuning.design.judged_gains import judge_of
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke
-from straightcomp_ros.tuning.design.searched_gains import starts, with_gains
 
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"
@@ -103,10 +103,10 @@ def row(name: str, quiet: float, law: str, evaluations: int, machines: int) -> s
 
 def designed(design: Design) -> str:
     """The cells of a design: closed form, design, its sweep."""
-    sweep = design.verification.summary
+    sweep = design.verification
     at = [str(Figures(one.pp.median, one.work.median)) for one in (design.start_figures, design.figures)]
     swept = " / ".join(f"{sweep.pp[name] * 1e6:.2f}" for name in ("p50", "p95", "max"))
-    return " | ".join([*at, swept, str(design.verification.misses), str(design.rounds)])
+    return " | ".join([*at, swept, str(len(sweep.not_in_order)), str(design.rounds)])
 
 
 def main(arguments: list[str] | None = None) -> int:

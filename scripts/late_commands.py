@@ -23,7 +23,7 @@ from straightcomp_ros.offline.compiled_stroke import run_stroke
 from straightcomp_ros.offline.starts import spreads, values_of_starts
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
-from straightcomp_ros.tuning.commissioning.timing_budget import stalled
+from straightcomp_ros.tuning.commissioning.acceptance import stalled
 
 _TIMES_OF_ACTION = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STALLS_MS = (1, 2, 4, 10)

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.tuning.commissioning import STEP_NAMES
-from straightcomp_ros.tuning.commissioning.procedure import RECORD
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_NAMES
 from straightcomp_ros.tuning.verbs.graph_option import EMULATED, START
 
 ALLOWED_S = 300.0

@@ -17,7 +17,7 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import load_map
-from straightcomp_ros.tuning.design.automatic_design import closed_form
+from straightcomp_ros.tuning.design.gains import closed_form
 
 RATE = 100
 """Hz: what the guest's processor carries on a busy computer. No law holds the shipped platform then, friction does."""

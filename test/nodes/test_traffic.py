@@ -3,8 +3,8 @@
 import sys
 
 import pytest
-from straightcomp_ros.bags.messages import read_messages
 
+from straightcomp_ros.bags.reader import read_messages
 from straightcomp_ros.cell.launcher import LaunchError
 from trials.traffic import TRAFFIC, record_traffic
 

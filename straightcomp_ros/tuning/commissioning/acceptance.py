@@ -3,44 +3,59 @@
 On request the controller first learns from some strokes what correction of its reference makes them better, and keeps
 it: gains of the step. The stroke that is judged comes after.
 
-The stroke tells how well the platform follows the map. Whether the map is that of the guide, only a check survey tells.
+The stroke shows how well the platform follows the map. Whether the map is that of the guide, only a check survey shows.
+What late commands cost is found in simulation: the stroke again with the latencies that were measured, and with stalls.
 """
 
 import dataclasses
+import math
 import shutil
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
-from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_bag
-from straightcomp_ros.parameters.node_parameters import Values, by_node
+from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map, survey_check
 from straightcomp_ros.straightness.survey import SurveyError
-from straightcomp_ros.tuning.commissioning import LeftTravel
-from straightcomp_ros.tuning.commissioning.checks import stroke_checks
-from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
-from straightcomp_ros.tuning.commissioning.step_files import LEARNED, LIMITS, STROKE
-from straightcomp_ros.tuning.commissioning.timing_budget import timing_budget
+from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS, STROKE, LeftTravel
+from straightcomp_ros.tuning.commissioning.open_loop import latency_percentiles
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
 _ALLOWANCE = 1.5
 """Of a later stroke over this one: a peak-to-peak moves from stroke to stroke."""
 _REPEATS = 2
 """Cycles in place of those that the host disturbed. Where it disturbs three in a row, no run would be in order."""
 _LIMITED = ("encoder_pp_um", "encoder_rms_um", "control_rms_step_A")
+_FEW = 1.0 / 200.0
+"""Of the samples of a stroke, those that may be without a command: the law then leaves 0.16 µm in place of 0.14 µm."""
+_LAST_BITS = 1e-9
+"""Relative difference from a limit that is rounding."""
+_STALLS_MS = (1, 2, 5, 10, 20, 50, 100)
+_APART_S = 0.7
+"""Time from stall to stall, in which the platform comes back; no multiple of what the guide repeats."""
+_SETTLED_S = 0.5
 
 
 def acceptance(work: Work) -> Outcome:
     """Make one cycle, after those for learning, judge it, and write `limits.yaml`.
 
-    A cycle that the host disturbed tells nothing of the machine: another one is made.
+    A cycle that the host disturbed says nothing of the machine: another one is made.
     """
-    learning = _learning(work)
+    learning = {}
+    if work.learning_strokes:
+        # From another folder too, the nodes must find it.
+        learning = {"learning.learn": True, "learning.file": str((work.folder / LEARNED).resolve())}
     # The certificate names all bags: one of strokes that no longer count must not be among them.
     shutil.rmtree(work.folder / "bags" / "learning", ignore_errors=True)
     values = {**work.values, "controller": {**work.values["controller"], **learning}}
@@ -65,24 +80,20 @@ def acceptance(work: Work) -> Outcome:
 
     title = f"Acceptance of stage '{work.stage.name}'"
     plot_run(stroke.record, straightness, stroke.metrics, work.folder / STROKE, title)
-    checked, told = _checked(work, straightness)
+    checked, survey = _checked(work, straightness)
     figures |= checked
     if checked and not checked["survey_agrees"]:
-        return Outcome(False, told, figures)
+        return Outcome(False, survey, figures)
     limits = {name: float(f"{_ALLOWANCE * figures[name]:.3g}") for name in _LIMITED}
     write_whole(work.folder / LIMITS, yaml.safe_dump(limits, sort_keys=False))
     learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
     found = f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder{learned}"
-    return Outcome(True, f"{found}{again}; {told}", {**figures, "limits": limits}, gains=learning)
+    return Outcome(True, f"{found}{again}; {survey}", {**figures, "limits": limits}, gains=learning)
 
 
 @dataclass(frozen=True, eq=False)
 class _Stroke:
-    """A cycle, and what it showed.
-
-    Attributes:
-        disturbance: what the host did to it, in words; empty if it served it well enough.
-    """
+    """A cycle, what it showed, and how the host disturbed it, in words; empty if it did not."""
 
     record: StrokeRecord
     metrics: Metrics
@@ -114,14 +125,6 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
     return _Stroke(record, metrics, verdict, figures, disturbance)
 
 
-def _learning(work: Work) -> dict[str, Any]:
-    """Parameters of the controller with which it learns; none if it shall not."""
-    if not work.learning_strokes:
-        return {}
-    # From another folder too, the nodes must find it.
-    return {"learning.learn": True, "learning.file": str((work.folder / LEARNED).resolve())}
-
-
 def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any], str]:
     """Figures of the check survey, none without one, and what it says."""
     if work.check_survey is None:
@@ -141,7 +144,9 @@ def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any],
         "survey_checked_to_m": found.span[1],
     }
     where = f"at {found.points} places from {found.span[0] * 1e3:.6g} to {found.span[1] * 1e3:.6g} mm"
-    differs = f"by {found.difference * 1e6:.3g} µm RMS (allowed: {found.allowed * 1e6:.3g} µm) {where}, beside a line"
+    differs = (
+        f"by {found.difference * 1e6:.3g} µm RMS (allowed: {found.allowed * 1e6:.3g} µm) {where}, apart from a line"
+    )
     if found.agrees:
         return figures, f"the survey agrees with the check: they differ {differs}"
     cause = (
@@ -153,3 +158,113 @@ def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any],
         f"the survey is not that of the guide: they differ {differs}, where the guide itself has "
         f"{found.guide * 1e6:.3g} µm; {cause}"
     )
+
+
+class Check(NamedTuple):
+    """A figure of a step, None where an older record lacks it, with what is allowed, and whether it is."""
+
+    step: str
+    name: str
+    value: float | None
+    allowed: str
+    passed: bool
+
+    def __str__(self) -> str:
+        return f"{self.name} {_shown(self.value)} (allowed: {self.allowed})"
+
+
+def at_least(step: str, name: str, value: float | None, low: float) -> Check:
+    """A figure that must reach ``low``."""
+    return Check(step, name, value, f">= {low:.4g}", value is not None and _reaches(value, low))
+
+
+def at_most(step: str, name: str, value: float | None, high: float) -> Check:
+    """A figure that must not exceed ``high``."""
+    return Check(step, name, value, f"<= {high:.4g}", value is not None and _reaches(high, value))
+
+
+def stroke_checks(accepted: Mapping[str, Any], count: float) -> Iterator[Check]:
+    """How well the host served the stroke of `acceptance`, from its figures; ``count`` of the encoder in m."""
+    yield at_most("acceptance", "lost samples of the stroke", accepted.get("lost_samples"), 0.0)
+    few = float(math.ceil(_FEW * accepted["samples"]))
+    yield at_most("acceptance", "samples of the stroke without a command", accepted.get("lost_commands"), few)
+    timing = accepted["timing"]
+    if "as_measured_costs_um" in timing:
+        # A record that was read again has no infinity.
+        cost = math.inf if timing["as_measured_costs_um"] is None else timing["as_measured_costs_um"]
+        yield at_most("acceptance", "what its latencies cost [µm p-p]", cost, allowed_cost_um(timing, count))
+
+
+def _reaches(value: float, limit: float) -> bool:
+    return value >= limit or math.isclose(value, limit, rel_tol=_LAST_BITS)
+
+
+def _shown(value: float | None) -> str:
+    if value is None:
+        return "unknown"
+    return f"{value:.4g}" if math.isfinite(value) else "infinite, since the platform is lost"
+
+
+def stalled(count: int, period_ns: int, due_ns: int, stall_ms: float, starts: range) -> NDArray[np.int64]:
+    """Delays (count,) in ns of commands that are due after ``due_ns``, on a host that stalls at the samples ``starts``:
+    what it had to answer meanwhile comes at the end of the stall."""
+    length = round(stall_ms * 1e6 / period_ns)
+    delays = np.full(count, due_ns, dtype=np.int64)
+    for start in starts:
+        last = min(count, start + length)
+        delays[start:last] = np.maximum(due_ns, np.arange(length, 0, -1)[: last - start] * period_ns)
+    return delays
+
+
+def allowed_cost_um(timing: Mapping[str, Any], count: float) -> float:
+    """Largest error p-p in µm that late commands may add to a stroke of ``timing`` by an encoder of ``count`` in m.
+
+    They may double it, as the stalls of a run that is in order may, and no encoder sees less than a count.
+    """
+    return max(float(timing["in_time_pp_um"]), count * 1e6)
+
+
+def timing_budget(values: Values, latency: NDArray[np.float64], travel: float) -> dict[str, Any]:
+    """Figures of the timing of a machine as known; a cost or an error is infinite where the platform is lost.
+
+    ``latency`` (n,) is the time in s from each sample until its command arrived, ``travel`` the largest error in m that
+    counts as survived.
+    """
+    driver = node_parameters("driver", values)
+    stage = driver.stage
+    period_ns, due_ns = stage.period_ns, round(stage.drive.delay * stage.period_ns)
+    record, straightness = run_stroke(values)
+
+    def peak_to_peak(stroke: StrokeRecord) -> float:
+        pp = evaluate(stroke, straightness).true_pp
+        assert pp is not None  # a simulation has truth
+        return pp * 1e6
+
+    in_time, percentiles = peak_to_peak(record), latency_percentiles(latency)
+    found: dict[str, Any] = {"latency_us": percentiles, "due_us": due_ns * 1e-3, "in_time_pp_um": in_time}
+    if percentiles:
+        measured = np.maximum(due_ns, np.round(latency[np.isfinite(latency)] * 1e9).astype(np.int64))
+        late = np.full_like(measured, max(due_ns, round(percentiles["p99"] * 1e3)))
+        for name, delays in (("as_measured_costs_um", measured), ("p99_costs_um", late)):
+            try:
+                found[name] = peak_to_peak(run_stroke(values, delays)[0]) - in_time
+            except ValueError:
+                found[name] = math.inf
+    first, apart = round(_SETTLED_S * 1e9 / period_ns), round(_APART_S * 1e9 / period_ns)
+    errors = {}
+    for stall_ms in _STALLS_MS:
+        delays = stalled(record.time.size, period_ns, due_ns, stall_ms, range(first, record.time.size, apart))
+        try:
+            error = true_error(run_stroke(values, delays)[0], straightness)
+        except ValueError:
+            errors[stall_ms] = math.inf
+            continue
+        assert error is not None
+        errors[stall_ms] = float(np.abs(error[first:]).max())
+    limit_ms = driver.machine.command_timeout * 1e3
+    found["stall_error_um"] = {f"{ms} ms": error * 1e6 for ms, error in errors.items()}
+    found["amplifier_off_after_ms"] = limit_ms
+    found["longest_stall_survived_ms"] = max(
+        (ms for ms in errors if ms < limit_ms and all(errors[one] <= travel for one in errors if one <= ms)), default=0
+    )
+    return found

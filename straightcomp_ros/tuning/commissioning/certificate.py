@@ -5,19 +5,16 @@ import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
+from straightcomp_ros.tuning.commissioning.acceptance import Check, at_least, at_most, stroke_checks
 from straightcomp_ros.tuning.commissioning.certificate_page import certificate_page
-from straightcomp_ros.tuning.commissioning.checks import Check, at_least, at_most, stroke_checks
-from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
-from straightcomp_ros.tuning.commissioning.step_files import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
-
-LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
-"""Smallest phase margin in degrees and gain margin that `frequency_response` accepts."""
+from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
 
 def certificate(work: Work) -> Outcome:
@@ -25,29 +22,34 @@ def certificate(work: Work) -> Outcome:
     folder, checks = work.folder, list(_checks(work))
     beyond = [one for one in checks if not one.passed]
     if beyond:
-        told = "; ".join(map(str, beyond))
+        names = "; ".join(map(str, beyond))
         steps = " and ".join(dict.fromkeys(f"--only {one.step}" for one in beyond))
-        return Outcome(False, f"beyond the limits: {told}; when the cause is removed, repeat the step ({steps})")
+        return Outcome(False, f"beyond the limits: {names}; when the cause is removed, repeat the step ({steps})")
+    accepted = work.outcomes["acceptance"].figures
     write_whole(folder / TUNED, as_parameter_file(work.described()))
-    told = plain(
+    content = plain(
         {
             "stage": work.stage.name,
             "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
             "made_by": origin(),
-            "sha256": {name: _checksum(path) for name, path in _files(work) if path.is_file()},
+            "sha256": {
+                name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in _files(work) if path.is_file()
+            },
             "described": {
                 name: value for name, value in to_mapping(work.description).items() if isinstance(value, float)
             },
             "current_path": _current_path(work),
             "map_noise_um": work.stage.uncertainty.map_noise * 1e6,
             "checks": [one._asdict() for one in checks],
-            "later_limits": list(_later_limits(work)),
+            "later_limits": [
+                {"name": name, "value": accepted[name], "limit": limit} for name, limit in accepted["limits"].items()
+            ],
             "steps": {name: {"sentence": one.sentence, "figures": one.figures} for name, one in work.outcomes.items()},
         }
     )
     pictures = {"The loop, measured and modelled": folder / LOOP, "The stroke of the acceptance": folder / STROKE}
-    write_whole(folder / FIGURES, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
-    write_whole(folder / PAGE, certificate_page(told, pictures))
+    write_whole(folder / FIGURES, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    write_whole(folder / PAGE, certificate_page(content, pictures))
     return Outcome(True, f"{folder / PAGE}, {FIGURES} and {TUNED} are written")
 
 
@@ -59,10 +61,6 @@ def _files(work: Work) -> Iterator[tuple[str, Path]]:
     yield f"map {survey.name}", survey
     for bag in sorted((work.folder / "bags").rglob("*.mcap")):
         yield str(bag.relative_to(work.folder)), bag
-
-
-def _checksum(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _current_path(work: Work) -> dict[str, dict[str, float]]:
@@ -96,10 +94,3 @@ def _checks(work: Work) -> Iterator[Check]:
     if margins["gain_high"] is not None:
         yield at_least("frequency_response", "largest gain, factor", margins["gain_high"], LEAST_GAIN)
     yield from stroke_checks(outcomes["acceptance"].figures, work.stage.encoder.y_resolution)
-
-
-def _later_limits(work: Work) -> Iterator[dict[str, Any]]:
-    """Figures of the stroke with the limits that `limits.yaml` sets for later ones."""
-    accepted = work.outcomes["acceptance"].figures
-    for name, limit in accepted["limits"].items():
-        yield {"name": name, "value": accepted[name], "limit": limit}

@@ -1,18 +1,33 @@
-"""What commissioning asks of a machine: the simulated one, which answers at once, or a running graph.
+"""What commissioning asks of a machine, and the simulated stage as one; a running graph is another.
 
 Each call leaves the amplifier off, whatever happens in it, and raises `CommissioningError` if the machine fails.
 """
 
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
-from straightcomp_ros.parameters.node_parameters import Values
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.analysis.current_path import advanced, readback_lag
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams, values_at
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
+from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters, simple_currents
+from straightcomp_ros.control.law import Command
+from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
+from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
+from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 
 Array = NDArray[np.float64]
 
@@ -65,3 +80,172 @@ class Machine(Protocol):
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
         """The frequency response under the controller of ``values``."""
+
+
+def sound(hardware: SimulatedHardware) -> Hardware:
+    """The machine as its parameters say."""
+    return hardware
+
+
+class SimulatedMachine:
+    """The simulated stage; what the controller is given never changes it.
+
+    Args:
+        values: parameters by node and dotted name; those of the driver are the machine's.
+        wiring: puts something between the machine and its driver, for trials with broken machines.
+
+    Attributes:
+        parameters: of the driver, by dotted name, with the whole description.
+    """
+
+    def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] = sound) -> None:
+        self._wiring = wiring
+        self._driver: DriverNodeParameters = node_parameters("driver", values)
+        # Its own copy of the description: what is found out about the machine must not change it.
+        described = {f"stage.{name}": value for name, value in to_mapping(self._driver.stage).items()}
+        self.parameters: Mapping[str, Any] = {**values.get("driver", {}), **described}
+
+    def listen(self, seconds: float) -> Series:
+        """See `Machine`."""
+        return self._run(self._hardware(), np.zeros(round(seconds * self._driver.stage.rate)), np.inf)
+
+    def play(self, excitation: ExcitationParameters) -> Series:
+        """See `Machine`."""
+        hardware = self._hardware()
+        hardware.enable()
+        try:
+            return self._run(hardware, simple_currents(excitation, self._driver.stage), excitation.travel)
+        finally:
+            hardware.disable()
+
+    def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
+        """See `Machine`."""
+        whole = {**values, "driver": self.parameters}
+        with self._switched_off_after() as wiring:
+            simulation = Simulation(whole, wiring=wiring)
+            shutil.rmtree(bag, ignore_errors=True)
+            with SimulatedRun(bag, by_node(whole), simulation.delay) as run:
+
+                def observe(
+                    sample: Sample, truth: Truth, reference: Sequence[float], command: Command, age: float
+                ) -> None:
+                    run.add(sample, truth, reference, command, age)
+                    strayed = abs(sample.y - reference[0])
+                    if not strayed <= travel:
+                        raise LeftTravel(
+                            f"the platform left its reference by {strayed * 1e6:.0f} µm under law "
+                            f"'{simulation.law}' (allowed: {travel * 1e6:.0f} µm) {sample.stamp_ns * 1e-9:.2f} s after "
+                            "the start; the machine is not as described: look at the count of the encoder of y, at the "
+                            "platform, and at the magnets"
+                        )
+
+                for _ in range(count):
+                    simulation.run(observe=observe)
+                simulation.save_learning()
+
+    def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
+        """See `Machine`."""
+        with self._switched_off_after() as wiring:
+            return measure_simulated({**values, "driver": self.parameters}, excitation, wiring=wiring)
+
+    @contextmanager
+    def _switched_off_after(self) -> Iterator[Callable[[SimulatedHardware], Hardware]]:
+        """The wiring, whose machines are off afterwards whatever happens: a simulation leaves the amplifier on."""
+        wired: list[Hardware] = []
+
+        def kept(hardware: SimulatedHardware) -> Hardware:
+            wired.append(self._wiring(hardware))
+            return wired[-1]
+
+        try:
+            yield kept
+        finally:
+            for hardware in wired:
+                hardware.disable()
+
+    def _hardware(self) -> Hardware:
+        driver = self._driver
+        return self._wiring(
+            SimulatedHardware(driver.simulated, driver.stage, driver.guide(), driver.stage.motion.start)
+        )
+
+    def _run(self, hardware: Hardware, currents: Array, travel: float) -> Series:
+        stage = self._driver.stage
+        delay_ns = round(stage.drive.delay * stage.period_ns)
+        rows: list[tuple[int, float, float, float, float]] = []
+        left_at: int | None = None
+        asked = currents.tolist()
+        hardware.start(0)
+        for index in range(len(asked)):
+            now_ns = index * stage.period_ns
+            for sample, _ in hardware.read(now_ns):
+                rows.append((sample.stamp_ns, sample.x, sample.y, sample.current, asked[index]))
+                if left_at is None and not abs(sample.y - rows[0][2]) <= travel:
+                    left_at = len(rows) - 1
+                    hardware.disable()
+                    asked[index + 1 :] = [0.0] * len(asked[index + 1 :])
+            if left_at is None:
+                hardware.write(asked[index], now_ns + delay_ns)
+            elif len(rows) > left_at + round(COASTING * stage.rate):
+                break
+        stamps = np.array([row[0] for row in rows], np.int64)
+        x, y, measured, command = np.array([row[1:] for row in rows]).reshape(-1, 4).T
+        latency = np.full(len(rows), delay_ns * 1e-9)
+        return Series(stamps, x, y, measured, command, latency, left_at)
+
+
+def recorded_series(bag: Path) -> Series:
+    """All samples of ``bag``; those without a command have NaN for it.
+
+    Raises:
+        CommissioningError: the bag cannot be read.
+    """
+    wanted = (ENCODER, COMMAND, DRIVER_STATE)
+    try:
+        streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted})
+    except BagError as error:
+        raise CommissioningError(str(error)) from error
+    if ENCODER.topic not in streams:
+        none = np.empty(0)
+        return Series(np.empty(0, np.int64), none, none, none, none, none)
+    encoder = streams[ENCODER.topic]
+    stamps, rows = np.unique(encoder.stamp, return_index=True)
+    x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
+    current = advanced(current, readback_lag(bag))
+    command = values_at(streams.get(COMMAND.topic), "control_current", stamps)
+    latency = values_at(streams.get(DRIVER_STATE.topic), "command_latency", stamps)
+    return Series(stamps, x, y, current, command, latency)
+
+
+def excited(series: Series, travel: float, rate: float) -> Series:
+    """The part of an open-loop series from its first current on, until the platform has come to rest.
+
+    The series is of a graph under the law `open_loop`, whose commands are those of the excitation. Beyond ``travel`` in
+    m the amplifier went off.
+
+    Raises:
+        CommissioningError: the amplifier is never on.
+    """
+    on = np.isfinite(series.current)
+    acting = np.flatnonzero(np.nan_to_num(series.command) != 0.0)
+    if not on.any():
+        raise CommissioningError("the amplifier is off throughout the bag")
+    # A ramp begins with a zero of its own. Without any current the magnets pulled the platform away by themselves.
+    first = max(0, int(acting[0]) - 1) if acting.size else int(np.argmax(on))
+    off = np.flatnonzero(np.isnan(series.current[first:]))
+    end = first + int(off[0]) if off.size else len(series.stamps)
+    beyond = np.flatnonzero(~(np.abs(series.y[first:] - series.y[first]) <= travel))
+    left_at = int(beyond[0]) if beyond.size else None
+    if left_at is not None:
+        # The part in which the platform comes to rest.
+        end = max(end, first + left_at + 1) + round(COASTING * rate)
+    part = slice(first, end)
+    return Series(
+        series.stamps[part],
+        series.x[part],
+        series.y[part],
+        series.current[part],
+        np.nan_to_num(series.command[part]),
+        series.latency[part],
+        left_at,
+    )

@@ -3,51 +3,42 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.tuning.commissioning import STEP_NAMES, CommissioningError
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.certificate import certificate
-from straightcomp_ros.tuning.commissioning.connection import connection
-from straightcomp_ros.tuning.commissioning.designed_law import design
-from straightcomp_ros.tuning.commissioning.identified_machine import identification
-from straightcomp_ros.tuning.commissioning.loop_response import frequency_response
+from straightcomp_ros.tuning.commissioning.closed_loop import design, frequency_response, identification, safe_loop
 from straightcomp_ros.tuning.commissioning.machine import Machine
-from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
-from straightcomp_ros.tuning.commissioning.safe_loop import safe_loop
-from straightcomp_ros.tuning.commissioning.signs_and_scales import signs_and_scales
-from straightcomp_ros.tuning.commissioning.step_files import RECORD, STEP_FILES
+from straightcomp_ros.tuning.commissioning.open_loop import connection, signs_and_scales
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
-_DONE_BY = (
-    connection,
-    signs_and_scales,
-    safe_loop,
-    identification,
-    design,
-    frequency_response,
-    acceptance,
-    certificate,
-)
-STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(zip(STEP_NAMES, _DONE_BY, strict=True))
-"""The steps by name, in their order."""
+STEPS: Mapping[str, Callable[[Work], Outcome]] = {
+    step.__name__: step
+    for step in (
+        connection,
+        signs_and_scales,
+        safe_loop,
+        identification,
+        design,
+        frequency_response,
+        acceptance,
+        certificate,
+    )
+}
+"""The steps by name, in their order: that of STEP_NAMES."""
 
 
 class Procedure:
     """Commissioning of one machine in one folder.
 
-    Args:
-        machine: the machine.
-        values: its description by node and dotted name.
-        folder: where the record and all files are; a record of the same description is taken up again.
-        evaluations: candidates of the search for gains.
-        machines: uncertain machines of its verification.
-        learning_strokes: cycles in which `acceptance` first lets the controller learn; 0 for none.
-        check_survey: an independent measurement of the guide, by which `acceptance` checks the map.
+    ``values`` describe the machine by node and dotted name. The record and all files are in ``folder``; a record of the
+    same description is taken up again. The other arguments are those of :class:`Work`.
 
     Raises:
         CommissioningError: the folder has a record of another description, or one that cannot be read.
@@ -65,10 +56,11 @@ class Procedure:
         learning_strokes: int = 0,
         check_survey: Survey | None = None,
     ) -> None:
-        self._machine, self._values, self._folder = machine, values, folder
-        self._evaluations, self._machines = evaluations, machines
-        self._learning_strokes, self._check_survey = learning_strokes, check_survey
-        self._description = node_parameters("controller", values).stage
+        self._values, self._folder = values, folder
+        description = node_parameters("controller", values).stage
+        self._work = Work(
+            machine, values, description, folder, evaluations, machines, {}, learning_strokes, check_survey
+        )
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
 
@@ -98,7 +90,7 @@ class Procedure:
         """Take ``steps`` out of the record, then remove their files."""
         for step in steps:
             self.outcomes.pop(step, None)
-        # First the record: a file that it does not name misleads nobody for long, since the next call removes it.
+        # First the record: a file that it does not name misleads only until the next call, which removes it.
         self._write()
         for step in steps:
             for name in STEP_FILES.get(step, ()):
@@ -107,7 +99,7 @@ class Procedure:
     def remaining(self) -> list[str]:
         """Names of the steps from the first on that has not passed, in their order.
 
-        Those after it are among them even if they have passed: where a repeat was interrupted, nobody knows any more
+        Those after it are among them even if they have passed: where a repeat was interrupted, it is no longer known
         whether they rest on what it will find.
         """
         names = list(STEPS)
@@ -122,18 +114,7 @@ class Procedure:
             if name in self.outcomes:
                 values.setdefault("stage", {}).update(self.outcomes[name].stage)
                 values.setdefault("controller", {}).update(self.outcomes[name].gains)
-        return Work(
-            self._machine,
-            values,
-            self._description,
-            self._folder,
-            self._evaluations,
-            self._machines,
-            dict(self.outcomes),
-            self._learning_strokes,
-            self._check_survey,
-            progress,
-        )
+        return replace(self._work, values=values, outcomes=dict(self.outcomes), progress=progress)
 
     def _write(self) -> None:
         record: dict[str, Any] = {

@@ -3,34 +3,33 @@
     found = design_gains(make_scenario(values, ["smc_observer"]), "smc_observer", quiet=0.3)
     found.values        # {'control.smc_observer.bandwidth': 231.4, …}
 
-1. A closed form gives a start (`searched_gains.py`, `following_parameters.py`).
-2. If it misses the linear demands and no gains hold them, the stage is refused (`feasible_gains.py`).
+1. A closed form gives a start (`gains.py`).
+2. If it misses the linear demands (`stability.py`) and no gains hold them, the stage is refused (`feasible_gains.py`).
 3. CMA-ES looks for the least cost (`gain_search.py`, `judged_gains.py`).
-4. The best candidates run the whole stroke from more starts; the best of them is verified on uncertain machines
-   (`verified_design.py`). If one of these fails, the demands are tightened, and the search goes on.
-5. The budget and the limits of the result are computed (`error_budget.py`, `failing_limits.py`).
+4. The best candidates run the whole stroke from more starts; the best of them is verified on uncertain machines, by a
+   sweep. If one of these fails, the demands are tightened, and the search goes on.
+5. The budget and the limits of the result are computed (`error_budget.py`, `stability.py`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import Spread, spread
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
-from straightcomp_ros.tuning.design.failing_limits import FailingLimits, failing_limits
-from straightcomp_ros.tuning.design.feasible_gains import feasible_gains, mended_starts, refusal
-from straightcomp_ros.tuning.design.following_parameters import following
+from straightcomp_ros.tuning.design.feasible_gains import corrected_starts, feasible_gains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
+from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
 from straightcomp_ros.tuning.design.judged_gains import Judge, judge_of
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, RunFigures, prepared_stroke
-from straightcomp_ros.tuning.design.searched_gains import rule, starts, with_gains
-from straightcomp_ros.tuning.design.stability_demands import STANDARD, Demands
-from straightcomp_ros.tuning.design.verified_design import Verification, verify
+from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
+from straightcomp_ros.tuning.sweep.many_trials import LawSummary, summarise, sweep
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it that is done."""
@@ -66,7 +65,7 @@ class Design:
         start_values, start_figures: those of the closed form.
         quiet: the trade that was asked for.
         demands: what the linear loop holds.
-        verification: on uncertain machines.
+        verification: sweep over uncertain machines.
         budget: what limits the error, the stage as described first.
         limits: until where the linear loop is stable, by the law's state.
         rounds: searches, more than one if the first result failed on an uncertain machine.
@@ -79,15 +78,22 @@ class Design:
     start_figures: DesignFigures
     quiet: float
     demands: Demands
-    verification: Verification
+    verification: LawSummary
     budget: Sequence[BudgetEntry]
     limits: Mapping[str, FailingLimits]
     rounds: int
 
+    @property
+    def holds(self) -> bool:
+        """Whether all machines of the verification are in order."""
+        return not self.verification.not_in_order
 
-def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
-    """The values of ``law`` in closed form, by dotted name: gains, and what follows from the stage."""
-    return {**rule(law, scenario.description), **following(scenario, law)}
+    def limits_to_display(self) -> dict[str, Any]:
+        """What limits the design: budget, with errors in µm, and limits."""
+        return {
+            "budget": [{"cause": one.cause, "pp_um": one.pp * 1e6, "rms_um": one.rms * 1e6} for one in self.budget],
+            "limits": {state: one._asdict() for state, one in self.limits.items()},
+        }
 
 
 def design_gains(
@@ -102,18 +108,14 @@ def design_gains(
     jobs: int = -1,
     progress: Progress = lambda part, fraction: None,
 ) -> Design:
-    """Design ``law`` for the stage of ``scenario``.
+    """Design ``law`` for the stage of ``scenario``; the gains of its controls are not read.
 
     Args:
-        scenario: the stage with its uncertainty; the gains of its controls are not read.
-        law: name of the law.
         quiet: 0 for the least error, 1 for the quietest coils.
         evaluations: candidates of the first search; half as many of one after a failed verification.
         machines: of the verification.
-        demands: of the linear loop.
         seed: of all random numbers; the same seed gives the same design on the same processor.
         jobs: processes; −1 takes all cores. The result does not depend on it.
-        progress: see `Progress`.
 
     Raises:
         DesignError: no gains hold the demands; the message says what would have to change.
@@ -130,31 +132,32 @@ def design_gains(
         raise refusal(scenario, law, demands, seed=seed)
     progress("feasible", 1.0)
     full = prepared_stroke(scenario)
-    kept: tuple[Verification, Found, Judge] | None = None
+    kept: tuple[LawSummary, Found, Judge] | None = None
     rounds, held, begin = 0, demands, starts(law, start)
     for rounds in range(1, _ROUNDS + 1):
         judge = judge_of(scenario, law, quiet, held)
         found = search(
             judge,
-            mended_starts(scenario, law, [*begin, tighter], held, seed=seed),
+            corrected_starts(scenario, law, [*begin, tighter], held, seed=seed),
             evaluations=evaluations if rounds == 1 else evaluations // 2,
             seed=seed + rounds - 1,
             jobs=jobs,
             progress=lambda fraction: progress("search", fraction),
         )
         best = _best_on_the_whole_stroke(judge, full, found, start)
-        verification = verify(
-            scenario,
-            with_gains(judge.control, law, best.gains),
-            machines=machines,
-            seed=seed,
+        control = with_gains(judge.control, law, best.gains)
+        trials = sweep(
+            dataclasses.replace(scenario, controls={law: control}),
+            seed,
+            range(machines),
             jobs=jobs,
             progress=lambda fraction: progress("verify", fraction),
         )
-        if kept is None or verification.misses < kept[0].misses:
+        (verification,) = summarise(trials)
+        if kept is None or len(verification.not_in_order) < len(kept[0].not_in_order):
             kept = verification, best, judge
             demands = held
-        if verification.holds:
+        if not verification.not_in_order:
             break
         held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best.gains)]
         tighter = feasible_gains(scenario, law, start, held, seed=seed)

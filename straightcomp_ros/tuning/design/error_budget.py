@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.design.gains import scaled, scaled_facts, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
-from straightcomp_ros.tuning.design.searched_gains import scaled, with_gains
 from straightcomp_ros.tuning.sweep.draws import sample_times, streams
 
 _STARTS = 3
 _FINE = 1e-3
 """Of the count: an encoder that is taken for ideal."""
 _DAC_BITS = 24
+_FRICTION = ("friction.coulomb", "friction.static", "friction.viscous")
 _FRICTIONLESS = 1e-2
 """Of the friction: nearly none. The platform then also misses the damping that friction gives."""
 _AMPLIFIER = 10.0
@@ -41,7 +41,7 @@ class _Variant(NamedTuple):
     """One run of the budget: the law has the description ``stage``; the delay in s."""
 
     cause: str
-    course: PreparedStroke
+    stroke: PreparedStroke
     plant: PlantParameters
     control: ControlParameters
     stage: StageParameters
@@ -56,20 +56,12 @@ def error_budget(
     seed: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[BudgetEntry, ...]:
-    """The budget of ``gains``; the first entry is the stage as described.
-
-    Args:
-        scenario: the stage.
-        law: name of the law.
-        gains: by dotted name.
-        seed: of the jitter.
-        progress: called with the fraction that is done.
-    """
+    """The budget of ``gains``, by dotted name; the first entry is the stage as described. ``seed`` draws the jitter."""
     found = []
     variants = _variants(scenario, law, gains, seed)
     for number, variant in enumerate(variants, 1):
         made = make_law(variant.control, variant.stage)
-        runs = [variant.course.run(made, variant.delay, start, variant.plant) for start in range(_STARTS)]
+        runs = [variant.stroke.run(made, variant.delay, start, variant.plant) for start in range(_STARTS)]
         pp, rms = (float(np.median([getattr(run, name) for run in runs])) for name in ("pp", "rms"))
         found.append(BudgetEntry(variant.cause, pp, rms))
         progress(number / len(variants))
@@ -78,36 +70,39 @@ def error_budget(
 
 def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int) -> list[_Variant]:
     base, stage, plant = next(iter(scenario.controls.values())), scenario.description, scenario.driver.plant
-    course, delay = prepared_stroke(scenario), stage.drive.delay * stage.period
+    stroke, delay = prepared_stroke(scenario), stage.drive.delay * stage.period
     control = with_gains(base, law, gains)
-    encoder = dataclasses.replace(plant.encoder, y_resolution=_FINE * plant.encoder.y_resolution)
+    fine = scaled_facts(plant, ("encoder.y_resolution",), _FINE)
     converter = dataclasses.replace(plant.drive, dac_bits=_DAC_BITS)
-    faster = dataclasses.replace(plant.drive, bandwidth=_AMPLIFIER * plant.drive.bandwidth)
     known, unheld = gains, gains
     if law == "smc_observer":
         known = {**gains, "control.smc_observer.first_size": 1.0}
         # An ideal encoder does not flicker: the command need not be held at rest, and no hold disturbs the start.
         unheld = {**gains, "control.smc_observer.rest_band": 0.0}
     free = with_gains(base, law, unheld)
-    at_once = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.0))
-    wide = dataclasses.replace(
-        stage, drive=dataclasses.replace(stage.drive, bandwidth=_AMPLIFIER * stage.drive.bandwidth)
-    )
+    at_once = scaled_facts(stage, ("drive.delay",), 0.0)
+    wide = scaled_facts(stage, ("drive.bandwidth",), _AMPLIFIER)
+    # The misfit is relative to F_C: without friction it must not stiffen the law at the encoder's noise.
+    observer = control.smc_observer
+    calm = dataclasses.replace(observer, misfit=observer.misfit / _FRICTIONLESS)
     jitter = stage.uncertainty.jitter * stage.period
     stamps = sample_times(jitter, scenario.period_ns, scenario.samples, streams(seed, 0).clock)
 
-    def variant(cause: str, own: Mapping[str, Any] | None = None, **changes: Any) -> _Variant:
-        """As described, with other parts of the plant in ``own``, and other fields of the variant."""
-        plain = _Variant(cause, course, dataclasses.replace(plant, **(own or {})), control, stage, delay)
-        return plain._replace(**changes)
+    def variant(cause: str, **changes: Any) -> _Variant:
+        return _Variant(cause, stroke, plant, control, stage, delay)._replace(**changes)
 
     return [
         variant("as described"),
-        variant("ideal encoder of y", {"encoder": encoder}, control=free),
-        variant("ideal D/A converter", {"drive": converter}),
-        variant("ideal encoder of y and D/A converter", {"encoder": encoder, "drive": converter}, control=free),
+        variant("ideal encoder of y", plant=fine, control=free),
+        variant("ideal D/A converter", plant=dataclasses.replace(plant, drive=converter)),
+        variant("ideal encoder of y and D/A converter", plant=dataclasses.replace(fine, drive=converter), control=free),
         variant("friction known from the start", control=with_gains(base, law, known)),
-        _without_friction(variant("a hundredth of the friction")),
+        variant(
+            "a hundredth of the friction",
+            plant=scaled_facts(plant, _FRICTION, _FRICTIONLESS),
+            stage=scaled_facts(stage, _FRICTION, _FRICTIONLESS),
+            control=dataclasses.replace(control, smc_observer=calm),
+        ),
         variant(
             "commands that act at once, gains faster to match",
             control=with_gains(base, law, _faster(law, gains, stage, at_once)),
@@ -116,30 +111,13 @@ def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: in
         ),
         variant(
             f"amplifier {_AMPLIFIER:g} times as fast, gains faster to match",
-            {"drive": faster},
+            plant=scaled_facts(plant, ("drive.bandwidth",), _AMPLIFIER),
             control=with_gains(base, law, _faster(law, gains, stage, wide)),
             stage=wide,
         ),
-        variant("exact reference at each sample", course=prepared_stroke(scenario, ideal=True)),
-        variant("with the jitter of the uncertainty", course=prepared_stroke(scenario, stamps=stamps)),
+        variant("exact reference at each sample", stroke=prepared_stroke(scenario, ideal=True)),
+        variant("with the jitter of the uncertainty", stroke=prepared_stroke(scenario, stamps=stamps)),
     ]
-
-
-def _without_friction(variant: _Variant) -> _Variant:
-    """A plant nearly without friction, and the law that knows it."""
-
-    def less(friction: LuGreParameters) -> LuGreParameters:
-        changed = {name: _FRICTIONLESS * getattr(friction, name) for name in ("coulomb", "static", "viscous")}
-        return dataclasses.replace(friction, **changed)
-
-    plant, stage, design = variant.plant, variant.stage, variant.control.smc_observer
-    # The misfit is relative to F_C: it must not stiffen the law at the encoder's noise.
-    calm = dataclasses.replace(design, misfit=design.misfit / _FRICTIONLESS)
-    return variant._replace(
-        plant=dataclasses.replace(plant, friction=less(plant.friction)),
-        stage=dataclasses.replace(stage, friction=less(stage.friction)),
-        control=dataclasses.replace(variant.control, smc_observer=calm),
-    )
 
 
 def _faster(law: str, gains: Mapping[str, float], stage: StageParameters, other: StageParameters) -> dict[str, float]:

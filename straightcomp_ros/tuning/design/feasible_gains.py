@@ -1,60 +1,101 @@
-"""Gains that hold the linear demands, or a refusal that says what would have to change, computed."""
+"""Gains that hold linear demands, found without a simulation, or a refusal that says what would have to change.
+
+Two kinds of gains are found so: a start for the search of a design (`feasible_gains`), and the safe law of a machine
+that is hardly known (`safe_law`), which is stable at every corner of what its description leaves open. For the safe law
+`linear` alone is taken. It has no model of friction or of the delay that could be wrong, and does not answer to the
+measured current, in which a readback's error would come back. Its gains are those with the fastest decay at the worst
+of all corners of mass, force, air gap, amplifier and delay; they leave micrometres of error, and serve to identify the
+machine. Friction is left out there and then checked in simulated strokes: a law with an integral could hunt around it.
+"""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.margins import closed_loop, linearised, spectral_radius
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.design.searched_gains import SEARCHED, rule, scaled, starts, with_gains
-from straightcomp_ros.tuning.design.stability_demands import STANDARD, Demands, StabilityCheck
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
+from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
+from straightcomp_ros.tuning.design.gain_search import cheapest
+from straightcomp_ros.tuning.design.gains import SEARCHED, Values, rule, scaled, scaled_facts, starts, with_gains
+from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
+from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corners_of
 
-_EVALUATIONS = 200
-_IN_BISECTION = 80
+T = TypeVar("T")
+
+_EVALUATIONS, _IN_BISECTION = 200, 80
 _STEP = 0.25
 _VALLEYS = 2
-"""Starts from which a search is made: one alone may end beside the feasible gains."""
-_HALVINGS = 5
+"""Starts from which a search is made: one alone may end in a valley without feasible gains."""
 _MISSED = 3
+LAW = "linear"
+_LEAST_DECAY = 0.004
+"""Of the slowest mode at the worst corner, in 1/T_d."""
+_SAFE_EVALUATIONS, _SAFE_IN_BISECTION = 600, 200
+_SAFE_STEP = 0.4
+_SHORT = 6.0
+"""s; of the strokes with friction."""
+_WORST = 6
+"""Corners that run strokes, each with the least and the most friction."""
+_TRAVEL = 0.5
+"""Largest excursion in these strokes, relative to the stop."""
 
 
 class DesignError(ValueError):
     """No gains hold the demands; the message says what would have to change."""
 
 
+def _least_change(
+    possible: Callable[[float, T | None], T | None], halvings: int, tries: Sequence[float] = (1.0,)
+) -> float | None:
+    """The least share of a change of the stage, of 0 to 1, with which it is feasible; None if none of ``tries`` is.
+
+    ``possible(share, found)`` returns what was found on the stage with this share of the change, or None. It may begin
+    at what was ``found`` with more of it: that is nearly right here.
+    """
+    for good in tries:
+        found = possible(good, None)
+        if found is not None:
+            break
+    else:
+        return None
+    bad = 0.0
+    for _ in range(halvings):
+        middle = 0.5 * (good + bad)
+        there = possible(middle, found)
+        if there is None:
+            bad = middle
+        else:
+            good, found = middle, there
+    return good
+
+
 def feasible_gains(
     scenario: Scenario,
     law: str,
-    start: Mapping[str, float],
+    start: Values,
     demands: Demands = STANDARD,
     *,
     evaluations: int = _EVALUATIONS,
     seed: int = 1,
 ) -> dict[str, float] | None:
-    """Gains near ``start`` that hold the demands: ``start`` itself if it does; None if a search found none.
-
-    Args:
-        scenario: the stage.
-        law: name of the law.
-        start: gains by dotted name.
-        demands: what is asked for.
-        evaluations: of each of two searches, which simulate nothing.
-        seed: of the search.
-    """
+    """Gains near ``start`` that hold the demands: ``start`` itself if it does; None if two searches found none."""
     violation = _violation(scenario, law, demands)
     if violation(start) == 0.0:
         return dict(start)
     for begin in sorted(starts(law, start), key=violation)[:_VALLEYS]:
-        found = _mended(violation, law, begin, evaluations, seed)
+        found = _corrected(violation, law, begin, evaluations, seed)
         if found is not None:
             return found
     return None
 
 
-def mended_starts(
-    scenario: Scenario, law: str, begins: Sequence[Mapping[str, float]], demands: Demands = STANDARD, *, seed: int = 1
+def corrected_starts(
+    scenario: Scenario, law: str, begins: Sequence[Values], demands: Demands = STANDARD, *, seed: int = 1
 ) -> list[dict[str, float]]:
     """``begins`` in their order, but gains near by in the place of those that miss a demand.
 
@@ -63,16 +104,16 @@ def mended_starts(
     """
     violation = _violation(scenario, law, demands)
     return [
-        dict(one) if violation(one) == 0.0 else _mended(violation, law, one, _IN_BISECTION, seed) or dict(one)
+        dict(one) if violation(one) == 0.0 else _corrected(violation, law, one, _IN_BISECTION, seed) or dict(one)
         for one in begins
     ]
 
 
-def _violation(scenario: Scenario, law: str, demands: Demands) -> Callable[[Mapping[str, float]], float]:
+def _violation(scenario: Scenario, law: str, demands: Demands) -> Callable[[Values], float]:
     check = StabilityCheck(scenario.description, demands)
     control = next(iter(scenario.controls.values()))
 
-    def violation(gains: Mapping[str, float]) -> float:
+    def violation(gains: Values) -> float:
         try:
             return check.violation(with_gains(control, law, gains))
         except ParameterError:
@@ -81,40 +122,12 @@ def _violation(scenario: Scenario, law: str, demands: Demands) -> Callable[[Mapp
     return violation
 
 
-def _mended(
-    violation: Callable[[Mapping[str, float]], float],
-    law: str,
-    begin: Mapping[str, float],
-    evaluations: int,
-    seed: int,
+def _corrected(
+    violation: Callable[[Values], float], law: str, begin: Values, evaluations: int, seed: int
 ) -> dict[str, float] | None:
     """The first gains without a violation that a search from ``begin`` comes upon."""
-    from cma import CMAEvolutionStrategy
-
-    names = [gain.name for gain in SEARCHED[law] if gain.name in begin]
-    strategy = CMAEvolutionStrategy(
-        [math.log(begin[name]) for name in names], _STEP, {"seed": seed, "popsize": 10, "verbose": -9}
-    )
-    for _ in range(evaluations // 10):
-        candidates = strategy.ask()
-        gains = [{**begin, **dict(zip(names, map(math.exp, one), strict=True))} for one in candidates]
-        violations = [violation(one) for one in gains]
-        if 0.0 in violations:
-            return gains[violations.index(0.0)]
-        strategy.tell(candidates, violations)
-    return None
-
-
-class _Change(NamedTuple):
-    """A change of the stage: its sentence with the value to fill in, its present value, the furthest that is tried.
-
-    Where the furthest is not feasible, what lies half way to it is tried, and a quarter.
-    """
-
-    sentence: str
-    value: float
-    furthest: float
-    apply: Callable[[StageParameters, float], StageParameters]
+    gains, left = cheapest(violation, law, begin, evaluations=evaluations, step=_STEP, seed=seed, enough=0.0)
+    return gains if left == 0.0 else None
 
 
 def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: int = 1) -> DesignError:
@@ -124,14 +137,27 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
     """
     stage = scenario.description
     rate, delay, amplifier, bias = stage.rate, stage.drive.delay, stage.drive.bandwidth, stage.actuator.bias_current
+    ranges = ("uncertainty.mass", "uncertainty.force", "uncertainty.air_gap")
+    # The sentence, the facts that change, the present value in the sentence, and the furthest factor that is tried.
     changes = (
-        _Change("a delay of at most {} samples", delay, 0.05 * delay, _with_delay),
-        _Change("an amplifier of at least {} Hz", amplifier, 30.0 * amplifier, _with_amplifier),
-        _Change("a rate of at least {} Hz", rate, min(20_000.0, 10.0 * rate), _with_rate),
-        _Change("a bias current of at most {} A", bias, 0.1 * bias, _with_bias),
-        _Change("an uncertainty of mass, force and air gap {} times as large", 1.0, 0.1, _with_uncertainty),
+        ("a delay of at most {} samples", ("drive.delay",), delay, 0.05),
+        ("an amplifier of at least {} Hz", ("drive.bandwidth",), amplifier, 30.0),
+        ("a rate of at least {} Hz", ("rate",), rate, min(20_000.0, 10.0 * rate) / rate),
+        ("a bias current of at most {} A", ("actuator.bias_current",), bias, 0.1),
+        ("an uncertainty of mass, force and air gap {} times as large", ranges, 1.0, 0.1),
     )
-    helpful = [text for change in changes if (text := _threshold(scenario, law, demands, change, seed))]
+    helpful = []
+    for sentence, facts, present, furthest in changes:
+
+        def possible(
+            share: float, like: _Feasible | None, facts: Sequence[str] = facts, furthest: float = furthest
+        ) -> _Feasible | None:
+            changed = scenario.on(scaled_facts(stage, facts, furthest**share))
+            return _possible(changed, law, demands, like, seed)
+
+        share = _least_change(possible, halvings=5, tries=(1.0, 0.5, 0.25))
+        if share is not None:
+            helpful.append(sentence.format(f"{_outward(present * furthest**share, up=furthest > 1.0):g}"))
     control = with_gains(next(iter(scenario.controls.values())), law, rule(law, stage))
     missed = StabilityCheck(stage, demands).missed(control)
     advice = f"{', or '.join(helpful)} would do" if helpful else "no single change would do"
@@ -141,41 +167,25 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
     )
 
 
-def _threshold(scenario: Scenario, law: str, demands: Demands, change: _Change, seed: int) -> str:
-    """The sentence with the value nearest to the present one that is feasible, empty if even the furthest is not."""
+class _Feasible(NamedTuple):
+    """Gains that hold the demands on a stage, and its dead time in s."""
 
-    def possible(value: float, like: dict[str, float] | None, lag: float) -> tuple[dict[str, float] | None, float]:
-        """Gains that hold the demands, and their dead time; ``like`` held them at the dead time ``lag``."""
-        changed = scenario.on(change.apply(scenario.description, value))
-        control = next(iter(changed.controls.values()))
-        now = changed.description.dead_time
-        gains = rule(law, changed.description)
-        tries = starts(law, gains)
-        if like is not None:
-            # What held a little farther from the border is nearly right here.
-            nearly = scaled(law, like, lag / now)
-            tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
-        check = StabilityCheck(changed.description, demands)
-        begin = min(tries, key=lambda one: check.violation(with_gains(control, law, one)))
-        evaluations = _EVALUATIONS if like is None else _IN_BISECTION
-        return feasible_gains(changed, law, begin, demands, evaluations=evaluations, seed=seed), now
+    gains: dict[str, float]
+    lag: float
 
-    bad = change.value
-    for part in (1.0, 0.5, 0.25):
-        good = bad * (change.furthest / bad) ** part
-        held, lag = possible(good, None, 1.0)
-        if held is not None:
-            break
-    else:
-        return ""
-    for _ in range(_HALVINGS):
-        middle = math.sqrt(good * bad)
-        found, there = possible(middle, held, lag)
-        if found is None:
-            bad = middle
-        else:
-            good, held, lag = middle, found, there
-    return change.sentence.format(f"{_outward(good, up=change.furthest > change.value):g}")
+
+def _possible(scenario: Scenario, law: str, demands: Demands, like: _Feasible | None, seed: int) -> _Feasible | None:
+    """Gains that hold the demands; ``like`` held them on a stage that is a little easier."""
+    stage = scenario.description
+    gains = rule(law, stage)
+    tries = starts(law, gains)
+    if like is not None:
+        nearly = scaled(law, like.gains, like.lag / stage.dead_time)
+        tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
+    begin = min(tries, key=_violation(scenario, law, demands))
+    evaluations = _EVALUATIONS if like is None else _IN_BISECTION
+    found = feasible_gains(scenario, law, begin, demands, evaluations=evaluations, seed=seed)
+    return None if found is None else _Feasible(found, stage.dead_time)
 
 
 def _outward(value: float, *, up: bool) -> float:
@@ -184,23 +194,140 @@ def _outward(value: float, *, up: bool) -> float:
     return round((math.ceil if up else math.floor)(value / unit - (1e-9 if up else -1e-9)) * unit, 12)
 
 
-def _with_delay(stage: StageParameters, delay: float) -> StageParameters:
-    return dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=delay))
+@dataclass(frozen=True)
+class SafeLaw:
+    """A law that is stable at all corners.
+
+    Attributes:
+        values: what to set, by dotted name in the node controller.
+        decay: of the slowest mode at the worst corner, 1/s.
+        worst: that corner in words.
+        corners: number of corners.
+        excursion: largest |y| in the strokes with friction, m.
+        pp: largest peak-to-peak error in them, m.
+    """
+
+    values: Mapping[str, float]
+    decay: float
+    worst: str
+    corners: int
+    excursion: float
+    pp: float
 
 
-def _with_amplifier(stage: StageParameters, bandwidth: float) -> StageParameters:
-    return dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, bandwidth=bandwidth))
+def safe_law(
+    scenario: Scenario, *, seed: int = 1, progress: Callable[[float], None] = lambda fraction: None
+) -> SafeLaw:
+    """The law for the stage of ``scenario`` and its uncertainty; the gains of its controls are not read.
+
+    Raises:
+        DesignError: there is none; the message says what must be known better.
+        ParameterError: a machine within the uncertainty is impossible.
+    """
+    stage = scenario.description
+    corners = corners_of(stage)
+    gains, growth = _calmest(scenario, corners, _SAFE_EVALUATIONS, seed)
+    progress(0.3)
+    if growth > _allowed(stage):
+        raise _safe_refusal(scenario, growth, seed)
+    worst = sorted(zip(growths(scenario, corners, gains), corners, strict=True), key=lambda one: -one[0])
+    law = make_law(with_gains(scenario.controls[LAW], LAW, gains), stage)
+    stroke = prepared_stroke(scenario, shortened(scenario, _SHORT))
+    excursion = pp = 0.0
+    ends = (1.0 / stage.uncertainty.friction, stage.uncertainty.friction)
+    for number, ((_, corner), friction) in enumerate(itertools.product(worst[:_WORST], ends), 1):
+        plant = deviating(corner.plant, Factors(friction=friction))
+        run = stroke.run(law, corner.stage.drive.delay * stage.period, plant=plant)
+        oscillates = run.oscillation > 1.0
+        if not run.excursion <= _TRAVEL * plant.platform.stop or oscillates:
+            what = "oscillates" if oscillates else "leaves half of the travel up to its stop"
+            raise DesignError(
+                f"the law that is stable at all corners without friction {what} at {corner.name}, friction × "
+                f"{friction:g}; friction must be known better ('stage.uncertainty.friction')"
+            )
+        excursion, pp = max(excursion, run.excursion), max(pp, run.pp)
+        progress(0.3 + 0.7 * number / (2 * _WORST))
+    return SafeLaw(gains, -growth * stage.rate, worst[0][1].name, len(corners), excursion, pp)
 
 
-def _with_bias(stage: StageParameters, bias: float) -> StageParameters:
-    return dataclasses.replace(stage, actuator=dataclasses.replace(stage.actuator, bias_current=bias))
+def _allowed(stage: StageParameters) -> float:
+    """Largest logarithm of a pole's radius."""
+    return -_LEAST_DECAY * stage.period / stage.dead_time
 
 
-def _with_rate(stage: StageParameters, rate: float) -> StageParameters:
-    return dataclasses.replace(stage, rate=round(rate))
+def growths(scenario: Scenario, corners: Sequence[Corner], gains: Values) -> list[float]:
+    """Logarithm of the largest pole's radius at each corner; infinite where the law is refused or not linear."""
+    try:
+        # A gain beyond its range is refused, as a node would.
+        control = from_mapping(ControlParameters, to_mapping(with_gains(scenario.controls[LAW], LAW, gains)))
+        law = linearised(make_law(control, scenario.description))
+    except ValueError:
+        return [math.inf] * len(corners)
+    return [math.log(spectral_radius(closed_loop(corner.sampled, law))) for corner in corners]
 
 
-def _with_uncertainty(stage: StageParameters, factor: float) -> StageParameters:
-    ranges = stage.uncertainty
-    smaller = {name: factor * getattr(ranges, name) for name in ("mass", "force", "air_gap")}
-    return dataclasses.replace(stage, uncertainty=dataclasses.replace(ranges, **smaller))
+def _calmest(
+    scenario: Scenario, corners: Sequence[Corner], evaluations: int, seed: int
+) -> tuple[dict[str, float], float]:
+    """Gains with the least growth at their worst corner, and this growth."""
+
+    def growth(gains: Values) -> float:
+        return max(growths(scenario, corners, gains))
+
+    begin = min(starts(LAW, rule(LAW, scenario.description)), key=growth)
+    known = begin, growth(begin)
+    found = cheapest(growth, LAW, begin, evaluations=evaluations, step=_SAFE_STEP, seed=seed)
+    return min(known, found, key=lambda one: one[1])
+
+
+def _safe_refusal(scenario: Scenario, growth: float, seed: int) -> DesignError:
+    """The error where no law is stable at all corners: which single range, if it were narrower, would allow one."""
+    stage, helpful = scenario.description, []
+    for name, text, narrowed in _RANGES:
+        if narrowed(stage.uncertainty, 1.0) == narrowed(stage.uncertainty, 0.0):
+            continue
+
+        def possible(share: float, _: bool | None, narrowed: _Narrowed = narrowed) -> bool | None:
+            changed = dataclasses.replace(stage, uncertainty=narrowed(stage.uncertainty, 1.0 - share))
+            try:
+                corners = corners_of(changed)
+            except ParameterError:
+                return None
+            calmest = _calmest(scenario.on(changed), corners, _SAFE_IN_BISECTION, seed)[1]
+            return True if calmest <= _allowed(changed) else None
+
+        share = _least_change(possible, halvings=4)
+        if share is not None:
+            helpful.append(f"{name} {text(narrowed(stage.uncertainty, 1.0 - share))}")
+    advice = f"must be known better: {', or '.join(helpful)}" if helpful else "no single fact would be enough"
+    return DesignError(
+        f"no gains of '{LAW}' are stable at all corners of 'stage.uncertainty' (at best the slowest "
+        f"mode decays with {-growth * stage.rate:.3g} 1/s; allowed: >= {-_allowed(stage) * stage.rate:.3g}): {advice}"
+    )
+
+
+_Narrowed = Callable[[UncertaintyParameters, float], UncertaintyParameters]
+
+
+def _of_fraction(name: str) -> _Narrowed:
+    return lambda ranges, width: dataclasses.replace(ranges, **{name: width * getattr(ranges, name)})
+
+
+def _delay(ranges: UncertaintyParameters, width: float) -> UncertaintyParameters:
+    """The range of the delay, narrowed to ``width`` of it around 1."""
+    shortest, longest = (1.0 + width * (one - 1.0) for one in (ranges.shortest_delay, ranges.longest_delay))
+    return dataclasses.replace(ranges, shortest_delay=shortest, longest_delay=longest)
+
+
+_RANGES: tuple[tuple[str, Callable[[UncertaintyParameters], str], _Narrowed], ...] = (
+    ("the mass", lambda ranges: f"within ± {ranges.mass:.2g} of it", _of_fraction("mass")),
+    ("the force", lambda ranges: f"within ± {ranges.force:.2g} of it", _of_fraction("force")),
+    ("the air gap", lambda ranges: f"within ± {ranges.air_gap:.2g} of it", _of_fraction("air_gap")),
+    (
+        "the amplifier's bandwidth",
+        lambda ranges: f"within a factor of {ranges.amplifier:.3g}",
+        lambda ranges, width: dataclasses.replace(ranges, amplifier=ranges.amplifier**width),
+    ),
+    ("the delay", lambda ranges: f"within × {ranges.shortest_delay:.2g} to {ranges.longest_delay:.2g}", _delay),
+)
+"""Each range by name, in words, and how it is narrowed to a share of its width."""

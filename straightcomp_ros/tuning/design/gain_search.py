@@ -1,19 +1,19 @@
 """Search for gains by CMA-ES, in logarithms, with the same result for the same seed on one machine.
 
 CMA-ES (Hansen and Ostermeier, Evolutionary Computation 9(2), 2001; the package `cma`) ranks candidates only, so that
-neither the noise of a peak-to-peak nor the step to infeasible gains disturbs it. The cost has several valleys: a fast
-observer with a slow surface may be worth as much as the reverse. One search begins at each of the best starts; the
-worse searches are given up on the way.
+neither the noise of a peak-to-peak nor the step to infeasible gains disturbs it. The cost of simulated strokes has
+several valleys: a fast observer with a slow surface may be worth as much as the reverse. One search begins at each of
+the best starts; the worse searches are given up on the way.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed
 
+from straightcomp_ros.tuning.design.gains import SEARCHED, Values
 from straightcomp_ros.tuning.design.judged_gains import Judge, Judgement
-from straightcomp_ros.tuning.design.searched_gains import SEARCHED, SearchedGain
 
 _STEP = 0.3
 """Standard deviation of the first candidates' logarithms: a third of the gain."""
@@ -25,6 +25,71 @@ _FEWEST = 60
 _HOPELESS = 0.7
 """Cost of a first stroke beyond the best candidate's cost from which gains are judged by this stroke alone: twice the
 error, which no luck in the other strokes makes up for."""
+
+
+class Valley:
+    """One run of CMA-ES over the searched gains of ``law``, from those of ``begin``.
+
+    ``step`` is the standard deviation of the first candidates' logarithms. With ``rule`` the gains stay within their
+    ranges relative to it, and those that are not searched are as in it; without, they are as in ``begin``.
+    """
+
+    def __init__(self, law: str, begin: Values, step: float, seed: int, rule: Values | None = None) -> None:
+        from cma import CMAEvolutionStrategy
+
+        self._rest = begin if rule is None else rule
+        searched = [gain for gain in SEARCHED[law] if gain.name in self._rest]
+        self._names = [gain.name for gain in searched]
+        first = [math.log(begin[name]) for name in self._names]
+        options: dict[str, Any] = {"seed": seed, "popsize": _POPULATION, "verbose": -9}
+        if rule is not None:
+            scales = [rule[gain.name] if gain.power else 1.0 for gain in searched]
+            low = [math.log(gain.low * scale) for gain, scale in zip(searched, scales, strict=True)]
+            high = [math.log(gain.high * scale) for gain, scale in zip(searched, scales, strict=True)]
+            first = [min(max(x, least), most) for x, least, most in zip(first, low, high, strict=True)]
+            options["bounds"] = [low, high]
+        self._strategy = CMAEvolutionStrategy(first, step, options)
+        self._asked: list[Sequence[float]] = []
+        self.best = math.inf
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether further candidates would be the same."""
+        return bool(self._strategy.stop())
+
+    def ask(self) -> list[dict[str, float]]:
+        """The next candidates."""
+        self._asked = self._strategy.ask()
+        return [{**self._rest, **dict(zip(self._names, map(math.exp, one), strict=True))} for one in self._asked]
+
+    def tell(self, costs: Sequence[float]) -> None:
+        """What the candidates of the last :meth:`ask` cost."""
+        self._strategy.tell(self._asked, costs)
+        self.best = min(self.best, *costs)
+
+
+def cheapest(
+    cost: Callable[[Values], float],
+    law: str,
+    begin: Values,
+    *,
+    evaluations: int,
+    step: float,
+    seed: int,
+    enough: float = -math.inf,
+) -> tuple[dict[str, float], float]:
+    """The cheapest candidate of a search without bounds, and its cost; the first that costs ``enough`` ends it."""
+    valley, best, least = Valley(law, begin, step, seed), dict(begin), math.inf
+    for _ in range(evaluations // _POPULATION):
+        candidates = valley.ask()
+        costs = [cost(one) for one in candidates]
+        if min(costs) < least:
+            least = min(costs)
+            best = candidates[costs.index(least)]
+        if least <= enough:
+            break
+        valley.tell(costs)
+    return best, least
 
 
 class Found(NamedTuple):
@@ -43,21 +108,19 @@ def search(
     jobs: int = -1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Found]:
-    """The candidates that were judged, the best first; ``starts`` are among them.
+    """Some ``evaluations`` candidates that were judged, the best first; ``starts`` are among them.
 
-    Args:
-        judge: of the stage.
-        starts: gains by dotted name, of the same names; those that are not searched stay as in the first.
-        evaluations: candidates, about.
-        seed: of the candidates.
-        jobs: processes; −1 takes all cores. The result does not depend on it.
-        progress: called with the fraction that is done.
+    The gains that are not searched stay as in the first start. The result does not depend on ``jobs``, the number of
+    processes; −1 takes all cores.
     """
     different = [dict(one) for place, one in enumerate(starts) if one not in starts[:place]]
     with Parallel(n_jobs=jobs, backend="loky") as parallel:
         found = list(map(Found, different, parallel(delayed(judge.judge)(one) for one in different)))
         begins = sorted(found, key=_cost)[: max(1, min(_VALLEYS[0][1], evaluations // _FEWEST))]
-        valleys = [_Valley(judge.law, starts[0], begin, seed + place) for place, begin in enumerate(begins)]
+        valleys = []
+        for place, begin in enumerate(begins):
+            valleys.append(Valley(judge.law, begin.gains, _STEP, seed + place, rule=starts[0]))
+            valleys[-1].best = _cost(begin)
         while len(found) < evaluations:
             number = next(number for until, number in _VALLEYS if len(found) < until * evaluations)
             valleys = sorted((one for one in valleys if not one.exhausted), key=lambda valley: valley.best)[:number]
@@ -76,40 +139,3 @@ def search(
 
 def _cost(found: Found) -> float:
     return found.judgement.cost
-
-
-class _Valley:
-    """One search, from the gains of ``begin``; the bounds of the gains are relative to those of ``rule``."""
-
-    def __init__(self, law: str, rule: Mapping[str, float], begin: Found, seed: int) -> None:
-        from cma import CMAEvolutionStrategy
-
-        searched = [gain for gain in SEARCHED[law] if gain.name in rule]
-        low, high = zip(*(_bounds(gain, rule[gain.name]) for gain in searched), strict=True)
-        first = [math.log(begin.gains[gain.name]) for gain in searched]
-        inside = [min(max(x, least), most) for x, least, most in zip(first, low, high, strict=True)]
-        options = {"seed": seed, "popsize": _POPULATION, "bounds": [list(low), list(high)], "verbose": -9}
-        self._rule, self._names = rule, [gain.name for gain in searched]
-        self._strategy = CMAEvolutionStrategy(inside, _STEP, options)
-        self._asked: list[Sequence[float]] = []
-        self.best = begin.judgement.cost
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether further candidates would be the same."""
-        return bool(self._strategy.stop())
-
-    def ask(self) -> list[dict[str, float]]:
-        """The next candidates."""
-        self._asked = self._strategy.ask()
-        return [{**self._rule, **dict(zip(self._names, map(math.exp, one), strict=True))} for one in self._asked]
-
-    def tell(self, costs: Sequence[float]) -> None:
-        """What the candidates of the last :meth:`ask` cost."""
-        self._strategy.tell(self._asked, costs)
-        self.best = min(self.best, *costs)
-
-
-def _bounds(gain: SearchedGain, start: float) -> tuple[float, float]:
-    scale = start if gain.power else 1.0
-    return math.log(gain.low * scale), math.log(gain.high * scale)

@@ -16,13 +16,13 @@ import numpy as np
 
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.design.extreme_machines import Extreme, extreme_machines
+from straightcomp_ros.stage.description import Factors, StageParameters, deviating
+from straightcomp_ros.tuning.design.gains import with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, RunFigures, prepared_stroke, shortened
-from straightcomp_ros.tuning.design.searched_gains import with_gains
-from straightcomp_ros.tuning.design.stability_demands import STANDARD, Demands, StabilityCheck
+from straightcomp_ros.tuning.design.stability import STANDARD, Demands, StabilityCheck
 
 _STARTS = 3
 _SHORT = 6.0
@@ -51,15 +51,12 @@ class Judgement(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Judges gains on one stage.
+    """Judges gains of ``law`` on one stage.
 
     Attributes:
         control: of which the law and its gains are replaced.
-        law: name of the law.
-        stage: its description.
         check: the linear demands.
-        course, short: strokes of the stage as described and on the extreme machines.
-        extremes: the machines.
+        stroke, short: of the stage as described, and of the extreme machines.
         quiet: weight of the coils' work, 0 to 1.
     """
 
@@ -67,9 +64,9 @@ class Judge:
     law: str
     stage: StageParameters
     check: StabilityCheck
-    course: PreparedStroke
+    stroke: PreparedStroke
     short: PreparedStroke
-    extremes: list[Extreme]
+    extremes: list["Extreme"]
     quiet: float
 
     @property
@@ -93,11 +90,11 @@ class Judge:
         if violation > 0.0:
             return Judgement(_UNSTABLE + min(_UNSTABLE, violation), *infinite)
         law = make_law(control, self.stage)
-        nominal = [self.course.run(law, self.delay)]
+        nominal = [self.stroke.run(law, self.delay)]
         first = self._nominal(nominal)
         if first.cost > bar:
             return first
-        nominal += [self.course.run(law, self.delay, start) for start in range(1, _STARTS)]
+        nominal += [self.stroke.run(law, self.delay, start) for start in range(1, _STARTS)]
         found = self._nominal(nominal)
         if not math.isfinite(found.pp):
             return found
@@ -128,7 +125,7 @@ class Judge:
     def _penalty(self, runs: list[RunFigures]) -> float:
         """For each oscillation by its size, for each platform that met its stop."""
         lines = sum(0.3 + math.log(run.oscillation) for run in runs if run.oscillation > 1.0)
-        return lines + sum(run.excursion >= self.course.plant.platform.stop for run in runs)
+        return lines + sum(run.excursion >= self.stroke.plant.platform.stop for run in runs)
 
 
 def _accuracy(found: Judgement) -> float:
@@ -146,8 +143,44 @@ def judge_of(scenario: Scenario, law: str, quiet: float, demands: Demands = STAN
         law=law,
         stage=scenario.description,
         check=StabilityCheck(scenario.description, demands),
-        course=prepared_stroke(scenario, shortened(scenario, _LONGEST)),
+        stroke=prepared_stroke(scenario, shortened(scenario, _LONGEST)),
         short=prepared_stroke(scenario, shortened(scenario, _SHORT)),
         extremes=extreme_machines(scenario),
         quiet=quiet,
     )
+
+
+class Extreme(NamedTuple):
+    """A machine at an end of the uncertainty, on which a law must neither oscillate nor fail; its delay in samples."""
+
+    plant: PlantParameters
+    delay: float
+
+
+def extreme_machines(scenario: Scenario) -> list[Extreme]:
+    """The machines: each has the loop gain, the friction and the delay of one end of its range, or of its middle."""
+    ranges, delay = scenario.description.uncertainty, scenario.description.drive.delay
+    latest, soonest = delay * max(1.0, ranges.longest_delay), delay * min(1.0, ranges.shortest_delay)
+    ends = (
+        (1.0, -1.0, latest),
+        (1.0, 1.0, latest),
+        (-1.0, 1.0, delay),
+        (-1.0, -1.0, soonest),
+        (0.0, 1.0, latest),
+        (0.0, -1.0, delay),
+    )
+    return [
+        Extreme(
+            deviating(
+                scenario.driver.plant,
+                Factors(
+                    mass=1.0 - gain * ranges.mass,
+                    force=1.0 + gain * ranges.force,
+                    air_gap=1.0 - gain * ranges.air_gap,
+                    friction=ranges.friction**friction,
+                ),
+            ),
+            late,
+        )
+        for gain, friction, late in ends
+    ]

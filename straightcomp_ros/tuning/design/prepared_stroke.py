@@ -45,7 +45,7 @@ class RunFigures(NamedTuple):
     excursion: float
 
 
-_BROKEN = RunFigures(math.inf, math.inf, math.inf, math.inf, math.inf, math.inf)
+_BROKEN = RunFigures(*(math.inf,) * 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,48 +71,31 @@ class PreparedStroke:
     hold: Hold
     initial_y: float
 
-    def run(
-        self,
-        law: Law,
-        delay: float,
-        start: int = 0,
-        plant: PlantParameters | None = None,
-    ) -> RunFigures:
-        """Run the motion once.
+    def run(self, law: Law, delay: float, start: int = 0, plant: PlantParameters | None = None) -> RunFigures:
+        """Run the motion once under ``law``, on the stroke's own machine or on ``plant``.
 
-        Args:
-            law: under which.
-            delay: of each command, s.
-            start: number of the start, as of :func:`~straightcomp_ros.offline.starts.offset`.
-            plant: the machine, if it is not the stroke's own.
+        Each command is ``delay`` s late; ``start`` counts as in :func:`~straightcomp_ros.offline.starts.offset`.
         """
         plant = plant or self.plant
-        conditions = Conditions(
-            self.stamps,
-            np.full(self.stamps.size, round(delay * 1e9)),
-            self.given,
-            np.zeros(self.stamps.size),
-        )
+        late, noise = np.full(self.stamps.size, round(delay * 1e9)), np.zeros(self.stamps.size)
+        conditions = Conditions(self.stamps, late, self.given, noise)
         # The stroke's own count, so that an ideal encoder gets the same starts.
         initial = PlantState(y=self.initial_y + offset(start, _PITCH * self.plant.encoder.y_resolution))
         cycle = run_cycle(law, plant, conditions, initial, self.hold)
         if cycle.current.size < self.stamps.size:
             return _BROKEN
-        error = (self.target - cycle.true_y)[self.motion]
+        target = self.target[self.motion]
+        error = target - cycle.true_y[self.motion]
         period = float(self.stamps[-1] - self.stamps[0]) * 1e-9 / (self.stamps.size - 1)
         return RunFigures(
             peak_to_peak(error),
             float(np.sqrt(np.mean(error * error))),
             _rms_step(cycle.current[self.motion]),
             _rms_step(cycle.current[self.rest]),
-            self._oscillation(error, period),
+            sustained_oscillation(error, target, period).amplitude
+            / tolerated_amplitude(error, self.plant.encoder.y_resolution, peak_to_peak(target)),
             float(np.abs(cycle.true_y).max()),
         )
-
-    def _oscillation(self, error: NDArray[np.float64], period: float) -> float:
-        target = self.target[self.motion]
-        tolerated = tolerated_amplitude(error, self.plant.encoder.y_resolution, peak_to_peak(target))
-        return sustained_oscillation(error, target, period).amplitude / tolerated
 
 
 def _rms_step(current: NDArray[np.float64]) -> float:
@@ -126,11 +109,9 @@ def prepared_stroke(
     stamps: NDArray[np.int64] | None = None,
     ideal: bool = False,
 ) -> PreparedStroke:
-    """A stroke of a stage.
+    """A stroke of a stage, along ``trajectory`` in place of the scenario's.
 
     Args:
-        scenario: the stage.
-        trajectory: in place of the scenario's.
         stamps: (n,) of the samples in ns from 0, if they are not on the grid.
         ideal: the law is given r, ṙ and r̈ of the true motion at each sample, without the encoder of x, the filter and
             the lead.

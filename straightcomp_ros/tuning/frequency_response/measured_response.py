@@ -1,27 +1,34 @@
-"""Responses from a record of the excited loop, with coherence and confidence.
+"""Responses from a record of the excited loop, with coherence and confidence, their margins, and those of a model.
 
 The signal d is known and periodic, so that the responses from it have no bias by noise in the loop, which those from
 command to reading would have:
 
     P = (Y/D) / (U/D),   S = U/D,   L = 1/S − 1,
 
-each a mean over the draws of phases. How the draws differ tells the noise, and what friction and other nonlinearities
+each a mean over the draws of phases. How the draws differ shows the noise, and what friction and other nonlinearities
 add (R. Pintelon and J. Schoukens, System Identification, 2nd ed., 2012, sections 2.7 and 4.3).
 """
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from straightcomp_ros.control.excitation import Multisine
-from straightcomp_ros.control.margins import LoopResponse
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
+from straightcomp_ros.stage.description import StageParameters
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+WITHIN_DB, WITHIN_DEG = 1.0, 5.0
+"""Deviations up to which a model explains a measurement."""
+_FEW_LATE = 0.02
+"""Share of late commands that hardly delays a loop: by as much of a sample."""
 _CONFIDENCE = 0.95
 
 
@@ -68,7 +75,6 @@ def measured_response(excitation: Multisine, signal: Array, command: Array, read
     """Responses from series (n,) that begin with the excitation.
 
     Args:
-        excitation: what was injected.
         signal: what the injection truly added to the command, A; differs from the excitation where it was limited.
         command: with it, A.
         reading: y, m.
@@ -113,3 +119,168 @@ def _coherence(one: Complex, other: Complex) -> Array:
     common = np.abs((other * one.conj()).sum(axis=0)) ** 2
     powers = (np.abs(one) ** 2).sum(axis=0) * (np.abs(other) ** 2).sum(axis=0)
     return np.asarray(np.divide(common, powers, out=np.zeros_like(common), where=powers > 0.0))
+
+
+class ResponseMargins(NamedTuple):
+    """Margins; None where the response does not reach that far, all of them without a response.
+
+    Attributes:
+        gain_low, gain_high: factors of the loop gain between which it stays stable.
+        phase: smallest one over the gain crossovers, degrees.
+        crossover: the highest gain crossover, Hz.
+        delay: further delay of the commands up to which it stays stable, s.
+        peak: of the sensitivity's magnitude.
+        peak_frequency: there, Hz.
+    """
+
+    gain_low: float | None
+    gain_high: float | None
+    phase: float | None
+    crossover: float | None
+    delay: float | None
+    peak: float | None
+    peak_frequency: float | None
+
+    def to_display(self) -> dict[str, Any]:
+        """The margins with their units in the names."""
+        return {
+            "gain_low": self.gain_low,
+            "gain_high": self.gain_high,
+            "phase_deg": self.phase,
+            "crossover_Hz": self.crossover,
+            "delay_us": None if self.delay is None else self.delay * 1e6,
+            "sensitivity_peak": self.peak,
+            "sensitivity_peak_Hz": self.peak_frequency,
+        }
+
+
+def response_margins(frequencies: Array, open_loop: NDArray[np.complex128]) -> ResponseMargins:
+    """Margins of a stable loop with ``open_loop`` at ``frequencies`` (lines,) in Hz, rising.
+
+    Between two lines, logarithms of magnitude and phase run straight over the logarithm of the frequency. What lies
+    beyond the first and the last line is not known: a margin that would lie there is None. Lines that are not finite
+    are left out. Of a measured loop hand over its coherent lines only.
+    """
+    finite = np.isfinite(open_loop)
+    frequencies, open_loop = frequencies[finite], open_loop[finite]
+    if not frequencies.size:
+        return ResponseMargins(None, None, None, None, None, None, None)
+    log_f, log_gain = np.log(frequencies), np.log(np.abs(open_loop))
+    # Phase of −L: zero on the negative real axis, where the critical point is.
+    phase = np.unwrap(np.angle(-open_loop))
+    turns = 2.0 * np.pi * np.arange(np.floor(phase.min() / (2.0 * np.pi)), np.ceil(phase.max() / (2.0 * np.pi)) + 1.0)
+    gains = [-value for turn in turns for value in _at_zeros(phase - turn, log_gain)]
+    at_one = _at_zeros(log_gain, phase)
+    crossovers = np.exp(_at_zeros(log_gain, log_f)).tolist()
+    distances = [float((angle + np.pi) % (2.0 * np.pi) - np.pi) for angle in at_one]
+    # A delay turns L clockwise: on to the critical point by the angle ahead of it.
+    delays = [(angle % (2.0 * np.pi)) / (2.0 * np.pi * f) for angle, f in zip(at_one, crossovers, strict=True)]
+    sensitivity = 1.0 / np.abs(1.0 + open_loop)
+    highest = int(sensitivity.argmax())
+    return ResponseMargins(
+        gain_low=max((float(np.exp(gain)) for gain in gains if gain < 0.0), default=None),
+        gain_high=min((float(np.exp(gain)) for gain in gains if gain > 0.0), default=None),
+        phase=min((float(np.degrees(abs(distance))) for distance in distances), default=None),
+        crossover=max(crossovers, default=None),
+        delay=min(delays, default=None),
+        peak=float(sensitivity[highest]),
+        peak_frequency=float(frequencies[highest]),
+    )
+
+
+def _at_zeros(values: Array, others: Array) -> list[float]:
+    """``others`` at the zeros of ``values``, both straight between their points."""
+    places = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    share = values[places] / (values[places] - values[places + 1])
+    return [float(value) for value in others[places] + share * (others[places + 1] - others[places])]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedResponse:
+    """A measured response under ``law``, compared with that of the description.
+
+    Attributes:
+        model: of the description, at the measured lines: its closed form with friction linearised at the measured
+            speed, unless something else is put in its place.
+        damping: that friction, N·s/m.
+        clipped: samples in which the current limit cut the excitation.
+        duration: of the excitation, s.
+        late_share: of the samples, those whose command arrived after it was due, or not before the next sample's.
+    """
+
+    law: str
+    measured: MeasuredResponse
+    model: LoopResponse
+    damping: float
+    clipped: int
+    duration: float
+    late_share: float = 0.0
+
+    @property
+    def lateness(self) -> str:
+        """How the host disturbed the measurement, in a sentence; empty if it did not."""
+        if self.late_share <= _FEW_LATE:
+            return ""
+        return (
+            f"{self.late_share:.0%} of the commands came late, which delays the loop on the mean and is no fault of "
+            "the machine; straightcomp doctor says what delays this computer"
+        )
+
+    @property
+    def margins(self) -> tuple[ResponseMargins, ResponseMargins]:
+        """Margins of the measured loop, and of the model, both at the coherent lines."""
+        measured, lines = self.measured, self.measured.coherent
+        frequencies = measured.frequencies[lines]
+        return (
+            response_margins(frequencies, measured.response.open_loop[lines]),
+            response_margins(frequencies, self.model.open_loop[lines]),
+        )
+
+    @property
+    def deviations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(lines,) each: the measured plant relative to the model's, magnitude in dB and phase in degrees."""
+        ratio = self.measured.response.plant / self.model.plant
+        return 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+
+    @property
+    def explained(self) -> bool:
+        """Whether there are coherent lines, all are finite, and none contradicts the description.
+
+        A line contradicts it if it is certainly off by more than `WITHIN_DB` or `WITHIN_DEG`: if no value in its circle
+        is nearer. The circles are those that hold for all coherent lines at once.
+        """
+        measured = self.measured
+        size = np.abs(measured.response.plant)
+        radius = np.minimum(1.0, measured.jointly * measured.plant_radius / size)
+        gain, phase = self.deviations
+        with np.errstate(divide="ignore"):
+            least, most = gain + 20.0 * np.log10(1.0 - radius), gain + 20.0 * np.log10(1.0 + radius)
+        turned = np.abs(phase) - np.degrees(np.arcsin(radius))
+        # Written so that NaN is off.
+        off = ~((least <= WITHIN_DB) & (most >= -WITHIN_DB) & (turned <= WITHIN_DEG))
+        return bool(measured.coherent.any() and not (measured.coherent & off).any())
+
+
+def compared_response(
+    excitation: Multisine,
+    asked: NDArray[np.float64],
+    commands: NDArray[np.float64],
+    reading: NDArray[np.float64],
+    control: ControlParameters,
+    stage: StageParameters,
+    clipped: int,
+) -> ComparedResponse:
+    """The response from series (n,) that begin with the excitation, compared with that of a description.
+
+    Args:
+        asked: the law's current without the excitation, before the limit, A.
+        commands: with it, A.
+        reading: y, m.
+        clipped: samples in which the limit cut the excitation.
+    """
+    limit = stage.highest_current
+    signal = commands - np.clip(asked, -limit, limit)
+    measured = measured_response(excitation, signal, commands, reading)
+    damping = friction_damping(stage.friction, measured.speed)
+    model = loop_response(make_law(control, stage), stage, measured.frequencies, damping)
+    return ComparedResponse(control.law, measured, model, damping, clipped, excitation.currents.size / stage.rate)

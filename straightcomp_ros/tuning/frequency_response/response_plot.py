@@ -1,4 +1,4 @@
-"""Bode and Nyquist plots of a measured loop beside its model."""
+"""Bode and Nyquist plots of a measured loop and its model."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION, as_text, save_whole
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

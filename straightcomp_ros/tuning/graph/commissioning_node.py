@@ -147,8 +147,8 @@ class CommissioningNode(Runnable):
 def commission(parameters: CommissioningNodeParameters, step: str, folder: Path, namespace: str) -> Result:
     """Do one step of commissioning on the running graph, or without a name all steps that have not passed."""
     # Only here: the steps import all of the design.
+    from straightcomp_ros.tuning.commissioning import MADE
     from straightcomp_ros.tuning.commissioning.procedure import Procedure
-    from straightcomp_ros.tuning.commissioning.step_files import MADE
     from straightcomp_ros.tuning.graph.machine_access import running_graph
 
     sentence = "all steps have been done"

@@ -20,11 +20,10 @@ from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.timing.cpus import use_kept_free
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
-from straightcomp_ros.tuning.commissioning.machine import Series
-from straightcomp_ros.tuning.commissioning.recorded_series import excited, recorded_series
+from straightcomp_ros.tuning.commissioning.machine import Series, excited, recorded_series
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.frequency_response.recorded_measurement import response_from_bag
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
+from straightcomp_ros.tuning.frequency_response.measurement import response_from_bag
 from straightcomp_ros.tuning.graph.waiting_client import ANSWER_S, WaitingClient
 
 _AT_ONCE = ("excitation.", "error_limit")

@@ -1,4 +1,10 @@
-"""The estimated parameters: values with 95 % intervals, advice for a better record, and a ROS 2 parameter file."""
+"""The estimated parameters: values with 95 % intervals, what the record cannot identify, and a ROS 2 parameter file.
+
+The excitation is a made-up map (a survey file for `stage.guide.file`) whose reference excites what a stroke along the
+real guide does not. Long waves reach far to both sides (stiffness) and slide steadily (Coulomb friction), short ones
+are quick (mass, viscous friction); every turn of every wave reverses the motion (bristles), and while the stage speeds
+up and slows down all of it happens slowly (Stribeck).
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,11 +17,20 @@ from scipy.stats import t as student
 
 from straightcomp_ros.analysis.current_path import CurrentPath, Recording, current_path, read_recording
 from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.parameter_file import as_yaml
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.identification.block_covariance import BLOCK
+from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.tuning.identification.fit import Fit, fit
-from straightcomp_ros.tuning.identification.sliding_start import Centre, centre
-from straightcomp_ros.tuning.identification.unknowns import FORCE_SCALE, NAMES, RATIO, Unknowns, unknowns
+from straightcomp_ros.tuning.identification.unknowns import (
+    BLOCK,
+    FORCE_SCALE,
+    NAMES,
+    RATIO,
+    Centre,
+    Unknowns,
+    centre,
+    unknowns,
+)
 
 POOR = 1.3
 """Factor from the value to the bounds of its interval, beyond which it counts as poorly determined."""
@@ -27,7 +42,7 @@ _ROUNDED = 0.75
 """Standard deviation of the forces relative to the mass, per count of the encoder and RMS travel.
 
 The search takes rounding for white noise. It is not, and with a coarse encoder the acceleration is less well known than
-the spread of the prediction errors tells. Found on the machines 0 to 11 of docs/commissioning.md.
+the spread of the prediction errors shows. Found on the machines 0 to 11 of docs/commissioning.md.
 """
 _WIDEST = 1e3
 DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}
@@ -48,7 +63,10 @@ HELP = {
     "friction.viscous": "fast sliding",
 }
 
-PREFIX = "stage."
+WAVES = ((0.300, 30e-6), (0.060, 15e-6), (0.030, 8e-6), (0.015, 4e-6))
+"""Wavelength and amplitude of the excitation in m: at 0.3 m/s 1, 5, 10 and 20 Hz, together up to 57 µm and 1.3 mm/s."""
+_SPACING = 1e-3
+_PHASE = 1.0
 _HEAD = """\
 # Plant parameters estimated from a bag, for `straightcomp simulate --stage` and for the description of the stage.
 # Only the plant is here: all other parameters take the defaults of their declarations.
@@ -85,7 +103,7 @@ class Estimate:
         recording: the used stretch of the bag.
         path: the coil current between the samples.
         fit: figures of the search.
-        centre: where the magnets balance, in the encoder's y; None where the record does not tell. If it is certainly
+        centre: where the magnets balance, in the encoder's y; None where the record has none. If it is certainly
             not zero, ``recording`` has y from there on.
     """
 
@@ -100,6 +118,36 @@ class Estimate:
         """For each poorly determined parameter, the excitation that would help."""
         return {name: HELP[name] for name, found in self.parameters.items() if found.poor and name in HELP}
 
+    @property
+    def not_identifiable(self) -> list[str]:
+        """Sentences on what the record leaves open; one at least, since no record gives forces a scale of their own."""
+        given = [name for name in FORCE_SCALE if self.parameters[name].known]
+        sentences = [
+            f"Forces have no scale of their own: {' and '.join(given)} was given. If it is wrong, mass, magnetic force "
+            "and friction are wrong by one common factor; their ratios, which a law needs, are not."
+        ]
+        if math.isnan(self.path.delay):
+            sentences.append(
+                "Command and measured current fit no first-order amplifier, as where many commands come late: this "
+                "record identifies no bandwidth and no delay."
+            )
+        elif not self.path.rate_found:
+            sentences.append(
+                "The latency jitters too much to identify the amplifier's bandwidth: that of the description holds."
+            )
+        named: set[frozenset[str]] = set()
+        for one in self.parameters.values():
+            for other in one.with_others:
+                if (pair := frozenset((one.name, other))) not in named:
+                    named.add(pair)
+                    sentences.append(
+                        f"{one.name} and {other} can hardly be told apart: each may take what the other lacks."
+                    )
+            if one.poor:
+                unit = f" {UNITS[one.name]}" if UNITS[one.name] else ""
+                sentences.append(f"{one.name} is only known to lie between {one.low:.3g} and {one.high:.3g}{unit}.")
+        return sentences
+
 
 def estimate_from_bag(
     bag: Path,
@@ -107,13 +155,10 @@ def estimate_from_bag(
     known: Sequence[str],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Estimate:
-    """Estimate the plant's parameters from encoder and command of a bag.
+    """Estimate the plant's parameters from encoder and command of a bag: a rosbag2 folder or an MCAP file.
 
-    Args:
-        bag: rosbag2 folder or MCAP file.
-        start: start of the search; pole area, bias current and encoder resolution are taken as given.
-        known: parameters that are held at the values of ``start``.
-        progress: called with the fraction that is done.
+    The search starts at ``start``, whose pole area, bias current and encoder resolution are taken as given; the
+    parameters ``known`` are held at its values.
 
     Raises:
         BagError: the bag cannot be read.
@@ -196,28 +241,23 @@ def parameter_file(estimate: Estimate) -> str:
     """Text of a stage file with the plant alone."""
     lines = [_HEAD, "/**:\n  ros__parameters:"]
     for name, found in estimate.parameters.items():
-        if name not in DERIVED:
-            lines += _entry(found, left_out=found.poor and not _needed(found, estimate))
+        if name in DERIVED:
+            continue
+        unit = f" {UNITS[name]}" if UNITS[name] else ""
+        interval = f"{found.low:.4g} to {found.high:.4g}{unit}" + (", poorly determined" if found.poor else "")
+        lines.append(f"    # {'given, not estimated' if found.known else interval}")
+        # Even a poor F_S is written with F_C: its default may be below F_C, which would be refused.
+        needed = name == "friction.static" and not estimate.parameters["friction.coulomb"].poor
+        left_out = "# " if found.poor and not needed else ""
+        lines.append(f"    {left_out}stage.{name}: {as_yaml(float(f'{found.value:.6g}'))}")
     return "\n".join(lines) + "\n"
 
 
-def _needed(found: Estimated, estimate: Estimate) -> bool:
-    """Even a poor F_S is written beside F_C: its default may be below F_C, which would be refused."""
-    return found.name == "friction.static" and not estimate.parameters["friction.coulomb"].poor
-
-
-def _entry(found: Estimated, *, left_out: bool) -> list[str]:
-    unit = f" {UNITS[found.name]}" if UNITS[found.name] else ""
-    if found.known:
-        words = "given, not estimated"
-    else:
-        words = f"{found.low:.4g} to {found.high:.4g}{unit}" + (", poorly determined" if found.poor else "")
-    value = f"{PREFIX}{found.name}: {_number(found.value)}"
-    return [f"    # {words}", f"    # {value}" if left_out else f"    {value}"]
-
-
-def _number(value: float) -> str:
-    # YAML 1.1 takes 2e-05 for a text: a float needs its point.
-    text = f"{value:.6g}"
-    mantissa, exponent, power = text.partition("e")
-    return (mantissa if "." in mantissa else f"{mantissa}.0") + exponent + power
+def excitation_survey(length: float, first: float = 0.0) -> Survey:
+    """The map that excites all parameters, over ``length`` in m from x = ``first``."""
+    x = np.linspace(0.0, length, round(length / _SPACING) + 1)
+    deviation = sum(
+        amplitude * np.sin(2.0 * math.pi * x / wavelength + number * _PHASE)
+        for number, (wavelength, amplitude) in enumerate(WAVES)
+    )
+    return Survey((Run("1", "forward", first + x, np.asarray(deviation)),), "excitation")

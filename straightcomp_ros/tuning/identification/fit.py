@@ -1,21 +1,32 @@
-"""The search for the unknowns: least squares on prediction errors, with less and less assumed process noise.
+"""The search for the unknowns: least squares on the errors of one-step-ahead predictions by the plant's own model.
 
-The process noise, the model's error from sample to sample, is unknown. Assuming much of it makes the search robust but
+**Prediction.** An extended Kalman filter with the state position, velocity and bristle deflection. A simulation from
+the first sample alone would leave the recorded path within 10 ms: the magnets' pole is unstable at +100 rad/s, and
+where friction falls with velocity the growth is up to some 1000 /s. Windows with free initial states (multiple
+shooting) would have to be shorter than the settling time of a bristle, so that each window's unknown bristle would
+absorb what is to be learnt. The filter carries the bristle through the whole record, and each sample corrects the path
+by its weight: in sliding the bristle is known from the model, at rest from the position. The gains depend on the
+parameters; the derivatives hold them constant, which makes the prediction error a smooth, stable function of the
+parameters (prediction error method: L. Ljung, System Identification, 2nd ed., 1999, chapters 3 and 7).
+
+**Process noise**, the model's error from sample to sample, is unknown. Assuming much of it makes the search robust but
 biased: samples then outweigh the model, and mass and friction come out too small. Assuming little removes the bias, but
 far from the solution the prediction loses the path. The search therefore starts with much and reduces it while the
 prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
 failed, from it, bound the remaining bias and enter the confidence intervals.
 
-The search begins at the description and where sliding alone leads (`sliding_start.py`), and goes on from the likelier
-of the two solutions. If that does not hold with the least process noise, it goes on from the other one too, and the one
-that holds with less is taken: one start alone may end in a valley that explains the record and is wrong.
+**Starts.** The search begins at the description and where sliding alone leads (`unknowns.py`), and goes on from
+the likelier of the two solutions. If that does not hold with the least process noise, it goes on from the other one
+too, and the one that holds with less is taken: one start alone may end in a valley that explains the record and is
+wrong.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +34,9 @@ from scipy.optimize import least_squares
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import CurrentPath, Recording
-from straightcomp_ros.tuning.identification.block_covariance import BLOCK, block_covariance
-from straightcomp_ros.tuning.identification.predictor import Record, filter_gains, prediction_errors
-from straightcomp_ros.tuning.identification.sliding_start import sliding_start
-from straightcomp_ros.tuning.identification.unknowns import Unknowns
+from straightcomp_ros.model.compiled import compilable, compiled, compiled_for_threads
+from straightcomp_ros.model.plant import advance
+from straightcomp_ros.tuning.identification.unknowns import BLOCK, Unknowns, block_covariance, sliding_start
 
 Array = NDArray[np.float64]
 
@@ -44,6 +54,96 @@ _STEP = 3e-3
 _ROUNDS = 3
 _SETTLED = 5e-3
 _OUTLIER = 1e3
+
+
+START_DEVIATIONS = (1e-7, 1e-4, 1e-6)
+"""Standard deviations of the unknown first state: m, m/s, m."""
+_STEPS = (1e-10, 1e-8, 1e-10)
+
+
+class Record(NamedTuple):
+    """A record as the compiled functions take it.
+
+    Attributes:
+        bias: bias current, A.
+        y, current: (n,) measured position in m and coil current in A.
+        before, after, switch_ns: (n,) of the current path.
+        period_ns: sampling period.
+    """
+
+    bias: float
+    y: Array
+    current: Array
+    before: Array
+    after: Array
+    switch_ns: NDArray[np.int64]
+    period_ns: int
+
+
+@compilable
+def _advance_sample(constants: Array, state: Array, record: Record, k: int) -> None:
+    """Advance ``state`` from sample k to the next."""
+    first_ns = record.switch_ns[k]
+    advance(constants, state, record.bias, record.before[k], first_ns, record.after[k], record.period_ns - first_ns)
+
+
+@compiled
+def filter_gains(constants: Array, record: Record, deviations: Array, gains: Array, errors: Array) -> None:
+    """Run the filter once with the plant's ``constants``, the amplifier's being that of the current path.
+
+    Args:
+        deviations: (3,) standard deviations of a reading in m, and of the process noise per sample in velocity (m/s)
+            and bristle (m).
+        gains: (n, 4), filled: corrections of the three states per m of prediction error, and one over the prediction
+            error's standard deviation in 1/m.
+        errors: (n,), filled: prediction errors in their standard deviations.
+    """
+    y = record.y
+    state = np.zeros(7)
+    state[0], state[4] = y[0], record.bias
+    covariance, transition, first = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    for i in range(3):
+        covariance[i, i] = START_DEVIATIONS[i] * START_DEVIATIONS[i]
+    noise = deviations[0] * deviations[0]
+    for k in range(len(y)):
+        error = y[k] - state[0]
+        variance = covariance[0, 0] + noise
+        gains[k, 3] = 1.0 / math.sqrt(variance)
+        errors[k] = error * gains[k, 3]
+        for i in range(3):
+            first[i] = covariance[0, i]
+            gains[k, i] = covariance[i, 0] / variance
+            state[i] += gains[k, i] * error
+        for i in range(3):
+            for j in range(3):
+                covariance[i, j] -= gains[k, i] * first[j]
+        state[3] = record.current[k]
+        corrected = state.copy()
+        _advance_sample(constants, state, record, k)
+        for j in range(3):
+            moved = corrected.copy()
+            moved[j] += _STEPS[j]
+            _advance_sample(constants, moved, record, k)
+            for i in range(3):
+                transition[i, j] = (moved[i] - state[i]) / _STEPS[j]
+        covariance = transition @ covariance @ transition.T
+        covariance[1, 1] += deviations[1] * deviations[1]
+        covariance[2, 2] += deviations[2] * deviations[2]
+
+
+@compiled_for_threads
+def prediction_errors(constants: Array, record: Record, gains: Array, errors: Array) -> None:
+    """Fill ``errors`` as :func:`filter_gains` does, with the given ``gains`` (n, 4)."""
+    y = record.y
+    state = np.zeros(7)
+    state[0], state[4] = y[0], record.bias
+    for k in range(len(y)):
+        error = y[k] - state[0]
+        errors[k] = error * gains[k, 3]
+        for i in range(3):
+            state[i] += gains[k, i] * error
+        state[3] = record.current[k]
+        _advance_sample(constants, state, record, k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,22 +176,17 @@ class Search:
         self._free = list(unknowns.free)
         self._steps = _STEP * np.eye(len(self._free))
         self.gains = np.empty((len(recording.y), 4))
-        self.evaluations = 0
-        self._counting = Lock()
 
     def take_gains(self, vector: Array, missed: float) -> None:
         """Run the filter at ``vector``, and keep its gains."""
         errors = np.empty(len(self.gains))
         deviations = np.array([self._noise, missed, 1e-3 * missed])
         filter_gains(self._unknowns.constants(vector, self._rate), self._record, deviations, self.gains, errors)
-        self.evaluations += 4
 
     def residuals(self, vector: Array) -> Array:
         """Prediction errors (n − burn-in,) in standard deviations, with the present gains."""
         errors = np.empty(len(self.gains))
         prediction_errors(self._unknowns.constants(vector, self._rate), self._record, self.gains, errors)
-        with self._counting:
-            self.evaluations += 1
         # How far a prediction left the path does not matter.
         return np.clip(np.nan_to_num(errors[BURN_IN:], nan=_OUTLIER), -_OUTLIER, _OUTLIER)
 
@@ -143,7 +238,6 @@ class Fit:
         missed: that assumption, m/s.
         rms_error: prediction errors in their standard deviations; about 1 if the model explains the record.
         rms_error_m: prediction errors in m.
-        evaluations: predictions of the whole record.
     """
 
     vector: Array
@@ -152,7 +246,6 @@ class Fit:
     missed: float
     rms_error: float
     rms_error_m: float
-    evaluations: int
 
 
 def fit(
@@ -162,13 +255,7 @@ def fit(
     resolution: float,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Fit:
-    """Find the unknowns.
-
-    Args:
-        recording, path: the record, and its current between the samples.
-        unknowns: first start, and bounds.
-        resolution: of the platform's encoder, m.
-        progress: called with the fraction that is done.
+    """Find the unknowns from a record, its current between the samples, and the platform's encoder ``resolution`` in m.
 
     Raises:
         IdentificationError: the prediction loses the path under every assumption.
@@ -201,7 +288,6 @@ def fit(
         missed=last.missed,
         rms_error=last.rms,
         rms_error_m=float(np.sqrt(np.mean(errors**2))),
-        evaluations=search.evaluations,
     )
 
 

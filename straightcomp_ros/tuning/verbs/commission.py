@@ -24,8 +24,7 @@ from straightcomp_ros.parameters.node_parameters import CommissioningNodeParamet
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.straightness.survey import Survey, read_survey
-from straightcomp_ros.tuning.commissioning import STEP_NAMES
-from straightcomp_ros.tuning.commissioning.step_files import MADE
+from straightcomp_ros.tuning.commissioning import MADE, STEP_NAMES
 from straightcomp_ros.tuning.verbs.graph_option import (
     RUNNING,
     add_graph_option,
@@ -34,10 +33,10 @@ from straightcomp_ros.tuning.verbs.graph_option import (
 )
 
 SUMMARY = "measure, tune and verify a stage, step by step"
+PURPOSE = "tune"
 _LARGEST = 100_000
 _MOST_STROKES = 1000
 _ACCEPTANCE = "acceptance"
-_DEFAULTS = CommissioningNodeParameters()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,27 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STEP",
         help=f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}",
     )
-    add(
-        "--evaluations",
-        type=int,
-        default=_DEFAULTS.evaluations,
-        metavar="N",
-        help="candidates of the design (default: %(default)s)",
-    )
-    add(
-        "--machines",
-        type=int,
-        default=_DEFAULTS.machines,
-        metavar="N",
-        help="uncertain machines of its check (default: %(default)s)",
-    )
-    add(
-        "--learn",
-        type=int,
-        default=0,
-        metavar="N",
-        help="before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)",
-    )
+    for name, words in (("evaluations", "candidates of the design"), ("machines", "uncertain machines of its check")):
+        default = getattr(CommissioningNodeParameters(), name)
+        add(f"--{name}", type=int, default=default, metavar="N", help=f"{words} (default: %(default)s)")
+    learn = "before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)"
+    add("--learn", type=int, default=0, metavar="N", help=learn)
     add(
         "--check-survey",
         metavar="FILE",
@@ -101,11 +84,11 @@ def run(options: argparse.Namespace) -> None:
     # A record that is there is taken up again.
     with making(folder, MADE, reads=named_files(options, "--output"), force=options.force, anew=False):
         if options.graph:
-            with graph_access(options, values, folder) as (machine, found, tell):
-                _commission(options, folder, check, machine, found, tell)
+            with graph_access(options, values, folder) as (machine, found, report):
+                _commission(options, folder, check, machine, found, report)
             return
         # Only here: the steps import all of the design.
-        from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+        from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 
         _commission(options, folder, check, SimulatedMachine(values), values, lambda doing: None)
 
@@ -133,7 +116,7 @@ def _commission(
     check: Survey | None,
     machine: Any,
     values: Any,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> None:
     from straightcomp_ros.tuning.commissioning.procedure import Procedure
 
@@ -151,7 +134,7 @@ def _commission(
     done: dict[str, Any] = {}
     failed = ""
     for step in [options.only] if options.only else procedure.remaining():
-        tell(step)
+        report(step)
         with working(step) as advance:
             outcome = procedure.run(step, advance)
         done[step] = {"passed": outcome.passed, "sentence": outcome.sentence, "figures": outcome.figures}

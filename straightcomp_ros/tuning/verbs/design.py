@@ -5,7 +5,6 @@ Takes up to two minutes on two cores. Where no gains have margins, it says what 
 import argparse
 import re
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Desig
 from straightcomp_ros.tuning.sweep.many_trials import PERCENTILES
 
 SUMMARY = "design the gains of a law for a stage"
+PURPOSE = "tune"
 _BEGIN, _END = "# Gains by `straightcomp design`:", "# End of the designed gains."
 _OURS = re.compile(rf"^{re.escape(_BEGIN)}.*?^{re.escape(_END)}\n\n?", re.MULTILINE | re.DOTALL)
 _LARGEST = 100_000
@@ -72,14 +72,14 @@ def run(options: argparse.Namespace) -> int:
         _print(design, scenario.description.name)
         if output is None:
             console.print("Nothing is written: -o FILE writes the stage file with these gains.", highlight=False)
-    return 0 if design.verification.holds else 1
+    return 0 if design.holds else 1
 
 
 def _writable(source: Path, output: Path) -> None:
     """Refuse to write what would lose something, before two minutes of work."""
     if output.resolve().parent != source.resolve().parent:
         raise CommandFailed(
-            f"--output {output}: is in another folder than {source}, beside which the survey lies; name a file there",
+            f"--output {output}: is in another folder than {source}, where the survey is; name a file there",
             exit_code=2,
         )
     rest = load_yaml(_OURS.sub("", source.read_text(encoding="utf-8"))) or {}
@@ -108,30 +108,21 @@ def _with_gains(text: str, design: Design) -> str:
 
 
 def _in_json(design: Design) -> dict[str, Any]:
-    sweep = design.verification.summary
     return {
         "law": design.law,
         "quiet": design.quiet,
         "values": dict(design.values),
         "predicted": _figures(design.figures),
         "closed_form": {"values": dict(design.start_values), **_figures(design.start_figures)},
-        "uncertain_machines": sweep.to_display(),
-        "budget": [{"cause": one.cause, "pp_um": one.pp * 1e6, "rms_um": one.rms * 1e6} for one in design.budget],
-        "limits": {state: one._asdict() for state, one in design.limits.items()},
+        "uncertain_machines": design.verification.to_display(),
+        **design.limits_to_display(),
         "rounds": design.rounds,
     }
 
 
 def _figures(figures: DesignFigures) -> dict[str, Any]:
-    def shown(spread: Spread, unit: float) -> Mapping[str, float]:
-        return spread.scaled(unit)._asdict()
-
-    return {
-        "true_pp_um": shown(figures.pp, 1e6),
-        "true_rms_um": shown(figures.rms, 1e6),
-        "control_rms_step_mA": shown(figures.work, 1e3),
-        "resting_rms_step_mA": shown(figures.rest_work, 1e3),
-    }
+    names = {"true_pp_um": 1e6, "true_rms_um": 1e6, "control_rms_step_mA": 1e3, "resting_rms_step_mA": 1e3}
+    return {name: one.scaled(unit)._asdict() for (name, unit), one in zip(names.items(), figures, strict=True)}
 
 
 def _print(design: Design, name: str) -> None:
@@ -139,7 +130,7 @@ def _print(design: Design, name: str) -> None:
     for key, value in design.values.items():
         gains.add_row(key, f"{design.start_values[key]:.4g}", f"{value:.4g}")
     console.print(gains)
-    told = titled_table("What it promises", "figure", "closed form", "designed", "unit", left=("unit",))
+    promised = titled_table("What it promises", "figure", "closed form", "designed", "unit", left=("unit",))
     for words, key, unit, digits in (
         ("true error p-p", "true_pp_um", "µm", 3),
         ("true error RMS", "true_rms_um", "µm", 4),
@@ -147,8 +138,8 @@ def _print(design: Design, name: str) -> None:
         ("the same at rest", "resting_rms_step_mA", "mA", 2),
     ):
         start, found = (Spread(**_figures(one)[key]) for one in (design.start_figures, design.figures))
-        told.add_row(words, start.text(digits), found.text(digits), unit)
-    console.print(told)
+        promised.add_row(words, start.text(digits), found.text(digits), unit)
+    console.print(promised)
     budget = titled_table("What limits it, one cause changed at a time", "cause", "p-p [µm]", "RMS [µm]")
     for entry in design.budget:
         budget.add_row(entry.cause, f"{entry.pp * 1e6:.3f}", f"{entry.rms * 1e6:.4f}")
@@ -160,6 +151,6 @@ def _print(design: Design, name: str) -> None:
             f"{limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
             highlight=False,
         )
-    sweep = design.verification.summary
+    sweep = design.verification
     shown = ", ".join(f"{key} {sweep.pp[key] * 1e6:.2f}" for key in PERCENTILES)
     console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)

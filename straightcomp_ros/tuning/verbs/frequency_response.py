@@ -2,7 +2,7 @@
 
 Without --graph the machine is the simulated stage, in simulated time.
 
-Prints the margins as measured, beside those of the description in closed form, and says whether the description
+Prints the margins as measured, compared with those of the description in closed form, and says whether the description
 explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9. If
 it does not, the exit code is 1. The margins are those of the frequencies with a coherence above 0.9.
 """
@@ -27,16 +27,16 @@ from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import Declaration, declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.tuning.frequency_response.response_margins import ResponseMargins, response_margins
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import (
+from straightcomp_ros.tuning.frequency_response.measured_response import (
     WITHIN_DB,
     WITHIN_DEG,
     ComparedResponse,
-    measure_simulated,
 )
+from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.verbs.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"
+PURPOSE = "tune"
 _WORDS = {
     "gain_low": "least gain",
     "gain_high": "most gain",
@@ -95,7 +95,7 @@ def _measure_running(
 ) -> tuple[ComparedResponse, Values]:
     """The response of a graph's loop, and its parameters.
 
-    The bag is kept beside the plot, if there is one, in a folder of its own: others there may have bags and parameters.
+    The bag is kept next to the plot, if there is one, in a folder of its own: others may have bags and parameters.
     """
     with ExitStack() as stack:
         if options.output:
@@ -110,18 +110,9 @@ def _measure_running(
         return access.machine.response(access.values, excitation, moving=options.moving), access.values
 
 
-def _margins(found: ComparedResponse) -> tuple[ResponseMargins, ResponseMargins]:
-    measured, lines = found.measured, found.measured.coherent
-    frequencies = measured.frequencies[lines]
-    return (
-        response_margins(frequencies, measured.response.open_loop[lines]),
-        response_margins(frequencies, found.model.open_loop[lines]),
-    )
-
-
 def _figures(found: ComparedResponse) -> dict[str, Any]:
     measured, (gain, phase) = found.measured, found.deviations
-    of_measured, of_model = _margins(found)
+    of_measured, of_model = found.margins
     return {
         "law": found.law,
         "duration_s": found.duration,
@@ -152,7 +143,7 @@ def _curve(values: Any, radius: Any = None) -> dict[str, list[float]]:
 
 def _print(found: ComparedResponse, name: str) -> None:
     table = titled_table(f"Loop of stage '{name}' under law '{found.law}'", "margin", "measured", "description")
-    of_measured, of_model = (margins.to_display() for margins in _margins(found))
+    of_measured, of_model = (margins.to_display() for margins in found.margins)
     for key, words in _WORDS.items():
         table.add_row(words, *(_number(margins[key]) for margins in (of_measured, of_model)))
     console.print(table)

@@ -32,12 +32,12 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_survey,
     parameter_file,
 )
-from straightcomp_ros.tuning.identification.excitation import excitation_survey
-from straightcomp_ros.tuning.identification.untold import untold
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
+PURPOSE = "tune"
 _DEFAULT_KNOWN = "actuator.turns"
 _EXCITATION_COMMENTS = (
     "Made up, not measured: a map for stage.guide.file that excites friction, mass and stiffness.",
@@ -102,7 +102,7 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
             for name, found in estimate.parameters.items()
         },
         "advice": estimate.advice,
-        "untold": untold(estimate),
+        "untold": estimate.not_identifiable,
     }
 
 
@@ -129,7 +129,7 @@ def _print(estimate: Estimate) -> None:
     )
     if estimate.centre:
         notes.print(f"{estimate.centre}", highlight=False)
-    for sentence in untold(estimate):
+    for sentence in estimate.not_identifiable:
         notes.print(sentence, highlight=False)
     for name, words in estimate.advice.items():
         notes.print(f"{name} would need: {words}")

@@ -22,33 +22,18 @@ class Rewired(FaultyHardware):
         return [(sample, truth) for sample, truth in changed if sample is not None]
 
 
-def readback_backwards(hardware: SimulatedHardware) -> Rewired:
-    return Rewired(hardware, lambda sample: sample._replace(current=-sample.current))
+def rewired(change: Callable[[Sample], Sample | None]) -> Callable[[SimulatedHardware], Rewired]:
+    return lambda hardware: Rewired(hardware, change)
 
 
-def readback_of_half_the_scale(hardware: SimulatedHardware) -> Rewired:
-    return Rewired(hardware, lambda sample: sample._replace(current=0.5 * sample.current))
-
-
-def readback_dead(hardware: SimulatedHardware) -> Rewired:
-    return Rewired(hardware, lambda sample: sample._replace(current=0.0 * sample.current))
-
-
-def readback_with_an_offset(hardware: SimulatedHardware) -> Rewired:
-    return Rewired(hardware, lambda sample: sample._replace(current=sample.current + 0.1))
-
-
-def encoder_backwards(hardware: SimulatedHardware) -> Rewired:
-    return Rewired(hardware, lambda sample: sample._replace(y=-sample.y))
-
-
-def encoder_of_twice_the_count(hardware: SimulatedHardware) -> Rewired:
-    """Each count is twice as long as described, so that half of the way is read."""
-    return Rewired(hardware, lambda sample: sample._replace(y=round(0.5 * sample.y / 1e-7) * 1e-7))
-
-
-def encoder_dead(hardware: SimulatedHardware) -> Rewired:
-    return Rewired(hardware, lambda sample: sample._replace(y=0.0))
+readback_backwards = rewired(lambda sample: sample._replace(current=-sample.current))
+readback_of_half_the_scale = rewired(lambda sample: sample._replace(current=0.5 * sample.current))
+readback_dead = rewired(lambda sample: sample._replace(current=0.0 * sample.current))
+readback_with_an_offset = rewired(lambda sample: sample._replace(current=sample.current + 0.1))
+encoder_backwards = rewired(lambda sample: sample._replace(y=-sample.y))
+encoder_dead = rewired(lambda sample: sample._replace(y=0.0))
+# Each count is twice as long as described, so that half of the way is read.
+encoder_of_twice_the_count = rewired(lambda sample: sample._replace(y=round(0.5 * sample.y / 1e-7) * 1e-7))
 
 
 def lossy_bus(hardware: SimulatedHardware) -> Rewired:

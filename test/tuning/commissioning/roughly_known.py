@@ -4,12 +4,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.commissioning.outcome import Work
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine, sound
+from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP, MapParameters, load_map
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
+from straightcomp_ros.tuning.commissioning.step import Work
 
 TRUTH = "simulated.truth."
 ROUGH = Path(__file__).with_name("rough.yaml")
@@ -44,3 +48,22 @@ def work_on(
     """What a first step works on."""
     description = node_parameters("controller", values).stage
     return Work(SimulatedMachine(values, wiring), values, description, folder, 40, 20, {})
+
+
+def other_guide(file: Path) -> str:
+    """A survey of another guide of the same length and height."""
+    x = np.linspace(0.0, 1.76, 177)
+    write_survey(file, Survey((Run("1", "forward", x, 1e-5 * np.sin(7.0 * x)),)))
+    return str(file)
+
+
+def check_of(guide: str, file: Path) -> Survey:
+    """A check survey of ``guide``, out and back at 15 places, as a straightedge would give it."""
+    true, random = load_map(MapParameters(file=guide)), np.random.default_rng(1)
+    x = np.linspace(true.span[0] + 0.02, true.span[1] - 0.02, 15)
+    runs = tuple(
+        Run("1", direction, x, true.deviations(x) + 4e-6 * x + 5e-8 * random.standard_normal(x.size))
+        for direction in ("forward", "backward")
+    )
+    write_survey(file, Survey(runs))
+    return read_survey(file, min_points=LEAST_POINTS, max_gap=WIDEST_GAP)

@@ -10,15 +10,12 @@ from roughly_known import ROUGH
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.commissioning import STEP_NAMES
-from straightcomp_ros.tuning.commissioning.outcome import Outcome
-from straightcomp_ros.tuning.commissioning.procedure import RECORD, STEPS, Procedure
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_NAMES
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
+from straightcomp_ros.tuning.commissioning.step import Outcome
 
-
-@pytest.fixture
-def stage() -> str:
-    return str(ROUGH)
+STAGE = str(ROUGH)
 
 
 def answer(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -26,51 +23,48 @@ def answer(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 
 
 def test_a_machine_with_a_slow_amplifier_ends_it_with_a_sentence_and_exit_code_1(
-    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "done"
-    told = ["--json", "--set", "driver.simulated.truth.amplifier=0.1"]
-    assert main(["commission", stage, "-o", str(folder), *told]) == 1
+    words = ["--json", "--set", "driver.simulated.truth.amplifier=0.1"]
+    assert main(["commission", STAGE, "-o", str(tmp_path / "done"), *words]) == 1
     found = answer(capsys)
     assert found["failed"] == "signs_and_scales" and found["remaining"] == list(STEPS)[1:]
     assert found["steps"]["connection"]["passed"]
     assert "the amplifier has 50 Hz" in found["steps"]["signs_and_scales"]["sentence"]
 
 
-def test_a_step_alone_is_done_and_a_later_one_is_refused(
-    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_step_alone_is_done_and_a_later_one_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(tmp_path / "done")
-    assert main(["commission", stage, "-o", folder, "--only", "connection"]) == 0
+    assert main(["commission", STAGE, "-o", folder, "--only", "connection"]) == 0
     assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(capsys.readouterr().out.split())
-    assert main(["commission", stage, "-o", folder, "--only", "design"]) == 1
+    assert main(["commission", STAGE, "-o", folder, "--only", "design"]) == 1
     assert "rests on 'signs_and_scales', which has not passed" in capsys.readouterr().err
 
 
 def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(
-    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, check = str(tmp_path / "done"), tmp_path / "check.csv"
     rows = [f"{run},{place},{0.01 * place + 0.1 * run}" for run in (1, 2) for place in range(0, 601, 100)]
     check.write_text("\n".join(["run,x_mm,deviation_um", *rows]) + "\n")
     # Passed without a survey, and without learning; nothing is left to do.
     passed = {name: Outcome(True, "passed") for name in STEPS}
-    done_before(stage, Path(folder), passed)
+    done_before(Path(folder), passed)
     for asked in (("--check-survey", str(check)), ("--learn", "3")):
-        assert main(["commission", stage, "-o", folder, *asked]) == 2
-        told = capsys.readouterr().err
-        assert f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance repeats it" in told
+        assert main(["commission", STAGE, "-o", folder, *asked]) == 2
+        refused = f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance repeats it"
+        assert refused in capsys.readouterr().err
     # The command that was interrupted after its acceptance goes on.
     figures = {"survey_check": str(check)}
     learned = Outcome(True, "passed", figures, gains={"learning.learn": True})
-    done_before(stage, Path(folder), {**passed, "acceptance": learned})
-    assert main(["commission", stage, "-o", folder, "--check-survey", str(check), "--learn", "3"]) == 0
+    done_before(Path(folder), {**passed, "acceptance": learned})
+    assert main(["commission", STAGE, "-o", folder, "--check-survey", str(check), "--learn", "3"]) == 0
     assert "all steps have been done" in capsys.readouterr().out
 
 
-def done_before(stage: str, folder: Path, outcomes: dict[str, Outcome]) -> None:
+def done_before(folder: Path, outcomes: dict[str, Outcome]) -> None:
     """Write the record of these steps."""
-    values = shipped_parameters(stage=stage)
+    values = shipped_parameters(stage=STAGE)
     folder.mkdir(exist_ok=True)
     (folder / RECORD).unlink(missing_ok=True)
     procedure = Procedure(SimulatedMachine(values), values, folder, evaluations=1, machines=1)
@@ -84,16 +78,22 @@ def test_the_choices_of_only_are_the_steps() -> None:
     assert tuple(step.__name__ for step in STEPS.values()) == STEP_NAMES
 
 
-@pytest.mark.soak
+@pytest.mark.parametrize(
+    ("stroke", "few"),
+    [
+        pytest.param(0.2, ["--evaluations", "12", "--machines", "4"], id="short"),
+        pytest.param(1.76, ["--evaluations", "40", "--machines", "20"], id="whole", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(
-    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stroke: float, few: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "done"
     truth = {"mass": 0.8, "force": 1.2, "air_gap": 0.75, "friction": 0.5, "amplifier": 1.5}
-    differs = [f"driver.simulated.truth.{name}={value}" for name, value in truth.items()]
-    told = [word for one in [*differs, "driver.stage.drive.delay=1.3"] for word in ("--set", one)]
-    few = ["--evaluations", "40", "--machines", "20", "--json"]
-    assert main(["commission", stage, "-o", str(folder), *told, *few]) == 0
+    settings = [f"driver.simulated.truth.{name}={value}" for name, value in truth.items()]
+    settings += ["driver.stage.drive.delay=1.3", f"stage.motion.stroke={stroke}"]
+    words = [*(word for one in settings for word in ("--set", one)), *few, "--json"]
+    assert main(["commission", STAGE, "-o", str(folder), *words]) == 0
     found = answer(capsys)
     assert found["remaining"] == [] and list(found["steps"]) == list(STEPS)
     assert found["steps"]["frequency_response"]["figures"]["largest_deviation_dB"] < 1.0
@@ -101,13 +101,13 @@ def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(
     assert found["steps"]["acceptance"]["figures"]["true_pp_um"] < 0.4
     page = (folder / "certificate.html").read_text()
     assert "data:image/png;base64," in page and "phase_deg" in page and "http" not in page
-    told_again = json.loads((folder / "certificate.json").read_text())
-    assert "bags/acceptance/acceptance_0.mcap" in told_again["sha256"]
+    certificate = json.loads((folder / "certificate.json").read_text())
+    assert "bags/acceptance/acceptance_0.mcap" in certificate["sha256"]
     # What it wrote is what the other commands take.
     assert main(["simulate", "--params-file", str(folder / "tuned.yaml"), "--json"]) == 0
     assert answer(capsys)["law"] == "smc_observer"
     assert main(["evaluate", str(folder / "bags" / "acceptance"), "--limits", str(folder / "limits.yaml")]) == 0
     capsys.readouterr()
     # Done is done.
-    assert main(["commission", stage, "-o", str(folder), *told, *few]) == 0
+    assert main(["commission", STAGE, "-o", str(folder), *words]) == 0
     assert answer(capsys)["steps"] == {}

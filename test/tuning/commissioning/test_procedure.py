@@ -6,11 +6,10 @@ from pathlib import Path
 import pytest
 from roughly_known import values_of
 
-from straightcomp_ros.tuning.commissioning import CommissioningError, procedure
-from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
-from straightcomp_ros.tuning.commissioning.procedure import RECORD, STEPS, Procedure
-from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
-from straightcomp_ros.tuning.commissioning.step_files import STEP_FILES
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError, procedure
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
 
 @pytest.fixture

@@ -1,7 +1,8 @@
 """`straightcomp design`: gains from a stage file, into a stage file."""
 
+import dataclasses
 import json
-import shutil
+import re
 
 import pytest
 import yaml
@@ -9,6 +10,8 @@ import yaml
 from scripts.stage_files import STAGES
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.parameter_file import read_stage_file
+from straightcomp_ros.tuning.design.feasible_gains import feasible_gains
+from straightcomp_ros.tuning.design.gains import closed_form
 
 FEW = ["--evaluations", "12", "--machines", "2"]
 
@@ -29,16 +32,16 @@ def test_the_gains_are_written_into_the_stage_file_and_an_earlier_design_is_repl
     before = stage.read_text()
     for quiet in ("0", "1"):
         assert main(["design", str(stage), "-o", str(stage), "--quiet", quiet, "--json", *FEW]) == 0
-        told = json.loads(capsys.readouterr().out)
+        answer = json.loads(capsys.readouterr().out)
         values = read_stage_file(stage)
         assert values["controller"]["control.law"] == "smc_observer"
-        for name, value in told["values"].items():
+        for name, value in answer["values"].items():
             assert values["controller"][name] == pytest.approx(value, rel=1e-5)
         assert stage.read_text().count("/**/controller:") == 1 and stage.read_text().endswith(before)
         # To ROS the last value counts: what holds for all nodes, and with it a command line, comes after the gains.
         assert list(yaml.safe_load(stage.read_text())) == ["/**/controller", "/**"]
     assert main(["simulate", "--stage", str(stage), "--json"]) == 0
-    promised = told["predicted"]["true_pp_um"]
+    promised = answer["predicted"]["true_pp_um"]
     found = json.loads(capsys.readouterr().out)["true_pp_um"]
     assert promised["min"] * 0.99 <= found <= promised["max"] * 1.01
 
@@ -52,12 +55,15 @@ def test_a_design_tells_what_it_promises_what_limits_it_and_where_it_fails(stage
     assert stage.read_text() == before
 
 
-def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(tmp_path, capsys):
-    for file in ("infeasible.yaml", *(path.name for path in STAGES.glob("*.csv"))):
-        shutil.copy(STAGES / file, tmp_path)
-    assert main(["design", str(tmp_path / "infeasible.yaml"), "--law", "linear"]) == 1
+def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infeasible, capsys):
+    assert main(["design", str(STAGES / "infeasible.yaml"), "--law", "linear"]) == 1
     said = capsys.readouterr().err
-    assert "no gains of 'linear' have margins" in said and "would do" in said and said.count("\n") == 1
+    assert "at 1000 Hz" in said and "amplifier of 150 Hz" in said and said.count("\n") == 1
+    assert "no gains of 'linear' have margins" in said and "would do" in said
+    # What would do does.
+    rate = float(re.search(r"a rate of at least (\S+) Hz", said).group(1))
+    faster = infeasible.on(dataclasses.replace(infeasible.description, rate=round(rate)))
+    assert rate > 1000.0 and feasible_gains(faster, "linear", closed_form(faster, "linear")) is not None
 
 
 def test_nothing_is_lost_of_a_file_that_has_parameters_of_the_controller(stage, capsys):

@@ -1,4 +1,4 @@
-"""The shipped gains of 'smc_observer' are those of the closed form (`test_searched_gains.py`), little behind a search.
+"""The shipped gains of 'smc_observer' are those of the closed form (`test_gains.py`), little behind a search.
 
 Those of 'linear' and 'smc' are the paper's, whose figures they are to repeat.
 """
@@ -15,13 +15,13 @@ BEHIND = {"true_pp_um": 1.1, "true_rms_um": 1.05, "control_rms_step_A": 1.1}
 """Factors by which the shipped gains may be behind a design, by figure; a p-p is one extreme of a stroke."""
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 @pytest.mark.no_cover
 def test_the_shipped_gains_are_little_behind_a_design_for_the_shipped_stage():
     shipped = shipped_parameters()
     design = design_gains(make_scenario(shipped, [LAW]), LAW, quiet=SHIPPED_QUIET, jobs=1)
     designed = {**shipped, "controller": {**shipped["controller"], **design.values}}
     ours, theirs = (spreads(one.to_display() for one in metrics_of_starts(values)) for values in (shipped, designed))
-    assert design.verification.holds
+    assert design.holds
     for name, behind in BEHIND.items():
         assert ours[name].median <= behind * theirs[name].median, name

@@ -9,7 +9,7 @@ import pytest
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import friction_damping, loop_margins, loop_response, plant_response
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.frequency_response.response_margins import response_margins
+from straightcomp_ros.tuning.frequency_response.measured_response import response_margins
 
 STAGE = StageParameters()
 GRID = np.geomspace(0.5, 990.0, 4000)

@@ -22,10 +22,10 @@ def measured(capsys: pytest.CaptureFixture[str], *options: str, exit_code: int =
     [
         (),
         ("--law", "linear"),
-        pytest.param(("--law", "smc"), marks=pytest.mark.soak),
+        pytest.param(("--law", "smc"), marks=pytest.mark.nightly),
         ("--stage", str(STAGES / "sticky.yaml")),
-        pytest.param(("--stage", str(STAGES / "heavy_platform.yaml")), marks=pytest.mark.soak),
-        pytest.param(("--stage", str(STAGES / "rate_1_khz.yaml")), marks=pytest.mark.soak),
+        pytest.param(("--stage", str(STAGES / "heavy_platform.yaml")), marks=pytest.mark.nightly),
+        pytest.param(("--stage", str(STAGES / "rate_1_khz.yaml")), marks=pytest.mark.nightly),
     ],
     ids=["shipped", "linear", "smc", "sticky", "heavy_platform", "rate_1_khz"],
 )

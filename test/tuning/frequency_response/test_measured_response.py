@@ -5,8 +5,11 @@ import pytest
 
 from straightcomp_ros.control.excitation import Multisine, MultisineParameters, multisine
 from straightcomp_ros.control.margins import LoopResponse
-from straightcomp_ros.tuning.frequency_response.measured_response import MeasuredResponse, measured_response
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.tuning.frequency_response.measured_response import (
+    ComparedResponse,
+    MeasuredResponse,
+    measured_response,
+)
 
 RATE = 1000.0
 

@@ -14,8 +14,7 @@ from straightcomp_ros.offline.simulation import Simulation, node_set
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.frequency_response.recorded_measurement import response_from_bag
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import measure_simulated
+from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated, response_from_bag
 
 EXCITATION = MultisineParameters(draws=8)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.tuning.frequency_response.response_margins import response_margins
+from straightcomp_ros.tuning.frequency_response.measured_response import response_margins
 
 F = np.geomspace(0.1, 100.0, 3000)
 S = 2j * np.pi * F

@@ -12,7 +12,7 @@ from plants import FAR, SAFE, SOFT, STIFF, record, values
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.straightness.survey import write_survey
-from straightcomp_ros.tuning.identification.excitation import excitation_survey
+from straightcomp_ros.tuning.identification.estimate import excitation_survey
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """Amplifier and delay are found from commands and measured currents, also where the latency jitters."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -35,16 +36,9 @@ def reached(recording: Recording, path) -> np.ndarray:
     return path.after + (middle - path.after) * np.exp(-path.rate * (PERIOD - switch))
 
 
-def test_bandwidth_and_delay_of_a_steady_loop_are_found() -> None:
-    path = current_path(recorded(np.full(4000, 1.7e-4), rate=2.0 * math.pi * 300.0), DRIVE)
-    assert path.rate_found
-    assert path.rate == pytest.approx(2.0 * math.pi * 300.0, rel=1e-6)
-    assert path.delay == pytest.approx(1.7e-4, abs=1e-7)
-
-
-@pytest.mark.parametrize("hertz", [250.0, 500.0, 1000.0])
-@pytest.mark.parametrize("samples", [0.6, 0.95, 1.0, 1.05, 1.2, 1.4, 1.9])
-def test_commands_that_arrive_after_the_next_sample_are_found_as_exactly(samples: float, hertz: float) -> None:
+@pytest.mark.parametrize("hertz", [250.0, 1000.0])
+@pytest.mark.parametrize("samples", [0.34, 0.95, 1.0, 1.05, 1.9])
+def test_bandwidth_and_delay_are_found_before_and_after_the_next_sample(samples: float, hertz: float) -> None:
     path = current_path(recorded(np.full(4000, samples * PERIOD), rate=2.0 * math.pi * hertz), DRIVE)
     assert path.rate_found
     assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-6)
@@ -52,7 +46,7 @@ def test_commands_that_arrive_after_the_next_sample_are_found_as_exactly(samples
     assert path.delay_spread == pytest.approx((path.delay, path.delay), abs=1e-7)
 
 
-@pytest.mark.parametrize("hertz", [250.0, 350.0, 1000.0])
+@pytest.mark.parametrize("hertz", [250.0, 1000.0])
 def test_commands_that_come_late_now_and_then_do_not_change_the_bandwidth(hertz: float) -> None:
     delays = np.full(20_000, PERIOD)
     delays[np.random.default_rng(5).choice(delays.size, 40, replace=False)] = 1.9 * PERIOD
@@ -66,15 +60,8 @@ def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records() -> None:
     clean, noise = recorded(np.full(4000, 6e-4)), np.random.default_rng(4)
     found = []
     for _ in range(40):
-        noisy = Recording(
-            clean.period_ns,
-            clean.x,
-            clean.y,
-            clean.current,
-            clean.command + 2e-4 * noise.standard_normal(4000),
-            clean.total,
-        )
-        found.append(current_path(noisy, DRIVE))
+        command = clean.command + 2e-4 * noise.standard_normal(4000)
+        found.append(current_path(dataclasses.replace(clean, command=command), DRIVE))
     spread = np.std([path.rate for path in found])
     assert 0.7 < np.median([path.rate_deviation for path in found]) / spread < 1.4
 

@@ -15,7 +15,7 @@ class ScriptedSearch:
     """Solutions stay where they began, with the surprise and errors that a test says."""
 
     def __init__(self, recording, path, unknowns, resolution):
-        self.gains, self.evaluations = np.ones((fitting.BURN_IN + SAMPLES, 4)), 0
+        self.gains = np.ones((fitting.BURN_IN + SAMPLES, 4))
 
     def solve(self, start, missed):
         place = float(start[0])

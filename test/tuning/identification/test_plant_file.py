@@ -13,37 +13,20 @@ from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters
 from straightcomp_ros.parameters.parameter_file import read_parameter_file
 from straightcomp_ros.tuning.identification.estimate import DERIVED, UNITS, Estimate, Estimated, parameter_file
 
+FIGURES = (
+    "samples samples_in_bag duration_s prediction_error_um prediction_error_ratio amplifier_bandwidth_Hz "
+    "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters advice untold"
+)
+OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_from"
 SHORT_CYCLE = ("stage.motion.stroke=0.05", "stage.motion.settle=0.1", "stage.motion.pause=0.1")
 
 
 def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
     answer, _ = stiff_answer
-    assert set(answer) == {
-        "samples",
-        "samples_in_bag",
-        "duration_s",
-        "prediction_error_um",
-        "prediction_error_ratio",
-        "amplifier_bandwidth_Hz",
-        "amplifier_bandwidth_deviation_Hz",
-        "delay_us",
-        "delay_spread_us",
-        "centre_um",
-        "parameters",
-        "advice",
-        "untold",
-    }
+    assert set(answer) == set(FIGURES.split())
     assert list(answer["parameters"]) == list(UNITS)
     for found in answer["parameters"].values():
-        assert set(found) == {
-            "value",
-            "low",
-            "high",
-            "unit",
-            "known",
-            "poorly_determined",
-            "hardly_told_apart_from",
-        }
+        assert set(found) == set(OF_A_PARAMETER.split())
         assert found["low"] <= found["value"] <= found["high"]
     assert answer["parameters"]["actuator.turns"]["known"]
     assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)

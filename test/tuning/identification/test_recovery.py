@@ -23,9 +23,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     estimate_from_bag,
     parameter_file,
 )
-from straightcomp_ros.tuning.identification.sliding_start import centre, sliding_start
-from straightcomp_ros.tuning.identification.unknowns import NAMES, unknowns
-from straightcomp_ros.tuning.identification.untold import untold
+from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, sliding_start, unknowns
 from trials.faulty_machine import FaultyHardware
 
 START = StageParameters()
@@ -60,7 +58,7 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
             assert found["value"] == pytest.approx(truth[name], rel=WITHIN[name]), name
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path: Path, excitation: str) -> None:
     widths = {}
     for count in (5e-8, 4e-7):
@@ -76,7 +74,7 @@ def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_pat
     assert widths[4e-7] > 3.0 * widths[5e-8]
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
     estimate = estimate_from_bag(soft_bag, START, ["actuator.turns"])
     truth = truth_of(SOFT)
@@ -89,7 +87,7 @@ def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
     assert "stage.platform.mass: 4." in parameter_file(estimate)
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) -> None:
     estimate = estimate_from_bag(guide_bag, START, ["actuator.turns"])
     truth, found = truth_of(STIFF), estimate.parameters
@@ -121,7 +119,7 @@ def test_a_record_in_which_the_platform_hardly_slides_gives_no_start(far_bag: Pa
     assert sliding_start(still, unknowns(START, ["platform.mass"])) is None
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(far_bag: Path) -> None:
     estimate = estimate_from_bag(far_bag, dataclasses.replace(START, drive=DriveParameters()), ["platform.mass"])
     ratio = START.platform.mass / FAR["platform.mass"]
@@ -131,7 +129,7 @@ def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(f
         assert found[name].value == pytest.approx(truth[name] * ratio, rel=0.01), name
     assert estimate.path.rate == pytest.approx(2.0 * math.pi * FAR["drive.bandwidth"], rel=1e-3)
     assert estimate.path.delay == pytest.approx(FAR["drive.delay"] / START.rate, rel=1e-3)
-    assert "platform.mass was given" in untold(estimate)[0]
+    assert "platform.mass was given" in estimate.not_identifiable[0]
 
 
 def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
@@ -139,7 +137,7 @@ def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
     parameters["friction.viscous"] = Estimated("friction.viscous", 1.0, 0.5, 2.0, False, ("friction.static",))
     parameters["friction.static"] = Estimated("friction.static", 1.0, 0.9, 1.1, False, ("friction.viscous",))
     path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))  # type: ignore[arg-type]
-    sentences = untold(Estimate(parameters, None, path, None))  # type: ignore[arg-type]
+    sentences = Estimate(parameters, None, path, None).not_identifiable  # type: ignore[arg-type]
     assert "platform.mass was given" in sentences[0] and "actuator.turns" not in sentences[0]
     assert "bandwidth" in sentences[1]
     assert sum("told apart" in sentence for sentence in sentences) == 1
@@ -148,7 +146,7 @@ def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
 
 
 class Shifted(FaultyHardware):
-    """A machine whose encoder of y has its zero beside the magnets' centre."""
+    """A machine whose encoder of y has its zero off the magnets' centre."""
 
     SHIFT = 25e-6
 
@@ -159,14 +157,20 @@ class Shifted(FaultyHardware):
         return [(sample._replace(y=sample.y + self.SHIFT), truth) for sample, truth in super().read(now_ns)]
 
 
-def test_a_centre_of_the_magnets_beside_the_encoders_zero_is_found_and_harms_no_other_fact(
-    tmp_path: Path, excitation: str, stiff_bag: Path
-) -> None:
-    aligned = centre(read_recording(stiff_bag))
+@pytest.fixture
+def shifted_bag(tmp_path: Path, excitation: str) -> Path:
+    return record(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=Shifted)
+
+
+def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag: Path, stiff_bag: Path) -> None:
+    aligned, shifted = centre(read_recording(stiff_bag)), centre(read_recording(shifted_bag))
     assert aligned is not None and not aligned.certain and abs(aligned.value) < 0.1e-6
-    bag = record(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=Shifted)
-    found = estimate_from_bag(bag, START, ["actuator.turns"])
-    assert found.centre is not None and found.centre.certain
-    assert found.centre.value == pytest.approx(Shifted.SHIFT, abs=0.1e-6)
+    assert shifted is not None and shifted.certain
+    assert shifted.value == pytest.approx(Shifted.SHIFT, abs=0.1e-6)
+
+
+@pytest.mark.nightly
+def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(shifted_bag: Path) -> None:
+    found = estimate_from_bag(shifted_bag, START, ["actuator.turns"])
     for name in ("platform.mass", "actuator.air_gap", "friction.coulomb"):
         assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name

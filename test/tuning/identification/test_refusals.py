@@ -34,27 +34,19 @@ MOVING = 1e-5 * np.sin(np.arange(5000) / 100.0)
 ON = np.full(5000, 0.01)
 
 
-def test_a_bag_in_which_the_amplifier_is_never_on_is_refused(tmp_path: Path) -> None:
-    bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
-    with pytest.raises(IdentificationError, match=r"amplifier is off throughout .* record with the amplifier on"):
-        read_recording(bag)
-
-
-def test_a_bag_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
-    bag = written(tmp_path / "bag", np.where(np.arange(5000) % 2, 1e-7, 0.0), ON)
-    with pytest.raises(IdentificationError, match=r"nothing moves: the platform stays within 0.1 µm.*>= 2 µm"):
-        read_recording(bag)
-
-
-def test_a_bag_without_commands_is_refused(tmp_path: Path) -> None:
-    bag = written(tmp_path / "bag", MOVING, ON, streams=(ENCODER,))
-    with pytest.raises(IdentificationError, match="no messages on 'command'"):
-        read_recording(bag)
-
-
-def test_a_stretch_between_losses_that_is_too_short_is_refused(tmp_path: Path) -> None:
-    bag = written(tmp_path / "bag", MOVING[:3000], ON[:3000], lost=range(1500, 1510))
-    with pytest.raises(IdentificationError, match=r"no sample lost has 1490 samples; allowed: >= 2000"):
+@pytest.mark.parametrize(
+    ("y", "current", "others", "words"),
+    [
+        (MOVING, np.full(5000, math.nan), {}, "amplifier is off throughout .* record with the amplifier on"),
+        (np.where(np.arange(5000) % 2, 1e-7, 0.0), ON, {}, "nothing moves: the platform stays within 0.1 µm.*>= 2 µm"),
+        (MOVING, ON, {"streams": (ENCODER,)}, "no messages on 'command'"),
+        (MOVING[:3000], ON[:3000], {"lost": range(1500, 1510)}, "no sample lost has 1490 samples; allowed: >= 2000"),
+    ],
+    ids=["amplifier off", "nothing moves", "no commands", "a short stretch between losses"],
+)
+def test_a_bag_that_cannot_be_identified_is_refused(tmp_path: Path, y, current, others, words: str) -> None:
+    bag = written(tmp_path / "bag", y, current, **others)
+    with pytest.raises(IdentificationError, match=words):
         read_recording(bag)
 
 

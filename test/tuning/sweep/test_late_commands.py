@@ -9,7 +9,7 @@ import pytest
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.offline.compiled_stroke import run_stroke
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.commissioning.timing_budget import stalled
+from straightcomp_ros.tuning.commissioning.acceptance import stalled
 
 PERIOD = 500_000
 

@@ -1,6 +1,8 @@
-"""A frequency response from a bag of the excited loop."""
+"""A frequency response measured: of the simulated stage, whose loop is excited in simulated time, or from a bag."""
 
 import dataclasses
+from array import array
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +18,80 @@ from straightcomp_ros.control.excitation import (
     loop_multisine,
     multisine_injection,
 )
+from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
+from straightcomp_ros.offline.simulation import Simulation, node_set
+from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse, compared_response
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse, compared_response
 
+_SETTLE = 1.0
+"""s before the excitation, in which the law settles."""
+_SPARE = 0.5
+"""s of rest after the excitation."""
 _ALIKE = 0.9
 """Least correlation of what was injected with the excitation, of all of it and in the used period of each draw."""
 _IN_TIME = 1.02
 """Of the time at which a command is due, that at which it is in time all the same."""
+
+
+def measure_simulated(
+    values: Values,
+    parameters: MultisineParameters,
+    *,
+    moving: bool = False,
+    wiring: Callable[[SimulatedHardware], Hardware] | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> ComparedResponse:
+    """Measure the loop of the simulated stage under the parameters of the nodes.
+
+    With ``moving`` the stage makes strokes meanwhile; otherwise it stands in the middle of the stroke. ``wiring`` puts
+    something between the machine and its driver.
+
+    Raises:
+        FrequencyResponseError: the excitation does not fit the rate.
+        ExcitationEnded: the platform left the allowed travel.
+        ParameterError, SurveyError: the parameters are refused.
+        ValueError: the law has no linearisation at rest.
+    """
+    nodes = node_set(values)
+    stage, control = nodes.controller.stage, nodes.controller.control
+    excitation = loop_multisine(parameters, make_law(control, stage), stage)
+    injection = multisine_injection(parameters, excitation, stage)
+    duration = excitation.currents.size / stage.rate
+    simulation = Simulation(values, motion=(_motion(nodes.cell.stage.motion, duration, moving), 0), wiring=wiring)
+    first, rows = round(_SETTLE * stage.rate), array("d")
+    index = 0
+
+    def observe(sample: Sample, truth: Truth, reference: Sequence[float], command: Command, age: float) -> None:
+        nonlocal index
+        index += 1
+        if index == first:
+            simulation.inject(injection)
+        elif index > first:
+            asked = command.equivalent_current + command.switching_current
+            rows.extend((asked, command.current, sample.y))
+
+    simulation.run(progress, observe)
+    if injection.stopped:
+        raise ExcitationEnded(
+            f"the excitation was ended early: {injection.stopped}; take less current, or allow more travel"
+        )
+    asked, commands, reading = np.frombuffer(rows).reshape(-1, 3).T
+    return compared_response(excitation, asked, commands, reading, control, stage, injection.clipped)
+
+
+def _motion(motion: MotionParameters, duration: float, moving: bool) -> Trajectory:
+    """The stage's motion until the end of an excitation of ``duration`` in s."""
+    end_ns = round((_SETTLE + duration + _SPARE) * 1e9)
+    if moving:
+        return Trajectory(cycles(motion, -(-end_ns // Trajectory(cycles(motion, 1)).end_ns)))
+    place = motion.start + 0.5 * motion.stroke
+    return Trajectory([Waypoint(0, place, 0.0), Waypoint(end_ns, place, 0.0)])
 
 
 def response_from_bag(
@@ -32,13 +99,9 @@ def response_from_bag(
 ) -> ComparedResponse:
     """The response of a loop that the controller's service ``~/excite`` excited.
 
-    Samples are counted as the controller answered them: a lost one shifts the excitation too.
-
-    Args:
-        bag: with encoder, command and the controller's state; the driver's tells which commands came late.
-        parameters: of the excitation.
-        control: law and gains under which it was made.
-        stage: the description that the response is compared with.
+    Samples are counted as the controller answered them: a lost one shifts the excitation too. The driver's state shows
+    which commands came late. ``control`` are law and gains under which the bag was made; the response is compared with
+    the description ``stage``.
 
     Raises:
         FrequencyResponseError: the bag cannot be read.

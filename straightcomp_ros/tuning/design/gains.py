@@ -1,23 +1,39 @@
-"""What is designed of each law: its gains by name, the closed-form rule that gives a start, and how they are put in.
+"""What is designed of each law: its gains by name, the closed form that gives a start, and how they are put in.
 
-Lengths of time scale with the loop's dead time T_d (:mod:`straightcomp_ros.stage.description`).
-A gain that is a rate is a constant over T_d. The constants were found by a search on the shipped stage.
+Times scale with the loop's dead time T_d (:mod:`straightcomp_ros.stage.description`): a gain that is a rate is a
+constant over T_d. The constants were found by a search on the shipped stage.
+
+Two parameters of `smc_observer` are not searched, since they follow from the stage:
+
+- First size of friction: the smallest that the uncertainty allows. Too much friction in the law makes limit cycles, too
+  little leaves an error at the first reversals, until the fit has seen one: the more friction, the larger the error.
+- Memory of the fit: many reversals of the reference. Before the first reversal friction and a constant force look
+  the same; a shorter memory lets the fit drift there.
 """
 
 import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
 
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.sliding_mode import reaching_bound
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 
+T = TypeVar("T")
 Values = Mapping[str, float]
 """Numbers by dotted name, from ``control.`` on."""
+_BELOW = 0.9
+_REVERSALS = 75.0
+"""10 s on the shipped stage; with 2 s the errors at the first reversals were up to six times as large."""
+_MEMORY = (2.0, 100.0)
+_POINTS = 5000
 
 
-@dataclass(frozen=True)
-class SearchedGain:
+class SearchedGain(NamedTuple):
     """One gain of a law.
 
     Attributes:
@@ -75,19 +91,12 @@ def starts(law: str, gains: Values) -> list[dict[str, float]]:
     """Gains from which a search may begin, the rule's ``gains`` first: the best of them is in the right valley."""
     if law != "smc_observer":
         return [dict(gains), *(scaled(law, gains, factor) for factor in _FACTORS)]
+    names = ("bandwidth", "surface", "reaching", "third_pole", "gain_allowance", "velocity_share")
     found = [dict(gains)]
-    for bandwidth, surface, reaching, third_pole, allowance, share in _ENDS:
-        found.append(
-            {
-                **gains,
-                _OBSERVER + "bandwidth": bandwidth * gains[_OBSERVER + "bandwidth"],
-                _OBSERVER + "surface": surface * gains[_OBSERVER + "surface"],
-                _OBSERVER + "reaching": reaching * gains[_OBSERVER + "reaching"],
-                _OBSERVER + "third_pole": third_pole,
-                _OBSERVER + "gain_allowance": allowance,
-                _OBSERVER + "velocity_share": share,
-            }
-        )
+    for end in _ENDS:
+        scales = (*(gains[_OBSERVER + name] for name in names[:3]), 1.0, 1.0, 1.0)
+        changed = {_OBSERVER + name: x * scale for name, x, scale in zip(names, end, scales, strict=True)}
+        found.append({**gains, **changed})
     return found
 
 
@@ -113,8 +122,8 @@ def rule(law: str, stage: StageParameters) -> dict[str, float]:
         _SMC + "velocity_bandwidth": 1.07 / lag,
     }
     if smc:
-        # (11) first, with the gains above; inside the layer ρ/ε adds to φ.
-        rho = _reaching(with_gains(ControlParameters(), "linear", gains), stage)
+        # A tenth more than (11) asks with the gains above; inside the layer ρ/ε adds to φ.
+        rho = 1.1 * reaching_bound(with_gains(ControlParameters(), "linear", gains).smc, stage)
         gains |= {_SMC + "rho": rho, _SMC + "boundary_layer": rho * lag / 0.16}
     return gains
 
@@ -125,23 +134,55 @@ def scaled(law: str, gains: Values, factor: float) -> dict[str, float]:
     return {name: value * factor ** powers.get(name, 0) for name, value in gains.items()}
 
 
-def _reaching(control: ControlParameters, stage: StageParameters) -> float:
-    """The least ρ in m/s² that fulfils (11), and a tenth more."""
-    return 1.1 * reaching_bound(control.smc, stage)
-
-
 def with_gains(control: ControlParameters, law: str, values: Values) -> ControlParameters:
     """``control`` with the law ``law`` and ``values``, by dotted name.
 
     Raises:
         ParameterError: a value is refused.
     """
-    changed = {
-        group: dataclasses.replace(getattr(control, group), **_of_group(values, f"control.{group}."))
-        for group in ("smc", "smc_observer")
+    groups = {}
+    for group in ("smc", "smc_observer"):
+        prefix = f"control.{group}."
+        own = {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+        groups[group] = dataclasses.replace(getattr(control, group), **own)
+    return dataclasses.replace(control, law=law, **groups)
+
+
+def following(scenario: Scenario, law: str) -> dict[str, float]:
+    """The parameters of ``law`` that follow from the stage, by dotted name from ``control.`` on."""
+    if law != "smc_observer":
+        return {}
+    least, most = _MEMORY
+    stage = scenario.description
+    return {
+        "control.smc_observer.first_size": min(1.0, max(0.1, _BELOW / stage.uncertainty.friction)),
+        "control.smc_observer.memory": min(most, max(least, _REVERSALS * _between_reversals(scenario))),
     }
-    return dataclasses.replace(control, law=law, **changed)
 
 
-def _of_group(values: Values, prefix: str) -> dict[str, float]:
-    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+def _between_reversals(scenario: Scenario) -> float:
+    """Mean time in s between reversals of r while the stage moves, counting the turn of the stage."""
+    times = np.linspace(0.0, scenario.trajectory.end_ns, _POINTS)
+    x = scenario.positions(times.astype(np.int64))
+    moving = np.flatnonzero(np.diff(x) != 0.0)
+    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
+    direction = np.sign(np.diff(straightness.evaluate(x)[0])[moving])
+    reversals = int(np.count_nonzero(np.diff(direction[direction != 0.0])))
+    return float(moving.size * (times[1] - times[0]) * 1e-9 / max(1, reversals))
+
+
+def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
+    """The values of ``law`` in closed form, by dotted name: gains, and what follows from the stage."""
+    return {**rule(law, scenario.description), **following(scenario, law)}
+
+
+def scaled_facts(described: T, facts: Sequence[str], factor: float) -> T:
+    """A stage or a plant with the ``facts``, dotted names of its numbers, times ``factor``."""
+    for fact in facts:
+        group, _, field = fact.rpartition(".")
+        inner: Any = getattr(described, group) if group else described
+        value = factor * getattr(inner, field)
+        # The rate alone has no group, and is a whole number.
+        changed = {group: dataclasses.replace(inner, **{field: value})} if group else {field: round(value)}
+        described = dataclasses.replace(described, **changed)  # type: ignore[type-var]
+    return described

@@ -1,14 +1,15 @@
 """The closed form, and what follows from the stage."""
 
+import dataclasses
+
 import pytest
 
 from scripts.stage_files import stage_names, stage_scenario
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law, stiffened
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.design.automatic_design import closed_form
-from straightcomp_ros.tuning.design.searched_gains import SEARCHED, rule, scaled, starts, with_gains
-from straightcomp_ros.tuning.design.stability_demands import StabilityCheck
+from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, following, rule, scaled, starts, with_gains
+from straightcomp_ros.tuning.design.stability import StabilityCheck
 
 STAGE = StageParameters()
 OBSERVER = "control.smc_observer."
@@ -18,10 +19,6 @@ def test_the_rule_gives_the_gains_that_are_shipped_for_the_shipped_stage():
     shipped = ControlParameters().smc_observer
     for name, value in rule("smc_observer", STAGE).items():
         assert value == pytest.approx(getattr(shipped, name.removeprefix(OBSERVER)), rel=2e-3), name
-
-
-def test_the_dead_time_is_that_of_a_sample_and_a_half_and_the_amplifier():
-    assert STAGE.dead_time == pytest.approx(1.5 * STAGE.period + 1.0 / (2.0 * 3.14159265 * 500.0))
 
 
 def test_a_later_command_or_a_slower_rate_makes_the_gains_slower():
@@ -74,3 +71,22 @@ def test_only_the_law_with_a_friction_model_stiffens():
     assert stiffened(ControlParameters(law="linear")) == ControlParameters(law="linear")
     stiff = stiffened(ControlParameters()).smc_observer
     assert stiff.bandwidth == pytest.approx(1.4 * ControlParameters().smc_observer.bandwidth)
+
+
+def test_friction_that_is_known_better_is_believed_from_the_start(shipped):
+    def first_size(friction: float) -> float:
+        ranges = dataclasses.replace(shipped.description.uncertainty, friction=friction)
+        stage = dataclasses.replace(shipped.description, uncertainty=ranges)
+        return following(shipped.on(stage), "smc_observer")[OBSERVER + "first_size"]
+
+    assert first_size(2.0) == pytest.approx(0.45)
+    assert first_size(1.1) > first_size(2.0) > first_size(5.0)
+
+
+def test_a_stage_whose_reference_turns_over_less_often_remembers_longer():
+    memories = [
+        following(stage_scenario(name), "smc_observer")[OBSERVER + "memory"]
+        for name in ("fast_motion", "shipped", "slow_motion")
+    ]
+    assert memories == sorted(memories) and memories[-1] > 2.0 * memories[1] > 2.0 * memories[0]
+    assert following(stage_scenario("shipped"), "linear") == {}

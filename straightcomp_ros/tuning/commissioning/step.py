@@ -39,7 +39,6 @@ class Work:
     """What a step works on.
 
     Attributes:
-        machine: under commissioning.
         values: parameters by node and dotted name, with what the steps before found.
         description: the stage as first described, with its uncertainty.
         folder: for bags and other files.

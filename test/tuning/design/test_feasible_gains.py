@@ -1,4 +1,4 @@
-"""A machine that is hardly known gets a law that holds it at every corner, or is told what must be known better."""
+"""Gains that hold linear demands are found, or a refusal says what would do; a hardly known machine gets a safe law."""
 
 import dataclasses
 import math
@@ -12,9 +12,18 @@ from straightcomp_ros.control.margins import closed_loop, linearised, sampled_pl
 from straightcomp_ros.offline.scenario import Scenario, make_scenario
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import Factors, deviating
-from straightcomp_ros.tuning.design.feasible_gains import DesignError
-from straightcomp_ros.tuning.design.safe_law import LAW, SafeLaw, _corners, _growths, safe_law
-from straightcomp_ros.tuning.design.searched_gains import with_gains
+from straightcomp_ros.tuning.design import feasible_gains as module
+from straightcomp_ros.tuning.design.feasible_gains import (
+    LAW,
+    DesignError,
+    SafeLaw,
+    feasible_gains,
+    growths,
+    refusal,
+    safe_law,
+)
+from straightcomp_ros.tuning.design.gains import closed_form, scaled, with_gains
+from straightcomp_ros.tuning.design.stability import StabilityCheck, corners_of
 
 HARDLY_KNOWN = {
     "mass": 0.4,
@@ -71,7 +80,23 @@ def test_facts_without_uncertainty_are_no_corners() -> None:
 
 def test_gains_beyond_their_ranges_are_no_candidates(found: SafeLaw) -> None:
     scenario = make_scenario(shipped_parameters(), [LAW])
-    corners = _corners(scenario.description)
+    corners = corners_of(scenario.description)
     far = {**found.values, "control.smc.velocity_bandwidth": 2e6}
-    assert max(_growths(scenario, corners, found.values)) < 0.0
-    assert set(_growths(scenario, corners, far)) == {math.inf}
+    assert max(growths(scenario, corners, found.values)) < 0.0
+    assert set(growths(scenario, corners, far)) == {math.inf}
+
+
+def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped: Scenario) -> None:
+    fast = scaled("smc_observer", closed_form(shipped, "smc_observer"), 1.5)
+    check = StabilityCheck(shipped.description)
+    control = shipped.controls["smc_observer"]
+    assert check.violation(with_gains(control, "smc_observer", fast)) > 0.0
+    found = feasible_gains(shipped, "smc_observer", fast)
+    assert found is not None and check.violation(with_gains(control, "smc_observer", found)) == 0.0
+
+
+def test_changes_that_would_not_do_are_not_named(infeasible: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_EVALUATIONS", 20)
+    stage = infeasible.description
+    light = infeasible.on(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, mass=0.01)))
+    assert "no single change would do" in str(refusal(light, "linear"))

@@ -1,4 +1,4 @@
-"""What a design must hold in the linear loop, and by how much gains miss it.
+"""What a design must hold in the linear loop, by how much gains miss it, and how far a stage may differ until it fails.
 
 The law is linearised as in `control/margins.py` and closed over plants that are sampled once for a stage: the nominal
 one with more and less gain and with later commands, and one for each corner of the uncertainty of mass, force and air
@@ -19,17 +19,24 @@ from straightcomp_ros.control.laws import ControlParameters, make_law, stiffened
 from straightcomp_ros.control.margins import (
     StateSpace,
     closed_loop,
+    last_stable,
     linearised,
+    loop_margins,
     phase_margin,
     sampled_plant,
     spectral_radius,
 )
+from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 
 _GRID = 400
 """Frequencies at which the phase margin is looked for: off by less than a degree."""
 _NOT_LINEAR = 100.0
 """Miss of a law that cannot be linearised: more than any that can."""
+_LIGHTEST, _HEAVIEST = 0.05, 20.0
+MECHANICS = ("mass", "force", "gap")
+"""Facts of the uncertainty that change the plant without its drive."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +47,7 @@ class Demands:
         gain_low, gain_high: factors of the loop gain at which the law must be stable.
         stiff_gain_low, stiff_gain_high: the same where the law is at its stiffest.
         amplifier_gain: factor, up and down, of the current that the amplifier makes of a command and the law measures;
-            its square root where
-            the law is at its stiffest.
+            its square root where the law is at its stiffest.
         phase: least phase margin, degrees.
         spare_delay: of a command beyond the longest one of the uncertainty, samples; a third of it at its stiffest.
         decay: least decay of the nominal loop, in 1/T_d.
@@ -58,16 +64,9 @@ class Demands:
 
     def tightened(self, by: float) -> "Demands":
         """The demands with gain ranges wider by the factor ``by``, and ``by`` times the phase and the spare delay."""
-        return dataclasses.replace(
-            self,
-            gain_low=self.gain_low / by,
-            gain_high=self.gain_high * by,
-            stiff_gain_low=self.stiff_gain_low / by,
-            stiff_gain_high=self.stiff_gain_high * by,
-            amplifier_gain=self.amplifier_gain * by,
-            phase=self.phase * by,
-            spare_delay=self.spare_delay * by,
-        )
+        narrow = {name: getattr(self, name) / by for name in ("gain_low", "stiff_gain_low")}
+        wide = ("gain_high", "stiff_gain_high", "amplifier_gain", "phase", "spare_delay")
+        return dataclasses.replace(self, **narrow, **{name: getattr(self, name) * by for name in wide})
 
 
 STANDARD = Demands()
@@ -86,39 +85,27 @@ class _Case(NamedTuple):
 
 
 class StabilityCheck:
-    """The loops of one stage that must be stable.
-
-    Args:
-        stage: its description.
-        demands: what is asked for.
-    """
+    """The loops of one stage that must be stable."""
 
     def __init__(self, stage: StageParameters, demands: Demands = STANDARD) -> None:
-        self._stage = nominal = stage
-        self._phase = demands.phase
-        self._delay = nominal.drive.delay
-        latest = self._delay * max(1.0, nominal.uncertainty.longest_delay)
-        plain = self._sampled(nominal, self._delay)
-        self._nominal = plain
-        corners = [_Case(f"corner {name}", self._sampled(corner, self._delay)) for name, corner in _corners(nominal)]
+        self._stage, self._phase = stage, demands.phase
+        latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
+        self._nominal = plain = _sampled(stage)
+        corners = [_Case(f"corner {one.name}", one.sampled) for one in corners_of(stage, MECHANICS)]
         self._quiet = (
             _Case("nominal", plain, decay=demands.decay),
             _Case("least gain", plain, demands.gain_low),
             _Case("most gain", plain, demands.gain_high),
             *_amplifiers(plain, demands.amplifier_gain, ""),
-            _Case("late commands", self._sampled(nominal, latest + demands.spare_delay)),
+            _Case("late commands", _sampled(stage, latest + demands.spare_delay)),
             *corners,
         )
         self._stiff = (
             _Case("least gain, stiffest", plain, demands.stiff_gain_low),
             _Case("most gain, stiffest", plain, demands.stiff_gain_high),
             *_amplifiers(plain, math.sqrt(demands.amplifier_gain), ", stiffest"),
-            _Case("late commands, stiffest", self._sampled(nominal, latest + demands.spare_delay / 3.0)),
+            _Case("late commands, stiffest", _sampled(stage, latest + demands.spare_delay / 3.0)),
         )
-
-    @staticmethod
-    def _sampled(stage: StageParameters, delay: float) -> StateSpace:
-        return sampled_plant(stage, delay * stage.period)
 
     def violation(self, control: ControlParameters) -> float:
         """By how much the gains miss the demands, 0 if they hold them all; a smooth measure for a search."""
@@ -163,15 +150,89 @@ def _amplifiers(plant: StateSpace, factor: float, where: str) -> tuple[_Case, _C
     )
 
 
-def _corners(stage: StageParameters) -> Sequence[tuple[str, StageParameters]]:
-    """The stages at the corners of the uncertainty of mass, force and air gap, each with its name."""
+def _sampled(stage: StageParameters, delay: float | None = None) -> StateSpace:
+    """The plant of ``stage`` with commands ``delay`` samples late, by default as described."""
+    return sampled_plant(stage, (stage.drive.delay if delay is None else delay) * stage.period)
+
+
+class Corner(NamedTuple):
+    """A machine at a corner of the uncertainty: in words, as a description of its own, as a plant, and that sampled."""
+
+    name: str
+    stage: StageParameters
+    plant: PlantParameters
+    sampled: StateSpace
+
+
+def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "amplifier", "delay")) -> list[Corner]:
+    """The machines at all corners of what ``stage`` leaves open of ``facts``; ParameterError if one is impossible."""
     ranges = stage.uncertainty
+    sides = {
+        "mass": (1.0 - ranges.mass, 1.0 + ranges.mass),
+        "force": (1.0 - ranges.force, 1.0 + ranges.force),
+        "gap": (1.0 - ranges.air_gap, 1.0 + ranges.air_gap),
+        "amplifier": (1.0 / ranges.amplifier, ranges.amplifier),
+        "delay": (min(1.0, ranges.shortest_delay), max(1.0, ranges.longest_delay)),
+    }
     found = []
-    for signs in itertools.product((-1, 1), repeat=3):
-        mass, force, gap = (
-            1.0 + sign * width for sign, width in zip(signs, (ranges.mass, ranges.force, ranges.air_gap), strict=True)
-        )
-        plant = deviating(stage.plant, Factors(mass, force, gap))
-        corner = dataclasses.replace(stage, platform=plant.platform, actuator=plant.actuator)
-        found.append((f"mass × {mass:g}, force × {force:g}, gap × {gap:g}", corner))
+    for factors in itertools.product(*(sorted(set(sides[fact])) for fact in facts)):
+        at = dict(zip(facts, factors, strict=True))
+        plant = deviating(stage.plant, Factors(at["mass"], at["force"], at["gap"], amplifier=at.get("amplifier", 1.0)))
+        drive = dataclasses.replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
+        corner = dataclasses.replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
+        name = ", ".join(f"{fact} × {factor:g}" for fact, factor in at.items())
+        found.append(Corner(name, corner, plant, _sampled(corner)))
     return found
+
+
+class FailingLimits(NamedTuple):
+    """Between what the loop is stable.
+
+    Attributes:
+        gain_low, gain_high: factors of the loop gain.
+        amplifier_low, amplifier_high: factors of the amplifier's gain, with the current measured behind it.
+        phase: smallest phase margin, with and without the measured current, degrees.
+        longest_delay: of a command, samples.
+        mass_low, mass_high: factors of the mass.
+    """
+
+    gain_low: float
+    gain_high: float
+    amplifier_low: float
+    amplifier_high: float
+    phase: float
+    longest_delay: float
+    mass_low: float
+    mass_high: float
+
+
+def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, FailingLimits]:
+    """The limits of a law by its state: ``quiet``, and for a law that stiffens ``stiff``."""
+    stiff = stiffened(control)
+    ends = {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
+    return {name: _limits(scenario, one) for name, one in ends.items()}
+
+
+def _limits(scenario: Scenario, control: ControlParameters) -> FailingLimits:
+    stage = scenario.description
+    law = make_law(control, stage)
+    margins, measured = loop_margins(law, stage), loop_margins(law, stage, with_current=True)
+    controller = linearised(law)
+
+    def stable(factor: float) -> bool:
+        platform = dataclasses.replace(stage.platform, mass=factor * stage.platform.mass)
+        return spectral_radius(closed_loop(_sampled(dataclasses.replace(stage, platform=platform)), controller)) < 1.0
+
+    low = high = 1.0
+    if stable(1.0):
+        low, high = last_stable(stable, 1.0, _LIGHTEST), last_stable(stable, 1.0, _HEAVIEST)
+    return FailingLimits(
+        gain_low=margins.gain_low,
+        gain_high=margins.gain_high,
+        amplifier_low=measured.gain_low,
+        amplifier_high=measured.gain_high,
+        phase=min(margins.phase, measured.phase),
+        longest_delay=margins.longest_delay / stage.period,
+        mass_low=low,
+        mass_high=high,
+    )

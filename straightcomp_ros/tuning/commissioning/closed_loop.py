@@ -1,0 +1,346 @@
+"""Steps with the loop closed, from the first safe law to the measured margins of the designed one.
+
+- `safe_loop`: a law for the stated uncertainty, with which the loop is closed for the first time.
+- `identification`: the machine from one cycle along an excitation, and whether it is the one that was described. The
+  mass is held at its description, since position and current tell forces only up to a common factor, which no law
+  needs. What is compared with the description is what does not depend on that factor.
+- `design`: gains of `smc_observer` for the machine as identified and what of it is still open.
+- `frequency_response`: plant and margins as measured; does what was identified explain them? The same measurement is
+  made of the simulated machine as identified. Between rest and sliding, friction is neither a spring nor a damping:
+  what it makes of the response depends on the excitation, and no closed form has it.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.control.excitation import FrequencyResponseError, MultisineParameters
+from straightcomp_ros.offline.scenario import make_scenario
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
+from straightcomp_ros.straightness.survey import write_survey
+from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.design.automatic_design import design_gains
+from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
+from straightcomp_ros.tuning.design.feasible_gains import DesignError, safe_law
+from straightcomp_ros.tuning.frequency_response import ExcitationEnded
+from straightcomp_ros.tuning.frequency_response.measured_response import (
+    WITHIN_DB,
+    WITHIN_DEG,
+    ComparedResponse,
+    ResponseMargins,
+)
+from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
+from straightcomp_ros.tuning.identification.estimate import DERIVED, Estimate, estimate_from_bag, excitation_survey
+
+LAW = "smc_observer"
+LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
+"""Smallest phase margin in degrees and gain margin that `frequency_response` accepts."""
+_KNOWN = "platform.mass"
+_LENGTH = 0.5
+"""m; of the excitation's stroke, at most."""
+_TOLERANCE = 1.1
+"""Factor beyond its range at which a fact is called wrong."""
+_STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
+"""Uncertainty that stays, however narrow an interval is: a model is not the machine."""
+_DELAY_STAYS = 0.1
+_IN_SIMULATION = 0.7
+"""Part of the travel that the excitation may need in the simulation."""
+_MOTIONS = (1.0, 0.7, 0.5, 0.35)
+"""Parts of the usual motion, tried in this order. With 0.7 times the motion a machine needed 0.4 times the travel."""
+_ALIKE_DB = 0.5
+"""Deviations are alike if half of them are within this of their median."""
+
+
+def safe_loop(work: Work) -> Outcome:
+    """Find the law; nothing moves yet."""
+    try:
+        found = safe_law(make_scenario(work.described(), [SAFE_LAW]), progress=work.progress)
+    except DesignError as error:
+        return Outcome(False, str(error))
+    return Outcome(
+        True,
+        f"'{SAFE_LAW}' holds at all {found.corners} corners of the uncertainty; the slowest mode decays with "
+        f"{found.decay:.3g} 1/s",
+        {
+            "decay_1_s": found.decay,
+            "worst_corner": found.worst,
+            "simulated_excursion_um": found.excursion * 1e6,
+            "simulated_pp_um": found.pp * 1e6,
+        },
+        gains={"control.law": SAFE_LAW, **found.values},
+    )
+
+
+def identification(work: Work) -> Outcome:
+    """Make one cycle along the excitation under the present law, and identify."""
+    stage = work.stage
+    excitation, length = work.folder / "excitation.csv", min(_LENGTH, stage.motion.stroke)
+    write_survey(excitation, excitation_survey(length, stage.motion.start), ("Made up: excites the platform.",))
+    changed = {"guide.file": str(excitation), "motion.stroke": length}
+    values = {**work.values, "stage": {**work.values.get("stage", {}), **changed}}
+    bag = work.folder / "bags" / "identification"
+    try:
+        work.machine.stroke(values, bag, work.travel)
+        work.progress(0.1)
+        found = estimate_from_bag(bag, stage, [_KNOWN], lambda fraction: work.progress(0.1 + 0.9 * fraction))
+    except (LeftTravel, IdentificationError) as error:
+        return Outcome(False, str(error))
+    parameters = {
+        name: {"value": one.value, "low": one.low, "high": one.high, "known": one.known, "poor": one.poor}
+        for name, one in found.parameters.items()
+    }
+    figures = {
+        "prediction_error_nm": found.fit.rms_error_m * 1e9,
+        "amplifier_bandwidth_Hz": found.path.rate / (2.0 * math.pi),
+        "amplifier_bandwidth_deviation_Hz": found.path.rate_deviation / (2.0 * math.pi),
+        "delay_us": found.path.delay * 1e6,
+        "delay_spread_us": [delay * 1e6 for delay in found.path.delay_spread],
+        "centre_um": found.centre.to_display() if found.centre else None,
+        "parameters": parameters,
+        "untold": found.not_identifiable,
+    }
+    strange = strangeness(found, work.description)
+    if strange:
+        return Outcome(False, strange, figures)
+    return Outcome(
+        True,
+        f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
+        f"{f'; {found.centre}' if found.centre else ''}; what it cannot identify: {' '.join(found.not_identifiable)}",
+        figures,
+        stage=facts_found(found, stage),
+    )
+
+
+def strangeness(found: Estimate, described: StageParameters) -> str:
+    """What is not as described, in a sentence; empty if all is."""
+    ranges, actuator = described.uncertainty, described.actuator
+    value = {name: one.value for name, one in found.parameters.items()}
+    gap = value["actuator.air_gap"] / actuator.air_gap
+    # K̄_i/M = N² A …/y0² M: with the gap as found, what is left is force over mass.
+    force = (value["actuator.turns"] / actuator.turns) ** 2
+    friction = value["friction.coulomb"] / described.friction.coulomb
+    heaviest = (1.0 + ranges.mass) * _TOLERANCE
+    lightest = (1.0 - ranges.mass) / _TOLERANCE
+    checks = (
+        (
+            gap,
+            (1.0 - ranges.air_gap) / _TOLERANCE,
+            (1.0 + ranges.air_gap) * _TOLERANCE,
+            "the air gap seems {:.2g} times the described one (allowed by 'stage.uncertainty.air_gap': {:.2g} to "
+            "{:.2g}); look at the count of the encoder of y, which a wrong gap looks like, and at the gap",
+        ),
+        (
+            force,
+            (1.0 - ranges.force) / heaviest,
+            (1.0 + ranges.force) / lightest,
+            "a current accelerates the platform {:.2g} times as much as described (allowed by 'stage.uncertainty': "
+            "{:.2g} to {:.2g}); look whether the platform is loose, or has lost a part of its load, and at the coils",
+        ),
+        (
+            friction,
+            1.0 / (ranges.friction * heaviest),
+            ranges.friction / lightest,
+            "friction is {:.2g} times the described one relative to the mass (allowed by 'stage.uncertainty': {:.2g} "
+            "to {:.2g}); look at the bearing, or describe the friction that the platform has ('stage.friction')",
+        ),
+    )
+    return next((text.format(*numbers) for *numbers, text in checks if not numbers[1] <= numbers[0] <= numbers[2]), "")
+
+
+def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
+    """Facts of the description as found, by dotted name, and how well they are known now."""
+    estimated = found.parameters
+    # What the record hardly identifies keeps its description.
+    facts: dict[str, Any] = {
+        name: one.value for name, one in estimated.items() if name not in DERIVED and not (one.known or one.poor)
+    }
+    # Friction that differs from its description differs as a whole: F_S/F_C is described better than F_S.
+    described, coulomb = stage.friction, facts.get("friction.coulomb", stage.friction.coulomb)
+    static = facts.get("friction.static", described.static / described.coulomb * coulomb)
+    facts["friction.static"] = max(static, coulomb)
+    if found.path.rate_found:
+        facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}
+    return {**facts, **_uncertainty(found, stage.uncertainty)}
+
+
+def _uncertainty(found: Estimate, before: UncertaintyParameters) -> dict[str, float]:
+    """How well the machine is known now: never worse than before, and by the intervals of the estimate.
+
+    What the record hardly identifies keeps its description, and how well that is known.
+    """
+    turns, gap, coulomb = (
+        found.parameters[name] for name in ("actuator.turns", "actuator.air_gap", "friction.coulomb")
+    )
+    # The mass is held, so that the forces have its uncertainty too: without them it is as open as it was.
+    by_fact = {"mass": turns, "force": turns, "air_gap": gap, "friction": coulomb}
+    intervals = {
+        "force": (turns.high / turns.value) ** 2 - 1.0,
+        "air_gap": gap.high / gap.value - 1.0,
+        "friction": coulomb.high / coulomb.value,
+    }
+    now = {
+        name: max(least, intervals.get(name, 0.0))
+        for name, least in _STAYS_OPEN.items()
+        if name not in by_fact or not by_fact[name].poor
+    }
+    return {
+        **{f"uncertainty.{name}": min(getattr(before, name), value) for name, value in now.items()},
+        "uncertainty.shortest_delay": 1.0 - _DELAY_STAYS,
+        "uncertainty.longest_delay": 1.0 + _DELAY_STAYS,
+    }
+
+
+def design(work: Work) -> Outcome:
+    """Search the gains; nothing moves."""
+    scenario = make_scenario(work.described(), [LAW])
+    try:
+        found = design_gains(
+            scenario,
+            LAW,
+            evaluations=work.evaluations,
+            machines=work.machines,
+            progress=lambda part, fraction: work.progress(fraction if part == "search" else 0.0),
+        )
+    except DesignError as error:
+        return Outcome(False, str(error))
+    figures = {
+        "predicted_pp_um": found.figures.pp.median * 1e6,
+        "predicted_rms_um": found.figures.rms.median * 1e6,
+        "predicted_step_mA": found.figures.work.median * 1e3,
+        "uncertain_machines": found.verification.to_display(),
+        **found.limits_to_display(),
+    }
+    if not found.holds:
+        return Outcome(
+            False,
+            f"the designed law is not in order on all machines that are left: {found.verification.verdict}",
+            figures,
+        )
+    return Outcome(
+        True,
+        f"{found.figures.pp.median * 1e6:.3f} µm p-p predicted, at {found.figures.work.median * 1e3:.2f} mA from "
+        "sample to sample",
+        figures,
+        gains={"control.law": LAW, **found.values},
+    )
+
+
+def frequency_response(work: Work) -> Outcome:
+    """Measure under the designed law, with the stage at rest."""
+    stage = work.stage
+    try:
+        found = _measured(work)
+    except FrequencyResponseError as error:
+        return Outcome(False, str(error))
+    # Only here: matplotlib takes longer to import than the measurement.
+    from straightcomp_ros.tuning.frequency_response.response_plot import plot_response
+
+    plot_response(found, work.folder / LOOP, f"Stage '{stage.name}' under law '{found.law}'")
+    measured = found.measured
+    lines = measured.coherent
+    margins, of_model = found.margins
+    gain, phase = (np.abs(values[lines]) for values in found.deviations)
+    figures = {
+        "margins": margins.to_display(),
+        "model_margins": of_model.to_display(),
+        "coherent_lines": int(lines.sum()),
+        "lines": int(lines.size),
+        "largest_deviation_dB": float(gain.max(initial=0.0)),
+        "largest_deviation_deg": float(phase.max(initial=0.0)),
+        "frequency_Hz": measured.frequencies.tolist(),
+        "coherence": measured.coherence.tolist(),
+        "plant_um_A": (np.abs(measured.response.plant) * 1e6).tolist(),
+        "model_plant_um_A": (np.abs(found.model.plant) * 1e6).tolist(),
+    }
+    largest = f"{gain.max(initial=0.0):.2g} dB and {phase.max(initial=0.0):.2g}°"
+    wrong = margins_missed(margins)
+    if not found.explained:
+        wrong = (
+            f"what was identified does not explain the measured plant: up to {largest} off (allowed: {WITHIN_DB:g} dB, "
+            f"{WITHIN_DEG:g}°){_changed(found)}{f'; {found.lateness}' if found.lateness else ''}"
+        )
+    if wrong:
+        return Outcome(False, wrong, figures)
+    return Outcome(
+        True,
+        f"the model explains the plant within {gain.max(initial=0.0):.2f} dB and {phase.max(initial=0.0):.1f}°; "
+        f"{_in_words(margins)}, peak of |S| {margins.peak:.2f}",
+        figures,
+    )
+
+
+def margins_missed(margins: ResponseMargins) -> str:
+    """What the margins lack, in a sentence; empty if nothing.
+
+    A gain margin beyond the lines is larger than any that is demanded. The gain crossover must be among them: every law
+    that holds this unstable plant has one.
+    """
+    if margins.phase is None:
+        return (
+            "no gain crossover is among the coherent lines, so that the phase margin is unknown; look for noise on y, "
+            "and for more friction than was identified"
+        )
+    low, high = margins.gain_low or 0.0, margins.gain_high or np.inf
+    if margins.phase >= LEAST_PHASE and high >= LEAST_GAIN and low <= 1.0 / LEAST_GAIN:
+        return ""
+    return (
+        f"the measured margins are too small: {_in_words(margins)} (allowed: phase >= {LEAST_PHASE:g}°, gain down to "
+        f"{1.0 / LEAST_GAIN:.2g} and up to {LEAST_GAIN:g} times)"
+    )
+
+
+def _in_words(margins: ResponseMargins) -> str:
+    low = "" if margins.gain_low is None else f" down to {margins.gain_low:.2f}"
+    high = "" if margins.gain_high is None else f" up to {margins.gain_high:.2f}"
+    both = f"{low} and{high}" if low and high else low or high
+    gain = f"gain{both} times" if both else "gain beyond the lines"
+    return f"phase margin {margins.phase:.0f}°, {gain}"
+
+
+def _measured(work: Work) -> ComparedResponse:
+    """The response; once more with half the motion if the platform left the travel, which late commands may cause."""
+    excitation, described = _foreseen(work, MultisineParameters(travel=work.travel))
+    try:
+        found = work.machine.response(work.values, excitation)
+    except ExcitationEnded:
+        excitation, described = _foreseen(work, dataclasses.replace(excitation, motion=0.5 * excitation.motion))
+        found = work.machine.response(work.values, excitation)
+    return dataclasses.replace(found, model=described.measured.response)
+
+
+def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisineParameters, ComparedResponse]:
+    """The excitation, with less motion where the machine as identified needs too much of the travel; its response.
+
+    No closed form has the peaks: where the current reaches its limit, the magnets carry the platform on.
+    """
+    reason = ""
+    for share in _MOTIONS:
+        tried = dataclasses.replace(excitation, motion=share * excitation.motion)
+        # The same currents within less travel.
+        within = dataclasses.replace(tried, travel=_IN_SIMULATION * tried.travel, motion=tried.motion / _IN_SIMULATION)
+        try:
+            return tried, measure_simulated(work.described(), within)
+        except ExcitationEnded as error:
+            reason = str(error)
+    raise FrequencyResponseError(f"the machine as identified needs too much of the travel: {reason}")
+
+
+def _changed(found: ComparedResponse) -> str:
+    """What one factor of force over mass would explain; empty if none does.
+
+    From the higher half of the coherent lines: there, neither friction nor the magnets' stiffness counts.
+    """
+    gain, _ = found.deviations
+    high = gain[found.measured.coherent]
+    high = high[high.size // 2 :]
+    middle = float(np.median(high)) if high.size else 0.0
+    if abs(middle) <= WITHIN_DB or float(np.median(np.abs(high - middle))) > _ALIKE_DB:
+        return ""
+    return (
+        f": a current accelerates the platform {10.0 ** (middle / 20.0):.2g} times as much as when it was identified; "
+        "look whether the platform is loose, or has lost a part of its load, and at the coils"
+    )

@@ -1,0 +1,392 @@
+"""Steps before a loop is closed: `connection`, with the amplifier off, and `signs_and_scales`, with open-loop currents.
+
+`connection`: do samples come, all of them, at their rate, and how much noise is in them?
+
+`signs_and_scales` finds the signs of current and force, the readback, amplifier and delay. First a quick random
+current, which the platform's mass averages out: the readback answers, the platform does not. Then a slow ramp either
+way, until friction gives way. The amplifier goes off as soon as the platform has moved some micrometres, so that
+nothing has to be known of the magnets' negative stiffness.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.signal import lfilter
+
+from straightcomp_ros.analysis.current_path import huber_weights
+from straightcomp_ros.control.excitation import ExcitationParameters
+from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.commissioning.machine import Array, Series
+from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+
+PERCENTILES = (50.0, 99.0, 99.9, 100.0)
+"""Of latencies."""
+_LISTEN = 30.0
+"""s."""
+_FIRST_US, _STEP, _STEPS = 10.0, 1.25, 42
+"""Of the histogram of latencies: up to 0.1 s."""
+_READINGS, _COUNT_WITHIN = 4, 0.2
+"""Different readings that show the encoder's count, and its largest relative difference from the described one."""
+_SLOW = 1e-3
+"""Largest relative difference between the rate and the described one."""
+_NOISY = 3.0
+"""Largest RMS of y at rest, relative to the described noise and the rounding to a count."""
+_LEAST_ARRIVED = 0.5
+"""Least share of the samples before which a command arrived. A busy computer has some without: the driver records only
+the newest of the commands that arrived since the sample before."""
+_ROUNDING = 0.5
+"""Largest RMS of a reading between two counts, counts."""
+_SHAKE = 0.005
+"""Random current, relative to the bias current."""
+_SHAKE_TIME = 0.25
+_ENOUGH = 40
+"""Samples of it that identify the readback."""
+_ONE_COIL = 0.3
+"""Part of a single coil's pull from which a coil is missing."""
+_RAMP_TIME = 2.0
+_RAMP_SHARE = 0.5
+"""Highest current of a ramp, relative to the highest current."""
+_TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
+"""m and counts of the encoder, whichever is more: the platform leaves faster the farther it is, and has to coast."""
+_PULLED = 0.3
+"""Part of the first breakaway current below which it was not the current that moved the platform."""
+_GAIN_WITHIN = 0.05
+_SILENT = 0.05
+"""Gain of a readback that does not answer."""
+_OFFSET = 0.03
+"""Largest offset of a readback, relative to the bias current."""
+_BEYOND = 1.1
+"""Factor beyond its range at which a fact is called wrong."""
+_LONGEST = 8
+"""Samples of delay."""
+_DELAYS = (0.1, 0.5, 0.9)
+"""Parts of a sample, where the search begins."""
+_BANDWIDTHS = np.geomspace(0.005, 2.0, 13)
+"""Relative to the sampling rate, likewise."""
+_STARTS = 2
+_EXACT = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+_LOWEST, _HIGHEST = math.log(1e-4), math.log(100.0)
+"""Logarithms of the amplifier's rate times the period."""
+_ROUNDS, _SETTLED = 30, 1e-7
+_LEAST = 1e-4
+"""Standard deviation of the residuals relative to that of the current, below which they count as none."""
+_UNEXPLAINED = 0.9
+"""Share of the current from which no amplifier fits."""
+
+
+def connection(work: Work) -> Outcome:
+    """Record with the amplifier off."""
+    stage = work.stage
+    series = work.machine.listen(_LISTEN)
+    samples = len(series.stamps)
+    if samples < 2:
+        return Outcome(False, f"{samples} samples in {_LISTEN:g} s; is the board powered, and its bus connected?")
+    steps = np.diff(series.stamps)
+    rate = 1e9 / float(np.median(steps))
+    taken = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(steps * rate * 1e-9)).astype(np.int64))])
+    expected = int(taken[-1]) + 1
+    lost = expected - samples
+    noise = float(np.std(series.y)) / stage.encoder.y_resolution
+    slope, _ = np.polyfit(taken, (series.stamps - series.stamps[0]).astype(np.float64), 1)
+    lost_commands = _lost_commands(series)
+    figures: dict[str, Any] = {
+        "samples": samples,
+        "lost_samples": lost,
+        "lost_commands": lost_commands,
+        "rate_Hz": rate,
+        "clock_drift_ppm": (stage.rate * float(slope) * 1e-9 - 1.0) * 1e6,
+        "jitter_us": float(np.std(steps)) * 1e-3,
+        "latency_us": latency_percentiles(series.latency),
+        "latency_histogram": _histogram(series),
+        "noise_y_counts": noise,
+        "noise_x_counts": float(np.std(series.x)) / stage.encoder.x_resolution,
+        "count_y_nm": _count(series.y) * 1e9,
+    }
+    wrong = ""
+    arrived = float(np.isfinite(series.latency).mean())
+    count, described = figures["count_y_nm"], stage.encoder.y_resolution * 1e9
+    allowed = _NOISY * (stage.uncertainty.sensor_noise + _ROUNDING)
+    if not np.isfinite(series.y).all() or not np.isfinite(series.x).all():
+        wrong = "a reading is not a number; look at the encoders and their interface"
+    elif abs(rate / stage.rate - 1.0) > _SLOW:
+        wrong = f"{rate:.6g} samples per second; the description says {stage.rate} ('stage.rate')"
+    elif lost:
+        wrong = (
+            f"{lost} of {expected} samples ({100.0 * lost / expected:.2g} %) were lost; look at the bus: its load, its "
+            "terminators, its error counters"
+        )
+    elif lost_commands:
+        wrong = (
+            f"{lost_commands} of {samples} samples got no command; look at the controller's log, at what else this "
+            "computer does, and at 'straightcomp doctor'"
+        )
+    elif arrived < _LEAST_ARRIVED:
+        wrong = (
+            f"commands arrived at the driver between {100.0 * arrived:.3g} % of the samples (allowed: >= "
+            f"{100.0 * _LEAST_ARRIVED:g} %); is the controller active, and is this computer busy?"
+        )
+    elif np.unique(series.y).size >= _READINGS and abs(count / described - 1.0) > _COUNT_WITHIN:
+        wrong = (
+            f"y comes in steps of {count:.4g} nm; the description says {described:.4g} nm "
+            "('stage.encoder.y_resolution')"
+        )
+    elif noise > allowed:
+        wrong = (
+            f"y moves by {noise:.2g} counts RMS with the amplifier off (allowed by 'stage.uncertainty.sensor_noise': "
+            f"{allowed:.2g}); look at the encoder of y and its shield, and at what shakes the machine"
+        )
+    if wrong:
+        return Outcome(False, wrong, figures)
+    latency = figures["latency_us"]
+    late = f"commands after {latency['p50']:.0f} µs (p99 {latency['p99']:.0f} µs)"
+    return Outcome(True, f"{samples} samples at {rate:.6g} Hz, none lost; {late}; noise {noise:.2g} counts", figures)
+
+
+def _lost_commands(series: Series) -> int:
+    """Samples without a command, between the first and the last that have one.
+
+    At the beginning the controller is not connected yet, and at the end commands are on their way. The latencies do not
+    show it: the driver records only that of the newest command since the sample before, so that a late one would look
+    like a lost one.
+    """
+    given = np.flatnonzero(np.isfinite(series.command))
+    return int(given[-1] - given[0] + 1 - given.size) if given.size else len(series.stamps)
+
+
+def latency_percentiles(latency: Array) -> dict[str, float]:
+    """Percentiles of the times (n,) in s from a sample until its command arrived, µs; none without commands."""
+    known = latency[np.isfinite(latency)]
+    return {f"p{p:g}": float(np.percentile(known, p)) * 1e6 for p in PERCENTILES} if known.size else {}
+
+
+def _histogram(series: Series) -> list[list[float]]:
+    """Rows of (latency in µs up to which, commands), each step a quarter more than the one before."""
+    known = series.latency[np.isfinite(series.latency)] * 1e6
+    edges = np.geomspace(_FIRST_US, _FIRST_US * _STEP**_STEPS, _STEPS + 1)
+    counts, _ = np.histogram(np.clip(known, edges[0], edges[-1]), edges)
+    return [[float(edge), int(count)] for edge, count in zip(edges[1:], counts, strict=True) if count]
+
+
+def _count(readings: Array) -> float:
+    """The smallest step between two readings, m; 0 if they are all the same."""
+    steps = np.abs(np.diff(np.unique(readings)))
+    return float(steps.min()) if steps.size else 0.0
+
+
+@dataclass(frozen=True)
+class CurrentReadback:
+    """The way from command to readback.
+
+    Attributes:
+        gain: measured current per commanded current, at rest.
+        offset: measured current without a command, A.
+        bandwidth: of a first-order amplifier, Hz; NaN if none fits.
+        delay: of a command, samples; NaN likewise.
+        unexplained: RMS of what such an amplifier leaves, relative to that of the steps of the current.
+    """
+
+    gain: float
+    offset: float
+    bandwidth: float
+    delay: float
+    unexplained: float
+
+
+def current_readback(series: Series, drive: DriveParameters, period: float) -> CurrentReadback:
+    """The way in ``series``, whose commands must change at random; ``period`` of the samples in s.
+
+    The current of each candidate amplifier is computed from the commands alone, so that a readback of few counts does
+    no harm; its gain and offset follow by least squares.
+    """
+    acting = slice(series.left_at)
+    asked = np.array([drive.converted(command) for command in series.command[acting].tolist()])
+    current = series.current[acting]
+    known = np.isfinite(current)
+    asked, current = asked[known], current[known]
+
+    trust = np.ones(asked.size)
+
+    def fitted(numbers: Array) -> tuple[Array, Array]:
+        """(gain, offset), and residuals (n,) in A."""
+        terms = np.stack([_answer(asked, math.exp(numbers[0]), float(numbers[1])), np.ones(asked.size)], axis=1)
+        root = np.sqrt(trust)
+        factors, *_ = np.linalg.lstsq(terms * root[:, None], current * root, rcond=None)
+        return np.asarray(factors), np.asarray(current - terms @ factors)
+
+    def residuals(numbers: Array) -> Array:
+        return np.asarray(np.sqrt(trust) * fitted(numbers)[1])
+
+    scale = max(1e-12, float(current.std()))
+
+    def searched(start: Array, whole: int) -> OptimizeResult:
+        """The best delay from ``whole`` samples to one more."""
+        # At a whole one the current is not smooth in the delay, and a search does not pass.
+        bounds = ([_LOWEST, whole], [_HIGHEST, whole + 1.0])
+        return least_squares(
+            lambda numbers: residuals(numbers) / scale, np.clip(start, *bounds), bounds=bounds, **_EXACT
+        )
+
+    found = []
+    for whole in range(_LONGEST):
+        starts = [np.array([math.log(2.0 * math.pi * band), whole + part]) for band in _BANDWIDTHS for part in _DELAYS]
+        starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
+        found += [searched(start, whole) for start in starts[:_STARTS]]
+    best: Array = min(found, key=lambda one: float(one.cost)).x
+    # Late commands have moved it, perhaps beyond a whole sample.
+    for _ in range(_ROUNDS):
+        trust, before = huber_weights(fitted(best)[1], _LEAST * scale), best
+        wholes = {min(_LONGEST - 1, max(0, math.floor(before[1] + side))) for side in (-0.5, 0.5)}
+        best = min((searched(before, whole) for whole in wholes), key=lambda one: float(one.cost)).x
+        if np.abs(best - before).max() < _SETTLED:
+            break
+    (gain, offset), left = fitted(best)
+    missed = float(left.std()) / max(1e-12, float(np.diff(current).std()))
+    if float(left.std()) > _UNEXPLAINED * scale or gain == 0.0:
+        return CurrentReadback(float(gain), math.nan, math.nan, math.nan, missed)
+    return CurrentReadback(
+        float(gain), float(offset), math.exp(best[0]) / (2.0 * math.pi * period), float(best[1]), missed
+    )
+
+
+def _answer(asked: Array, rate: float, delay: float) -> Array:
+    """The current (n,) at each sample of an amplifier that gets the commands ``asked`` (n,) after ``delay`` samples.
+
+    With ω T = ``rate`` and the delay's fraction p of a period, i[k+1] = a i[k] + (b − a) u[k−w−1] + (1 − b) u[k−w],
+    a = exp(−ω T), b = exp(−ω T (1 − p)).
+    """
+    whole = math.floor(delay)
+    kept, late = math.exp(-rate), math.exp(-rate * (1.0 - (delay - whole)))
+    shifted = np.concatenate([np.zeros(whole + 1), asked])[: asked.size]
+    older = np.concatenate([[0.0], shifted])[: asked.size]
+    return np.asarray(lfilter([1.0], [1.0, -kept], (1.0 - late) * shifted + (late - kept) * older))
+
+
+def signs_and_scales(work: Work) -> Outcome:
+    """Shake, then push either way."""
+    stage = work.stage
+    current = _SHAKE * stage.actuator.bias_current
+    shake = ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=_travel(stage))
+    shaken = work.machine.play(shake)
+    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, stage)):
+        return Outcome(False, pulled)
+    readback = current_readback(shaken, stage.drive, stage.period)
+    figures: dict[str, Any] = {
+        "readback_gain": readback.gain,
+        "readback_offset_A": readback.offset,
+        "amplifier_bandwidth_Hz": readback.bandwidth,
+        "delay_samples": readback.delay,
+    }
+    wrong = _readback_fault(readback, stage)
+    if wrong:
+        return Outcome(False, wrong, figures)
+    currents, moved, farthest = [], [], 0.0
+    for signal in ("ramp_up", "ramp_down"):
+        ramp = ExcitationParameters(
+            signal=signal, current=_RAMP_SHARE * stage.highest_current, duration=_RAMP_TIME, travel=_travel(stage)
+        )
+        pushed = work.machine.play(ramp)
+        # The answer to the sample itself may be zero already.
+        currents.append(math.nan if pushed.left_at is None else float(pushed.command[max(0, pushed.left_at - 1)]))
+        moved.append(float(pushed.y[-1] - pushed.y[0]))
+        farthest = max(farthest, float(np.abs(pushed.y - pushed.y[0]).max()))
+    figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}
+    wrong = _force_fault(currents, moved, stage)
+    if wrong:
+        return Outcome(False, wrong, figures)
+    pushed_back = moved[1] < 0.0
+    sentence = (
+        f"readback {readback.gain:.4g} times the command, amplifier {readback.bandwidth:.0f} Hz, delay "
+        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g}"
+        f"{f' and {1e3 * currents[1]:.3g} mA' if pushed_back else ' mA, and the magnets pull the platform on'}; "
+        f"the platform moved at most {farthest * 1e6:.0f} µm"
+    )
+    found = {"drive.bandwidth": readback.bandwidth, "drive.delay": readback.delay}
+    return Outcome(True, sentence, figures, stage=found)
+
+
+def _travel(stage: StageParameters) -> float:
+    return max(_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
+
+
+def _unbalanced(left_at: int, stage: StageParameters) -> str:
+    """What pulled the platform away without a current that could; empty where the samples are enough all the same.
+
+    At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
+    """
+    actuator, time = stage.actuator, max(1, left_at) / stage.rate
+    acceleration = 2.0 * _travel(stage) / time**2
+    # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
+    ranges = stage.uncertainty
+    weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
+    alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
+    if acceleration < _ONE_COIL * alone and left_at >= _ENOUGH:
+        return ""
+    return (
+        f"with the amplifier on and hardly any current the platform left {_travel(stage) * 1e6:g} µm within "
+        f"{time * 1e3:.3g} ms: the magnets do not balance; look for a coil without current, and for a bias current "
+        f"that is not {actuator.bias_current:g} A in both"
+    )
+
+
+def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
+    ranges, drive = stage.uncertainty, stage.drive
+    if abs(found.gain) < _SILENT:
+        return (
+            f"the measured current does not answer: it stays at {found.gain:.2g} times the commanded one; look at the "
+            "readback, and whether the amplifier has its supply"
+        )
+    if found.gain < 0.0:
+        return "the measured current runs against the command: the readback is wired backwards"
+    if math.isnan(found.bandwidth) or found.unexplained > 0.5:
+        return "the measured current does not follow the command like a first-order amplifier; look at the readback"
+    if abs(found.gain - 1.0) > _GAIN_WITHIN:
+        return (
+            f"the readback shows {found.gain:.3g} times the commanded current; allowed: 1 ± {_GAIN_WITHIN:g}; look at "
+            "the readback's scale and 'stage.drive.gain'"
+        )
+    if abs(found.offset) > _OFFSET * stage.actuator.bias_current:
+        return (
+            f"the readback shows {found.offset * 1e3:.3g} mA without a command; allowed: "
+            f"±{_OFFSET * stage.actuator.bias_current * 1e3:.3g} mA; look at the zero of the readback, and at the bias "
+            "currents of both coils"
+        )
+    factor = found.bandwidth / drive.bandwidth
+    if not 1.0 / (_BEYOND * ranges.amplifier) <= factor <= _BEYOND * ranges.amplifier:
+        return (
+            f"the amplifier has {found.bandwidth:.0f} Hz, {factor:.2g} times what is described; allowed by "
+            f"'stage.uncertainty.amplifier': within a factor of {ranges.amplifier:g}; look at its tuning and its supply"
+        )
+    # One that is shorter than described makes no law less stable, and what was found replaces the description.
+    latest = ranges.longest_delay * drive.delay
+    if found.delay > latest * _BEYOND:
+        return (
+            f"commands act {found.delay:.2f} samples after theirs; allowed by 'stage.drive.delay' and "
+            f"'stage.uncertainty.longest_delay': up to {latest:.2g}"
+        )
+    return ""
+
+
+def _force_fault(currents: list[float], moved: list[float], stage: StageParameters) -> str:
+    expected = stage.friction.static / stage.actuator.current_stiffness
+    if all(map(math.isnan, currents)):
+        return (
+            f"{_RAMP_SHARE * stage.highest_current:.2g} A do not move the platform; friction should give way at "
+            f"{expected:.2g} A; look for a blocked platform, a coil without current, or an encoder of y that does not "
+            "count"
+        )
+    first, second = map(abs, currents)
+    if moved[0] > 0.0 and moved[1] > 0.0 and second < _PULLED * first:
+        # Where the first push left it, the magnets pull harder than friction holds: the second shows nothing.
+        return ""
+    if moved[0] < 0.0 or moved[1] > 0.0:
+        return (
+            "a positive current moves the platform toward negative y: the coils or the encoder of y are wired backwards"
+        )
+    if any(map(math.isnan, currents)):
+        side = "positive" if math.isnan(currents[0]) else "negative"
+        return f"the platform moves one way only, not with {side} current: one coil carries no current"
+    return ""

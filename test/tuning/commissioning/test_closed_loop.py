@@ -1,0 +1,200 @@
+"""What is not as described is named at the identification; the excitation stays within the travel; margins count."""
+
+import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from roughly_known import TRUTH, values_of, work_on
+
+from straightcomp_ros.control.excitation import MultisineParameters
+from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
+from straightcomp_ros.tuning.commissioning import closed_loop
+from straightcomp_ros.tuning.commissioning.closed_loop import (
+    facts_found,
+    frequency_response,
+    identification,
+    margins_missed,
+    strangeness,
+)
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.step import Outcome
+from straightcomp_ros.tuning.frequency_response import ExcitationEnded, response_plot
+from straightcomp_ros.tuning.frequency_response.measured_response import (
+    ComparedResponse,
+    ResponseMargins,
+    response_margins,
+)
+from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
+from straightcomp_ros.tuning.identification.estimate import UNITS, Estimate, Estimated
+
+SAFE = {"control.law": "linear", "control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
+WELL_KNOWN = {"mass": 0.2, "force": 0.2, "air_gap": 0.1, "friction": 2.0}
+STAGE = StageParameters(uncertainty=UncertaintyParameters(**WELL_KNOWN))
+USUAL = MultisineParameters().motion
+
+
+def estimate(poor: str = "", **factors: float) -> Estimate:
+    """An exact estimate of a machine that differs from the description by factors, by the last part of the name.
+
+    The interval of ``poor`` is wide; the amplifier is that of the description.
+    """
+    magnets = STAGE.actuator
+    described = {
+        **to_mapping(STAGE),
+        "actuator.current_stiffness": magnets.current_stiffness,
+        "actuator.position_stiffness": magnets.position_stiffness,
+    }
+    found = {}
+    for name in UNITS:
+        value = described[name] * factors.get(name.partition(".")[2], 1.0)
+        low, high = (0.5, 2.0) if name == poor else (0.99, 1.01)
+        found[name] = Estimated(name, value, low * value, high * value, name == "platform.mass")
+    return Estimate(found, None, SimpleNamespace(rate_found=False), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"air_gap": 0.5}, "the air gap seems 0.5 times the described one"),
+        ({"turns": 1.9**0.5}, "accelerates the platform 1.9 times as much as described"),
+        ({"turns": 0.4**0.5}, "accelerates the platform 0.4 times as much as described"),
+        ({"coulomb": 10.0}, "friction is 10 times the described one"),
+        ({"coulomb": 1.9}, ""),
+        ({}, ""),
+    ],
+)
+def test_what_lies_beyond_the_uncertainty_is_named_and_nothing_else(factors: dict[str, float], words: str) -> None:
+    strange = strangeness(estimate(**factors), STAGE)
+    assert (words in strange) if words else strange == ""
+
+
+def test_static_friction_that_is_hardly_identified_keeps_its_described_ratio_to_coulomb_friction() -> None:
+    facts = facts_found(estimate("friction.static", coulomb=2.5), STAGE)
+    assert facts["friction.coulomb"] == pytest.approx(2.5 * STAGE.friction.coulomb)
+    assert facts["friction.static"] == pytest.approx(2.5 * STAGE.friction.static)
+
+
+def test_what_is_hardly_identified_stays_as_uncertain_as_it_was_described() -> None:
+    facts = facts_found(estimate("actuator.turns", turns=1.1), STAGE)
+    assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
+    assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
+
+
+@pytest.mark.nightly
+def test_a_machine_that_is_allowed_gets_its_facts_relative_to_the_described_mass(tmp_path: Path) -> None:
+    truth = {f"{TRUTH}mass": 1.3, f"{TRUTH}force": 0.7, f"{TRUTH}air_gap": 0.8, f"{TRUTH}friction": 0.5}
+    values = values_of(truth)
+    values["controller"] |= SAFE
+    outcome = identification(work_on(values, tmp_path))
+    assert outcome.passed, outcome.sentence
+    assert outcome.stage["actuator.air_gap"] == pytest.approx(0.8 * 1.5e-3, rel=0.005)
+    assert (outcome.stage["actuator.turns"] / 400.0) ** 2 == pytest.approx(0.7 / 1.3, rel=0.02)
+    assert outcome.stage["friction.coulomb"] == pytest.approx(0.43 * 0.5 / 1.3, rel=0.02)
+    assert "platform.mass" not in outcome.stage
+    assert outcome.stage["uncertainty.force"] < 0.2
+
+
+@pytest.fixture(scope="module")
+def measured() -> ComparedResponse:
+    """Made once: of a machine as described with much friction, against which slow motions are not coherent."""
+    return measure_simulated(
+        values_of(friction__coulomb=6.0, friction__static=8.0), MultisineParameters(draws=8, travel=2.8e-4)
+    )
+
+
+class Lively(SimulatedMachine):
+    """Leaves the travel while more than ``bears`` of it is aimed at, and otherwise has the response ``measured``."""
+
+    bears = 1.0
+    measured: ComparedResponse
+    motion = 0.0
+
+    def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
+        self.motion = excitation.motion
+        if excitation.motion > self.bears:
+            raise ExcitationEnded(f"the excitation was ended early at {excitation.motion:.3f} of the travel")
+        return self.measured
+
+
+@pytest.fixture
+def machine(measured: ComparedResponse, monkeypatch: pytest.MonkeyPatch) -> Lively:
+    """A machine that its simulation, which is given, explains."""
+    monkeypatch.setattr(closed_loop, "measure_simulated", lambda values, excitation: measured)
+    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
+    machine = Lively(values_of())
+    machine.measured = measured
+    return machine
+
+
+def response_of(machine: Lively, folder: Path) -> Outcome:
+    return frequency_response(dataclasses.replace(work_on(values_of(), folder), machine=machine))
+
+
+def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(tmp_path: Path, machine: Lively) -> None:
+    machine.bears = 0.6 * USUAL
+    assert response_of(machine, tmp_path).passed and machine.motion == 0.5 * USUAL
+    machine.bears = 0.0
+    outcome = response_of(machine, tmp_path)
+    assert not outcome.passed and outcome.sentence == "the excitation was ended early at 0.083 of the travel"
+
+
+@pytest.mark.parametrize(("needed", "share"), [(0.69, 1.0), (0.9, 0.7), (1.8, 0.5), (3.0, 0.35)])
+def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, machine: Lively, needed: float, share: float
+) -> None:
+    travel = work_on(values_of(), tmp_path).travel
+
+    def simulated(values: Values, excitation: MultisineParameters) -> ComparedResponse:
+        # More motion needs more travel than in proportion; the limit is that of the simulation.
+        aimed = excitation.motion * excitation.travel / (USUAL * travel)
+        if needed * aimed**2 * travel > excitation.travel:
+            raise ExcitationEnded("the excitation was ended early: too far")
+        return machine.measured
+
+    monkeypatch.setattr(closed_loop, "measure_simulated", simulated)
+    assert response_of(machine, tmp_path).passed and machine.motion == pytest.approx(share * USUAL)
+    monkeypatch.setattr(closed_loop, "_MOTIONS", (1.0,))
+    if share < 1.0:
+        sentence = response_of(machine, tmp_path).sentence
+        assert "needs too much of the travel: the excitation was ended early: too far" in sentence
+
+
+@pytest.mark.parametrize(
+    ("margins", "words"),
+    [
+        ({}, ""),
+        ({"gain_low": None, "gain_high": None}, ""),
+        ({"gain_high": 1.2}, "phase margin 40°, gain down to 0.50 and up to 1.20 times (allowed: phase >= 10°, gain"),
+        ({"gain_high": None, "phase": 5.0}, "phase margin 5°, gain down to 0.50 times"),
+        ({"gain_low": 0.9, "gain_high": None}, "phase margin 40°, gain down to 0.90 times"),
+        ({"gain_low": None, "gain_high": None, "phase": 9.0}, "phase margin 9°, gain beyond the lines"),
+        ({"phase": None}, "no gain crossover is among the coherent lines"),
+    ],
+)
+def test_margins_are_judged_to_both_sides_and_named_in_the_sentence(
+    margins: dict[str, float | None], words: str
+) -> None:
+    missed = margins_missed(ResponseMargins(0.5, 2.0, 40.0, 80.0, 1e-3, 1.8, 200.0)._replace(**margins))
+    assert (words in missed) if words else missed == ""
+
+
+def test_margins_that_are_too_small_end_the_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, machine: Lively
+) -> None:
+    monkeypatch.setattr(closed_loop, "LEAST_PHASE", 90.0)
+    outcome = response_of(machine, tmp_path)
+    assert not outcome.passed and outcome.sentence.startswith("the measured margins are too small: phase margin")
+
+
+def test_margins_are_those_of_the_coherent_lines(measured: ComparedResponse, tmp_path: Path, machine: Lively) -> None:
+    figures = response_of(machine, tmp_path).figures
+    assert 20 < figures["coherent_lines"] < figures["lines"]
+    lines = measured.measured.coherent
+    frequencies, loop = measured.measured.frequencies, measured.measured.response.open_loop
+    coherent = response_margins(frequencies[lines], loop[lines])
+    assert coherent != response_margins(frequencies, loop)
+    # The simulation, which is the model, is the measurement itself here.
+    assert figures["margins"] == figures["model_margins"] == coherent.to_display()
