@@ -29,8 +29,7 @@ from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
-from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, with_values
-from straightcomp_ros.offline.starts import Spread
+from straightcomp_ros.offline.starts import LawFigures, Spread, Values, figures_of, with_values
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters

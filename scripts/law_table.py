@@ -16,11 +16,10 @@ from typing import Any
 
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
-from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, law_of, with_values
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
-from straightcomp_ros.offline.starts import Spread
+from straightcomp_ros.offline.starts import LawFigures, Spread, Values, figures_of, law_of, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper.ideal_machine import machine_from
+from straightcomp_ros.tuning.paper.machine import machine_from
 
 SGN = "`smc` with sgn σ as printed"
 NAMES = {

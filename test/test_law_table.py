@@ -6,8 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.offline.comparison import LawFigures, figures_of, law_of, with_values
-from straightcomp_ros.offline.starts import Spread, spread
+from straightcomp_ros.offline.starts import LawFigures, Spread, figures_of, law_of, spread, with_values
 
 SHORT = {
     "driver": {"simulated.truth.guide": "config/guide_synthetic.csv"},

@@ -8,8 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.offline.comparison import LawFigures, figures_of, with_values
-from straightcomp_ros.offline.starts import spread
+from straightcomp_ros.offline.starts import LawFigures, figures_of, spread, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 SHORT = {

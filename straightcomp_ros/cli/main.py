@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import importlib.util
+import inspect
 import os
 import re
 import sys
@@ -112,7 +113,14 @@ def _add_command(commands: Any, name: str, source: str) -> None:
         return
     tools = parser.add_subparsers(dest="tool", metavar=getattr(module, "TOOL", "TOOL"), required=True)
     for tool in module.TOOLS:
-        _add_command(tools, tool, f"{source}_{tool}")
+        if isinstance(module.TOOLS, dict):
+            one = module.TOOLS[tool]
+            text = inspect.getdoc(one.run)
+            inner = tools.add_parser(tool, help=one.SUMMARY, description=text, formatter_class=_Help)
+            one.add_arguments(inner)
+            inner.set_defaults(run=one.run)
+        else:
+            _add_command(tools, tool, f"{source}_{tool}")
 
 
 class _Parser(argparse.ArgumentParser):

@@ -24,7 +24,7 @@ from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER, STREAMS
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 
 LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 COUNT = 1200

@@ -17,7 +17,7 @@ from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.sweep.draws import draw, streams
+from straightcomp_ros.tuning.sweep.trial import draw, streams
 
 STAGE = StageParameters()
 RATE, PERIOD_NS = 2000, 500_000

@@ -8,7 +8,7 @@ from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, mak
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import _stiffness
 from straightcomp_ros.model.lugre import bristle_after, friction_force
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 

@@ -5,7 +5,7 @@ import pytest
 
 from straightcomp_ros.cell.demonstration import demonstrate
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 

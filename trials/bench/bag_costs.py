@@ -27,7 +27,7 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cell.launcher import Graph, ros_available
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.messages.cdr import read_by_names
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters

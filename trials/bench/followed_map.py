@@ -9,15 +9,13 @@ from typing import Any
 
 from numpy.random import default_rng
 
-from straightcomp_ros.fleet.history.recorded_facts import checksum_of
-from straightcomp_ros.fleet.history.row_columns import table_of
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
+from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, table_of
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.offline.starts import metrics_of_starts, spread
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.tuning.sweep.draws import mismeasured
+from straightcomp_ros.tuning.sweep.trial import mismeasured
 from trials.bench.worn_stage import settled, simulated_rows
 
 CYCLES = 24

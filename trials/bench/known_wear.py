@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from straightcomp_ros.fleet.maintenance.trend import MONTH, WEEK
+from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 
 
 @dataclass(frozen=True)

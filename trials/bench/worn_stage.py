@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
+from straightcomp_ros.fleet.history.rows import StrokeRow
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, levels_of
 from straightcomp_ros.hardware.interface import Hardware

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 
-from straightcomp_ros.fleet.history.evaluated_bag import parquet
+from straightcomp_ros.fleet.history.rows import StrokeRow, parquet
 from straightcomp_ros.fleet.history.store import STROKES
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 from straightcomp_ros.parameters.whole_file import write_whole
 from trials.bench.known_wear import SOUND, WEARS
 from trials.bench.worn_stage import StrokePool, months, rows_of_months

@@ -1,19 +1,30 @@
-"""Adds bags to a store, on as many cores as wanted."""
+"""Adds bags to a store, on as many cores as wanted. A bag gives the same bytes wherever it is evaluated."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import chain, islice
+from pathlib import Path
 
-from straightcomp_ros.fleet.history.bag_places import BagPlace
-from straightcomp_ros.fleet.history.bag_row import BagRow
-from straightcomp_ros.fleet.history.evaluated_bag import evaluated
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.record import MetricsError
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.origin import origin
+from straightcomp_ros.fleet.history import HistoryError
+from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
+from straightcomp_ros.fleet.history.rows import BagRow, EvaluatedBag, StrokeRow, checksum_of, parquet
 from straightcomp_ros.fleet.history.store import Store
+from straightcomp_ros.fleet.history.strokes_of_bag import recorded_facts, rows_of
 from straightcomp_ros.offline.workers import spread
+
+_BLOCK = 1 << 20
 
 
 @dataclass
@@ -35,7 +46,7 @@ def add(
     jobs: int = -1,
     dask: str = "",
     remap: Mapping[str, str] | None = None,
-    told: Callable[[BagRow], None] = lambda row: None,
+    on_added: Callable[[BagRow], None] = lambda row: None,
 ) -> None:
     """Evaluate the bags that the store does not have as they are now, and write what they give, each as soon as it is
     there. Only this process writes: the workers need the bags, not the store.
@@ -47,7 +58,7 @@ def add(
         again: evaluates the bags that the store has, too.
         jobs, dask: where to evaluate, see :func:`straightcomp_ros.offline.workers.spread`.
         remap: the bags' topic for each of our topics that has another name there.
-        told: called with each bag that was evaluated, after it was written.
+        on_added: called with each bag that was evaluated, after it was written.
 
     Raises:
         WorkersError: the workers cannot be reached.
@@ -69,7 +80,7 @@ def add(
                 tally.strokes += bag.row.strokes
             else:
                 tally.refused += 1
-        told(bag.row)
+        on_added(bag.row)
 
 
 @contextmanager
@@ -91,3 +102,90 @@ def _new(store: Store, places: Iterable[BagPlace], tally: Tally, again: bool) ->
             tally.known += 1
         else:
             yield place
+
+
+def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> EvaluatedBag:
+    """Evaluate a bag. One that cannot be evaluated is refused with the reason, whatever that is: among thousands of
+    bags a single one must not end the work. ``remap`` has the bag's topic for each of ours with another name there."""
+    row = BagRow(
+        location=place.location,
+        size=place.size,
+        modified=place.modified,
+        checksum=None,
+        stage=None,
+        month=None,
+        strokes=0,
+        reason=None,
+        evaluated_by=_this_program(),
+    )
+    try:
+        with _on_this_machine(place) as bag:
+            return _evaluated(bag, row, remap)
+    except OSError as error:
+        return EvaluatedBag(replace(row, reason=f"cannot be read: {error.strerror or error}"), None)
+
+
+def _evaluated(bag: Path, row: BagRow, remap: Mapping[str, str] | None) -> EvaluatedBag:
+    try:
+        files, _ = found_files(bag)
+        row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
+        _check_finished(files)
+        evaluation = evaluate_bag(bag, remap)
+        facts = recorded_facts(bag, str(row.checksum), evaluation)
+        strokes = rows_of(evaluation, facts)
+        data = parquet(StrokeRow, strokes)
+    except (OSError, HistoryError):
+        raise
+    except (BagError, MetricsError) as error:
+        reason = str(error)
+    except Exception as error:
+        reason = f"cannot be evaluated: {type(error).__name__}: {error}; please report this bag"
+    else:
+        month = f"{strokes[0].start:%Y-%m}"
+        row = replace(row, stage=facts.stage, month=month, strokes=len(strokes))
+        return EvaluatedBag(row, data)
+    # Where a copy of a remote bag lay says nothing.
+    return EvaluatedBag(replace(row, reason=reason.replace(str(bag), row.location)), None)
+
+
+def _check_finished(files: Sequence[Path]) -> None:
+    """Raise BagError for a bag that is being written or was cut off: its last stroke may be half a stroke."""
+    for file in files:
+        if file.suffix == ".mcap":
+            with McapInput(file) as opened:
+                if opened.summary is None:
+                    raise BagError(
+                        f"bag {file} was not finished, or its end is damaged; save what is there with `straightcomp "
+                        "recover`, and add that"
+                    )
+
+
+def _blocks(file: Path) -> Iterator[bytes]:
+    with file.open("rb") as opened:
+        while block := opened.read(_BLOCK):
+            yield block
+
+
+@contextmanager
+def _on_this_machine(place: BagPlace) -> Iterator[Path]:
+    """The bag itself, or a temporary copy of one that lies elsewhere."""
+    files, path, local = file_system(place.location)
+    if local:
+        yield Path(path)
+        return
+    with tempfile.TemporaryDirectory(prefix="straightcomp_history_") as folder:
+        bag = Path(folder, Path(path).name)
+        with reaching(place.location):
+            if place.names:
+                bag.mkdir()
+            for name in place.names:
+                files.get_file(f"{path}/{name}", str(bag / name))
+            if not place.names:
+                files.get_file(path, str(bag))
+        yield bag
+
+
+@cache
+def _this_program() -> str:
+    made_by = origin()
+    return f"{made_by['version']} ({made_by['revision']})"

@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.html_document import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
 from straightcomp_ros.fleet.maintenance.advice import Advice, all_figures
-from straightcomp_ros.fleet.maintenance.day_levels import PROFILES, DayLevels
-from straightcomp_ros.fleet.maintenance.guide_shift import guide_shifts
-from straightcomp_ros.fleet.maintenance.level_change import SLACK, LevelChange, baseline_of
-from straightcomp_ros.fleet.maintenance.watched_figures import BY_NAME, GUIDE
+from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, GUIDE, PROFILES, DayLevels
+from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelChange, baseline_of, guide_shifts
 
 Array = NDArray[np.float64]
-_WEEK = 7
 _SMALL, _HEIGHT = 230, 360
 _FAULT = 34
 """Height in pixels of a line of marks."""
@@ -61,9 +58,9 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
     figure = line_figure("slider position x / mm", "change of the guide / µm")
     figure.update_layout(height=_HEIGHT - 60)
     # From then to now, the last one strongest.
-    chosen = np.unique(np.linspace(_WEEK, len(measured), 5).astype(int))
+    chosen = np.unique(np.linspace(WEEK, len(measured), 5).astype(int))
     for number, stop in enumerate(chosen):
-        days = measured[max(0, stop - _WEEK) : stop]
+        days = measured[max(0, stop - WEEK) : stop]
         newest = number == len(chosen) - 1
         figure.add_scatter(
             x=levels.x * 1e3,
@@ -114,7 +111,7 @@ def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]
 def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
     if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
         return None
-    week = (levels.day - levels.day[0]) // _WEEK
+    week = (levels.day - levels.day[0]) // WEEK
     weeks = np.unique(week)
     with np.errstate(all="ignore"):
         rows = [_middle(profiles[week == one]) for one in weeks]
@@ -129,7 +126,7 @@ def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
         z=values.T,
         zmin=-largest,
         zmax=largest,
-        # Blue to vermilion through white: told apart with any colour vision.
+        # Blue to vermilion through white: distinct with any colour vision.
         colorscale=[[0.0, BLUE], [0.5, "#FFFFFF"], [1.0, VERMILION]],
         colorbar={"title": "nm"},
         hovertemplate="%{x}, x = %{y} mm: %{z:.1f} nm<extra></extra>",

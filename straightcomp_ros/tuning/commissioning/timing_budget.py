@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import evaluate, true_error
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 
 PERCENTILES = (50.0, 99.0, 99.9, 100.0)

@@ -8,7 +8,7 @@ from stores import SAMPLES, added
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.fleet.history.recorded_facts import stored_name
+from straightcomp_ros.fleet.history.rows import stored_name
 from straightcomp_ros.fleet.history.store import Store
 from trials.bench.generated_bags import template_of, write_bag
 

@@ -13,7 +13,7 @@ import pytest
 from stores import COUNT, added, files_of
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.fleet.history import HistoryError, month_folder
+from straightcomp_ros.fleet.history import HistoryError, store
 from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.store import Store
 
@@ -63,9 +63,9 @@ def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(store, month
     list(Store(str(store)).compact())
     (file, *_) = sorted((alone[0] / "strokes" / "stage=stage_0").rglob("*.parquet"))
     (month,) = (store / "strokes" / "stage=stage_0").iterdir()
-    other = month_folder._file_of(month_folder._table([file]).slice(0, 1))
-    with month_folder.alone(store):
-        month_folder.write_bag(month, file.stem, other, store)
+    other = store._file_of(store._table([file]).slice(0, 1))
+    with store.alone(store):
+        store.write_bag(month, file.stem, other, store)
     found = strokes(store)
     assert len(found) == 2 * COUNT - 1
     assert [row for row in found if row["checksum"] != file.stem] == [
@@ -113,14 +113,14 @@ def test_a_process_that_is_killed_beside_the_exchange_leaves_each_stroke_once(st
     """The moments at which the store could be wrong: the new folder is there, but not in its place, and the reverse."""
     program = f"""
 import os, signal
-from straightcomp_ros.fleet.history import month_folder
+from straightcomp_ros.fleet.history import store
 from straightcomp_ros.fleet.history.store import Store
-exchange = month_folder.exchange
+exchange = store.exchange
 def killed(one, other):
     if {moment!r} == "after":
         exchange(one, other)
     os.kill(os.getpid(), signal.SIGKILL)
-month_folder.exchange = killed
+store.exchange = killed
 list(Store({str(store)!r}).compact())
 """
     done = subprocess.run([sys.executable, "-c", program], check=False)

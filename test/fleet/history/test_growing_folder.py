@@ -10,8 +10,7 @@ import time
 import pytest
 from stores import SAMPLES, files_of
 
-from straightcomp_ros.fleet.history.bag_places import bags_in
-from straightcomp_ros.fleet.history.growing_folders import GrowingFolders
+from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
 
 
 def given(growing, folder):

@@ -11,9 +11,7 @@ from stores import SAMPLES
 from straightcomp_ros.analysis.assessment import assess
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
-from straightcomp_ros.fleet.history.recorded_facts import recorded_facts, recorded_name
-from straightcomp_ros.fleet.history.stroke_bins import bins_over
-from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, bins_over, recorded_facts, recorded_name, rows_of
 from straightcomp_ros.safety.faults import LABELLED
 from straightcomp_ros.timing.node_timing import Report
 

@@ -17,11 +17,9 @@ from stores import COUNT, SAMPLES, added, files_of
 
 from straightcomp_ros.fleet.history import HistoryError
 from straightcomp_ros.fleet.history.bag_places import bags_in
-from straightcomp_ros.fleet.history.bag_row import BagRow
 from straightcomp_ros.fleet.history.queries import query
-from straightcomp_ros.fleet.history.row_columns import columns_of, schema_of, table_of
+from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, columns_of, schema_of, table_of
 from straightcomp_ros.fleet.history.store import Store
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 
 
 def command(months, store, *more):
@@ -135,7 +133,7 @@ def test_a_bag_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch):
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as patch:
-        patch.setattr("straightcomp_ros.fleet.history.evaluated_bag.checksum_of", unplugged)
+        patch.setattr("straightcomp_ros.fleet.history.adding.checksum_of", unplugged)
         assert added(tmp_path, SAMPLES / "smc").refused == 1
     store = Store(str(tmp_path))
     assert query(store, "SELECT reason FROM refused").to_pylist() == [{"reason": "cannot be read: Input/output error"}]
@@ -147,7 +145,7 @@ def test_an_error_of_our_own_refuses_one_bag_and_not_all(tmp_path, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr("straightcomp_ros.fleet.history.evaluated_bag.rows_of", broken)
+    monkeypatch.setattr("straightcomp_ros.fleet.history.adding.rows_of", broken)
     assert added(tmp_path, SAMPLES / "smc").refused == 1
     reason = query(Store(str(tmp_path)), "SELECT reason FROM refused").to_pylist()[0]["reason"]
     assert "ZeroDivisionError: division by zero; please report" in reason
@@ -183,16 +181,16 @@ def test_the_strokes_of_a_stage_come_in_the_order_of_time_with_the_columns_that_
 
 @pytest.mark.parametrize("name", ["A/B 1", "ständer=ä%2F", "007", ".."])
 def test_any_name_of_a_stage_comes_back(tmp_path, name, monkeypatch):
-    from straightcomp_ros.fleet.history import evaluated_bag
+    from straightcomp_ros.fleet.history import adding
 
-    facts = evaluated_bag.recorded_facts
+    facts = adding.recorded_facts
 
     def named(*arguments):
         import dataclasses
 
         return dataclasses.replace(facts(*arguments), stage=name)
 
-    monkeypatch.setattr(evaluated_bag, "recorded_facts", named)
+    monkeypatch.setattr(adding, "recorded_facts", named)
     added(tmp_path / "store", SAMPLES / "smc")
     store = Store(str(tmp_path / "store"))
     assert store.stages() == [name] and store.strokes(name, ["stroke"]).num_rows == 2

@@ -7,8 +7,7 @@ from datetime import date
 import numpy as np
 import pytest
 
-from straightcomp_ros.fleet.maintenance.advice import advice_of
-from straightcomp_ros.fleet.maintenance.advice_file import advice_json, write_advice
+from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
 
 

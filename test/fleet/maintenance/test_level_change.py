@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from straightcomp_ros.fleet.maintenance.day_levels import Watched
 from straightcomp_ros.fleet.maintenance.level_change import BASELINE, baseline_of, changes_of_figure
-from straightcomp_ros.fleet.maintenance.watched_figures import Watched
 
 RISING, BOTH = Watched("error", "error", "µm"), Watched("friction", "friction", "A", falling=True)
 DAYS, BEGIN = 200, 100

@@ -5,9 +5,7 @@ from dataclasses import replace
 import pyarrow
 import pytest
 
-from straightcomp_ros.fleet.history.recorded_facts import checksum_of
-from straightcomp_ros.fleet.history.row_columns import schema_of, table_of
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
+from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, schema_of, table_of
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import find_survey

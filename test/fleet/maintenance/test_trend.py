@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.fleet.maintenance.trend import MONTH, trend_of
+from straightcomp_ros.fleet.maintenance.level_change import MONTH, trend_of
 
 DAYS = np.arange(91)
 

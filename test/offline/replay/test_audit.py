@@ -16,9 +16,9 @@ from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, STREAM
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.offline.replay.audit import audit
-from straightcomp_ros.offline.replay.what_if import what_if
+from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.what_if import what_if
 from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
 from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 

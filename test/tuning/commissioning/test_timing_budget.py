@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from roughly_known import values_of
 
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.tuning.commissioning import timing_budget
 from straightcomp_ros.tuning.commissioning.timing_budget import allowed_cost_um
 

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from straightcomp_ros.tuning.paper.claims import Claim
+from straightcomp_ros.tuning.paper.figure import Claim
 
 
 @pytest.mark.parametrize("ours, within", [(1.0, True), (1.25, True), (0.75, True), (1.26, False), (math.nan, False)])

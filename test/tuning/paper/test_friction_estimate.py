@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
-from straightcomp_ros.tuning.paper.figure_7 import compute, hysteresis
-from straightcomp_ros.tuning.paper.friction_estimate import WINDOW, estimate_friction, smoothed
+from straightcomp_ros.tuning.paper.friction import WINDOW, estimate_friction, friction_curve, hysteresis, smoothed
 
 RATE, MASS, MAGNETS = 2000.0, 3.0, ActuatorParameters()
 inner = slice(100, -100)
@@ -44,7 +43,7 @@ def test_a_closed_curve_has_a_width_and_a_single_line_has_none():
 
 
 def test_the_estimate_follows_the_simulated_friction_within_a_hundredth_of_a_newton(machine):
-    data = compute(machine)
+    data = friction_curve(machine)
     deviation = data.estimate.friction - data.friction
     assert np.sqrt(np.mean(deviation**2)) < 0.01
     assert np.abs(deviation).max() < 0.1

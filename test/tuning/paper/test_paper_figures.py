@@ -2,12 +2,19 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT
-from straightcomp_ros.tuning.paper import figure_4, figure_5, figure_6
-from straightcomp_ros.tuning.paper.figure_3 import gain_error_limit, largest_gain_error
-from straightcomp_ros.tuning.paper.ideal_machine import UNCLAMPED
-from straightcomp_ros.tuning.paper.release import hold_still, release
-from straightcomp_ros.tuning.paper.sine import AMPLITUDE, OMEGA, evaluated, follow_sine, fundamental
-from straightcomp_ros.tuning.paper.surface import following_error_gain, lag, reaching_time
+from straightcomp_ros.tuning.paper.friction import stick_slip
+from straightcomp_ros.tuning.paper.gain_error import FAR, far_release, gain_error_limit, largest_gain_error, returns
+from straightcomp_ros.tuning.paper.machine import (
+    AMPLITUDE,
+    OMEGA,
+    UNCLAMPED,
+    evaluated,
+    follow_sine,
+    fundamental,
+    hold_still,
+    release,
+)
+from straightcomp_ros.tuning.paper.surface import NEAR, following_error_gain, lag, near_release, reaching_time
 
 
 def test_the_gain_error_limit_found_is_the_closed_form():
@@ -21,12 +28,12 @@ def test_beyond_the_limit_some_current_makes_the_gain_error_exceed_one():
 
 @pytest.fixture(scope="module")
 def far(machine):
-    return figure_4.compute(machine)
+    return far_release(machine)
 
 
 def test_released_far_out_the_unclamped_law_drives_the_platform_against_its_stop(far, machine):
     assert far.unclamped.y[-1] == machine.plant.platform.stop
-    assert np.abs(far.unclamped.y).min() >= figure_4.RELEASED_AT * far.air_gap
+    assert np.abs(far.unclamped.y).min() >= FAR * far.air_gap
 
 
 def test_released_far_out_the_clamped_law_brings_the_platform_back(far):
@@ -36,13 +43,13 @@ def test_released_far_out_the_clamped_law_brings_the_platform_back(far):
 
 def test_the_unclamped_law_loses_the_platform_within_the_gain_error_limit(far, machine):
     """|m_i| ≤ 1 holds for |i_c| ≤ I0 only, and the unclamped law asks for more."""
-    assert figure_5.RELEASED_AT < far.returns_from < UNIT_GAIN_ERROR_LIMIT
-    assert not figure_4.returns(machine.idealised().with_law("smc"), far.returns_from + 0.01)
+    assert NEAR < far.returns_from < UNIT_GAIN_ERROR_LIMIT
+    assert not returns(machine.idealised().with_law("smc"), far.returns_from + 0.01)
 
 
 @pytest.fixture(scope="module")
 def near(machine):
-    return figure_5.compute(machine)
+    return near_release(machine)
 
 
 def test_the_surface_is_reached_at_the_time_of_the_closed_form(near):
@@ -74,7 +81,7 @@ def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12(machi
 
 
 def test_with_friction_the_platform_sticks_once_at_each_reversal(machine):
-    data = figure_6.compute(machine)
+    data = stick_slip(machine)
     reversals = np.abs(data.run.reference[data.sticks[:, 0]])
     assert len(data.sticks) == 4
     assert reversals.min() > 0.95 * AMPLITUDE

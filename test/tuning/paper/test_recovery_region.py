@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.tuning.paper import beyond_figure_4, recovery_region
-from straightcomp_ros.tuning.paper.figure_4 import RELEASED_AT
+from straightcomp_ros.tuning.paper import recovery
+from straightcomp_ros.tuning.paper.gain_error import FAR
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def limited(machine):
 
 @pytest.fixture(scope="module")
 def data(machine):
-    return beyond_figure_4.compute(machine, points=21)
+    return recovery.recovery(machine, points=21)
 
 
 def claims_about(data, text):
@@ -30,27 +30,27 @@ def test_the_physical_limit_is_what_full_current_does_in_a_machine_without_lag_a
     stage = dataclasses.replace(machine.stage, rate=100_000, drive=dataclasses.replace(drive, delay=0.0))
     ideal = dataclasses.replace(machine, plant=plant, stage=stage).without_friction()
     y = a * ideal.plant.actuator.air_gap
-    limit = recovery_region.fastest_outward(ideal, y)
+    limit = recovery.fastest_outward(ideal, y)
     assert (
-        recovery_region.least_peak(ideal, y, 0.99 * limit)
+        recovery.least_peak(ideal, y, 0.99 * limit)
         < ideal.plant.platform.stop
-        < recovery_region.least_peak(ideal, y, 1.01 * limit)
+        < recovery.least_peak(ideal, y, 1.01 * limit)
     )
-    assert recovery_region.possible(ideal, y, 0.99 * limit) and not recovery_region.possible(ideal, y, 1.01 * limit)
+    assert recovery.possible(ideal, y, 0.99 * limit) and not recovery.possible(ideal, y, 1.01 * limit)
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_recovers_from_the_centre_and_from_fig_4_but_not_from_beyond_the_stop(limited, law):
     one = limited.with_law(law)
-    assert recovery_region.peak(one, 0.0) < 1e-6
-    assert recovery_region.recovers(one, RELEASED_AT * one.plant.actuator.air_gap)
-    assert not recovery_region.recovers(one, 1.05 * one.plant.platform.stop)
+    assert recovery.peak(one, 0.0) < 1e-6
+    assert recovery.recovers(one, FAR * one.plant.actuator.air_gap)
+    assert not recovery.recovers(one, 1.05 * one.plant.platform.stop)
 
 
 def test_more_current_recovers_from_further_out(limited):
     one = limited.with_law("smc")
     full = one.plant.actuator.bias_current
-    reached = [recovery_region.largest_release(one.with_limit(part * full)) for part in (0.4, 0.7, 1.0)]
+    reached = [recovery.largest_release(one.with_limit(part * full)) for part in (0.4, 0.7, 1.0)]
     assert reached == sorted(reached) and reached[0] < 0.9 * reached[-1] < one.plant.platform.stop
 
 
@@ -67,7 +67,7 @@ def test_what_is_mirrored_is_what_is_computed(data):
     one = data.machine.with_law("smc_observer")
     row, column = 7, 12
     assert data.grid.velocities[row] < 0.0
-    computed = recovery_region.peak(one, data.grid.positions[column], data.grid.velocities[row])
+    computed = recovery.peak(one, data.grid.positions[column], data.grid.velocities[row])
     assert np.isfinite(computed)
     assert data.peaks["smc_observer"][row, column] == pytest.approx(computed, abs=1e-6)
 

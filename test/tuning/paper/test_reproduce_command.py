@@ -5,7 +5,7 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.tuning.paper.all_figures import FIGURES, Reproduction
-from straightcomp_ros.tuning.paper.claims import Claim
+from straightcomp_ros.tuning.paper.figure import Claim
 
 # The package re-exports nothing; the module is patched, not the name.
 command = importlib.import_module("straightcomp_ros.tuning.verbs.reproduce")

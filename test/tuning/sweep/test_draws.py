@@ -14,7 +14,7 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import deviating
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
-from straightcomp_ros.tuning.sweep.draws import draw, mismeasured, sample_times, streams
+from straightcomp_ros.tuning.sweep.trial import draw, mismeasured, sample_times, streams
 
 STAGE = StageParameters()
 EXACT_STAGE = replace(STAGE, uncertainty=EXACT)

@@ -13,8 +13,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedPara
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters, PlantState
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.references import readings, references, served
-from straightcomp_ros.offline.scenario import laws_of, make_scenario
+from straightcomp_ros.offline.scenario import laws_of, make_scenario, paired, readings, references
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
@@ -54,7 +53,7 @@ def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
         Conditions(
             stamps=stamps,
             delays=np.full(stamps.size, round(delay * PERIOD)),
-            references=served(
+            references=paired(
                 references(simulation.map, scenario.feedforward, STAGE.motion.highest_speed, stamps, record.x),
                 stamps,
                 scenario.lead_ns,
@@ -91,7 +90,7 @@ def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(va
     conditions = Conditions(
         stamps=stamps,
         delays=np.full(stamps.size, PERIOD // 2),
-        references=served(given, stamps, scenario.lead_ns),
+        references=paired(given, stamps, scenario.lead_ns),
         noise=np.zeros(stamps.size),
     )
     initial = PlantState(y=scenario.driver.simulated.initial_y)

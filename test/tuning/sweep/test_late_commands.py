@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.commissioning.timing_budget import stalled
 

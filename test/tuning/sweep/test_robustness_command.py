@@ -5,8 +5,7 @@ import pytest
 
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.tuning.sweep.many_trials import summarise
-from straightcomp_ros.tuning.sweep.sweep_plot import plot_sweep
+from straightcomp_ros.tuning.sweep.many_trials import plot_sweep, summarise
 from straightcomp_ros.tuning.sweep.trial import TrialResult
 
 SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]

@@ -5,8 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from straightcomp_ros.offline.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import can_run, run_stroke
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 
