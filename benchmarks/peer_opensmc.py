@@ -29,11 +29,12 @@ from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
-from straightcomp_ros.offline.starts import LawFigures, Spread, Values, figures_of, with_values
+from straightcomp_ros.offline.starts import Spread, Values, with_values
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.stage.description import StageParameters
+from trials.bench.law_figures import LawFigures, figures_of
 
 INSTALL = (
     "opensmc is not installed: run 'pip install opensmc' in the environment of straightcomp_ros (it needs numpy only)"

@@ -17,9 +17,10 @@ from typing import Any
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
-from straightcomp_ros.offline.starts import LawFigures, Spread, Values, figures_of, law_of, with_values
+from straightcomp_ros.offline.starts import Spread, Values, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.machine import machine_from
+from trials.bench.law_figures import LawFigures, figures_of, law_of
 
 SGN = "`smc` with sgn σ as printed"
 NAMES = {

@@ -6,7 +6,8 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.offline.starts import LawFigures, Spread, figures_of, law_of, spread, with_values
+from straightcomp_ros.offline.starts import Spread, spread, with_values
+from trials.bench.law_figures import LawFigures, figures_of, law_of
 
 SHORT = {
     "driver": {"simulated.truth.guide": "config/guide_synthetic.csv"},

@@ -8,8 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.offline.starts import LawFigures, figures_of, spread, with_values
+from straightcomp_ros.offline.starts import spread, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from trials.bench.law_figures import LawFigures, figures_of
 
 SHORT = {
     "driver": {"simulated.truth.guide": "config/guide_synthetic.csv"},

@@ -31,18 +31,6 @@ def shipped():
     return values
 
 
-def test_delays_are_those_of_the_first_commands_and_the_rest_have_the_constant_one(shipped):
-    constant, _ = run_stroke(shipped)
-    n = constant.time.size
-    same, _ = run_stroke(shipped, np.full(100, PERIOD))
-    np.testing.assert_array_equal(same.true_y, constant.true_y)
-    # In a stroke: at rest all commands are the same.
-    one = n // 3
-    late, _ = run_stroke(shipped, np.where(np.arange(2 * n) == one, 3 * PERIOD, PERIOD))
-    np.testing.assert_array_equal(late.true_y[:one], constant.true_y[:one])
-    assert (late.true_y[one:] != constant.true_y[one:]).any()
-
-
 def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(script, shipped):
     def rms(delays):
         return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]

@@ -1,18 +1,25 @@
-"""From changed figures to a cause and a remedy."""
+"""From changed figures to a cause and a remedy; the file of advice; what a person would have been alarmed of."""
 
-from datetime import date
+import json
+import os
+from datetime import date, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
 
-from straightcomp_ros.fleet.maintenance.advice import advice_of
+from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
 from straightcomp_ros.fleet.maintenance.day_levels import levels_of
-from trials.bench.known_wear import WEARS
+from straightcomp_ros.fleet.maintenance.history_plots import faults_over_time
+from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
+from trials.bench import wear_found
+from trials.bench.known_wear import SOUND, WEARS
+from trials.bench.wear_found import Alarm, alarms_of
 from trials.bench.worn_stage import BAGS_A_DAY, levels_of_months, months
 
 DAYS, BEGIN = 120, 60
 SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)
-STEP = (np.arange(DAYS) >= BEGIN).astype(float)
+PLACES = np.arange(DAYS)
+STEP = (PLACES >= BEGIN).astype(float)
 
 
 @pytest.mark.parametrize(
@@ -135,3 +142,124 @@ def test_simulated_wear_is_found_with_its_cause(pool, wear):
 def test_without_a_displacement_sensor_nobody_sees_the_guide_move(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
     assert not {"guide", "bolt"} & {one.cause for one in advice_of(levels_of_months(strokes, pool.x))}
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def worn_levels(make_levels):
+    return make_levels(friction_A=1.0 + 0.005 * np.maximum(np.arange(120) - 60.0, 0.0))
+
+
+def test_what_is_written_is_read(worn_levels, tmp_path):
+    advice = advice_of(worn_levels)
+    path = tmp_path / "stage.json"
+    write_advice(path, advice_json("gantry", date(2026, 5, 1), advice))
+    due = read_advice(path)
+    assert (due.stage, due.as_of) == ("gantry", "2026-05-01")
+    assert due.text.startswith("as of 2026-05-01: friction rose by") and "regrease" in due.text
+    entry = json.loads(path.read_text("utf-8"))["advice"][0]
+    assert entry["figures"]["friction_A"]["after"] > entry["figures"]["friction_A"]["before"] > 0.0
+
+
+def test_advice_that_lapsed_is_not_due(make_levels):
+    days = np.arange(120)
+    advice = advice_of(make_levels(friction_A=1.0 + 0.3 * ((days >= 60) & (days < 90))))
+    assert advice and advice_json("gantry", date(2026, 5, 1), advice)["advice"] == []
+
+
+def test_a_file_is_read_again_when_it_changes_and_not_more_often_than_once_a_second(tmp_path):
+    path, clock = tmp_path / "stage.json", Clock()
+    watched = WatchedAdvice(str(path), clock)
+    assert watched.due().text == ""
+    write_advice(path, {"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]})
+    clock.now = 0.5
+    assert watched.due().text == ""
+    clock.now = 1.0
+    assert watched.due().text == "as of 2026-05-01: worn; mend"
+    write_advice(path, {"stage": "a", "as_of": "2026-05-02", "advice": []})
+    clock.now = 2.0
+    assert watched.due().text == ""
+    os.remove(path)
+    clock.now = 3.0
+    assert watched.due().text == ""
+    assert WatchedAdvice("", clock).due().text == ""
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"stage": "a", "as_of": "b", "advice": [1]}', "\xff"])
+def test_a_damaged_file_says_so_in_place_of_advice(tmp_path, content):
+    path = tmp_path / "stage.json"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(MaintenanceError, match=r"stage\.json: is no file of advice .*history advise"):
+        read_advice(path)
+    assert "stage.json" in WatchedAdvice(str(path)).due().text
+
+
+def test_a_folder_in_place_of_the_file_says_so(tmp_path):
+    assert "cannot be read" in WatchedAdvice(str(tmp_path)).due().text
+
+
+def test_an_alarm_that_comes_again_counts_again(make_levels):
+    spells = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
+    alarms = alarms_of(make_levels(friction_A=1.0 + 0.3 * spells))
+    assert [alarm.cause for alarm in alarms] == ["friction_up", "friction_up"]
+    assert [alarm.place // 40 for alarm in alarms] == [1, 2]
+
+
+def test_a_cause_that_was_told_and_then_corrected_counts(make_levels):
+    """First the error alone is worse, then the friction that explains it is seen."""
+    levels = make_levels(encoder_rms_um=1.0 + 0.5 * (PLACES >= 40), friction_A=1.0 + 0.5 * (PLACES >= 60))
+    assert [alarm.cause for alarm in alarms_of(levels)] == ["unknown", "friction_up"]
+
+
+def test_a_cause_that_comes_to_be_told_while_no_figure_s_alarm_begins_or_ends_counts(make_levels):
+    """Stiffness first follows friction, then it has changed so much that it is a matter of its own."""
+    stiffness = 1.0 + 0.1 * (PLACES >= 40) + 0.4 * (PLACES >= 80)
+    first, second = alarms_of(make_levels(friction_A=1.0 + 0.5 * (PLACES >= 40), stiffness_A_per_m=stiffness))
+    assert first == Alarm("friction_up", 40)
+    assert second.cause == "stiffness" and second.place >= 80
+
+
+def test_a_stage_that_only_scatters_raises_none(make_levels):
+    assert alarms_of(make_levels()) == []
+
+
+@pytest.mark.nightly
+def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
+    years = [levels_of_months(months(pool, SOUND, 0, 365, 900 + seed, bags=4), pool.x) for seed in range(5)]
+    assert sum(len(alarms_of(year)) for year in years) <= 5
+
+
+def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning(monkeypatch, pool):
+    wear = next(one for one in wear_found.WEARS if one.name == "friction")
+    told = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
+    monkeypatch.setattr(wear_found, "_levels", lambda *_: None)
+    monkeypatch.setattr(wear_found, "alarms_of", lambda _: told)
+    assert wear_found.found(pool, wear, 0, True) == (50, 2)
+
+
+STARTS = [datetime(2026, 1, 1, tzinfo=timezone.utc) + timedelta(days=day) for day in range(30)]
+
+
+def test_each_fault_has_a_mark_in_the_line_of_its_kind():
+    faults = [[] for _ in STARTS]
+    faults[3], faults[7], faults[20] = ["x_jump"], ["x_jump", "y_frozen"], ["x_jump"]
+    figure = faults_over_time(STARTS, faults)
+    assert figure is not None
+    marks = {line.y[0]: list(line.x) for line in figure.data}
+    assert marks == {
+        "x_jump: 3": [STARTS[place].isoformat() for place in (3, 7, 20)],
+        "y_frozen: 1": [STARTS[7].isoformat()],
+    }
+    # The most frequent one is drawn last, on top; quiet days belong to the picture.
+    assert list(marks)[-1] == "x_jump: 3"
+    assert figure.layout.xaxis.range == (STARTS[0].isoformat(), STARTS[-1].isoformat())
+
+
+def test_without_faults_there_is_no_picture():
+    assert faults_over_time(STARTS, [[] for _ in STARTS]) is None

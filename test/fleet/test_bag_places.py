@@ -1,4 +1,4 @@
-"""A folder that is being recorded into: bags enter the store when they are whole, and not before."""
+"""Which bags a folder has, and when those that are being recorded enter the store: when they are whole, not before."""
 
 import os
 import shutil
@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import pytest
-from stores import SAMPLES, files_of
+from stores import SAMPLES
 
 from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
 
@@ -30,12 +31,6 @@ def half_written(folder, name, size=1_000_000):
     (folder / name / f"{name}_0.mcap").write_bytes((SAMPLES / "smc" / "smc_0.mcap").read_bytes()[:size])
 
 
-def test_a_finished_bag_is_given_out_once(tmp_path):
-    shutil.copytree(SAMPLES / "smc", tmp_path / "smc")
-    growing = GrowingFolders()
-    assert given(growing, tmp_path) == ["smc"] and given(growing, tmp_path) == []
-
-
 def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
     growing = GrowingFolders(settled_s=60.0)
     half_written(tmp_path, "run")
@@ -46,7 +41,7 @@ def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
         half_written(tmp_path, "run", size)
     shutil.rmtree(tmp_path / "run")
     shutil.copytree(SAMPLES / "smc", tmp_path / "run")
-    assert given(growing, tmp_path) == ["run"]
+    assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
 
 
 def test_a_bag_whose_metadata_were_copied_before_its_messages_waits_too(tmp_path, clock):
@@ -64,20 +59,30 @@ def test_an_unfinished_bag_that_rests_is_given_out_to_be_refused(tmp_path, clock
     assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
 
 
-def test_a_bag_that_changes_is_given_out_again(tmp_path):
+def test_a_finished_bag_is_given_out_once_and_again_when_it_changed_or_could_not_be_read(tmp_path):
     shutil.copytree(SAMPLES / "smc", tmp_path / "smc")
     growing = GrowingFolders()
-    assert given(growing, tmp_path) == ["smc"]
+    assert given(growing, tmp_path) == ["smc"] and given(growing, tmp_path) == []
     os.utime(tmp_path / "smc" / "smc_0.mcap", (0.0, time.time() + 3600.0))
     assert given(growing, tmp_path) == ["smc"]
-
-
-def test_a_bag_that_could_not_be_read_is_given_out_again(tmp_path):
-    shutil.copytree(SAMPLES / "smc", tmp_path / "smc")
-    growing = GrowingFolders()
-    (place,) = growing.whole(bags_in(str(tmp_path)))
-    growing.retry(place)
+    growing.retry(next(bags_in(str(tmp_path))))
     assert given(growing, tmp_path) == ["smc"]
+
+
+def test_a_file_that_vanishes_while_its_folder_is_listed_hides_no_other(tmp_path, monkeypatch):
+    for name in ("gone", "there"):
+        (tmp_path / f"{name}.mcap").write_bytes(b"")
+    scandir = os.scandir
+
+    @contextmanager
+    def listed(folder):
+        with scandir(folder) as found:
+            entries = list(found)
+        (tmp_path / "gone.mcap").unlink()
+        yield entries
+
+    monkeypatch.setattr(os, "scandir", listed)
+    assert [place.location for place in bags_in(str(tmp_path))] == [str(tmp_path / "there.mcap")]
 
 
 def test_following_adds_bags_as_they_are_finished_until_it_is_interrupted(tmp_path):
@@ -91,7 +96,7 @@ def test_following_adds_bags_as_they_are_finished_until_it_is_interrupted(tmp_pa
         for number, name in enumerate(("smc", "uncompensated"), 1):
             shutil.copytree(SAMPLES / name, bags / name)
             deadline = time.monotonic() + 120.0
-            while len(files_of(store)) < 2 * number:
+            while len(list(store.glob("bags/*"))) < number:
                 assert process.poll() is None and time.monotonic() < deadline, process.communicate()
                 time.sleep(0.05)
         process.send_signal(signal.SIGINT)

@@ -1,6 +1,7 @@
 """A row says of a stroke what `straightcomp evaluate` says of it, and what it needs to be found again."""
 
 import dataclasses
+import itertools
 import math
 from datetime import datetime, timezone
 
@@ -11,7 +12,12 @@ from stores import SAMPLES
 from straightcomp_ros.analysis.assessment import assess
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
+from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
+from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, bins_over, recorded_facts, recorded_name, rows_of
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.safety.faults import LABELLED
 from straightcomp_ros.timing.node_timing import Report
 
@@ -32,9 +38,9 @@ def test_a_row_has_the_figures_that_evaluate_prints(evaluation, rows):
     strokes = assess(BAG, evaluation).strokes
     assert len(rows) == len(strokes) == 2
     for row, stroke in zip(rows, strokes, strict=True):
-        told = stroke.to_display()
-        del told["start_s"]
-        assert {name: getattr(row, name) for name in told} == told
+        figures = stroke.to_display()
+        del figures["start_s"]
+        assert {name: getattr(row, name) for name in figures} == figures
 
 
 def test_a_row_names_bag_stage_parameters_and_map(rows):
@@ -75,8 +81,8 @@ def test_the_latency_of_a_stroke_is_that_of_its_own_samples(evaluation):
     middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
     slow = dataclasses.replace(evaluation, latency=np.where(stamps < middle, latency, 3e-4))
     assert [row.latency_p50_us for row in rows_of(slow, Recorded())] == pytest.approx([250.0, 300.0])
-    untold = dataclasses.replace(evaluation, latency=latency[:0], latency_stamps=stamps[:0])
-    assert [row.latency_p99_us for row in rows_of(untold, Recorded())] == [None, None]
+    without = dataclasses.replace(evaluation, latency=latency[:0], latency_stamps=stamps[:0])
+    assert [row.latency_p99_us for row in rows_of(without, Recorded())] == [None, None]
 
 
 def without(evaluation, lost, unanswered):
@@ -174,3 +180,49 @@ def test_a_bin_without_a_sample_is_null_and_not_zero():
 
 def test_a_stroke_shorter_than_half_a_bin_has_none():
     assert bins_over(np.linspace(0.001, 0.004, 10)).means(np.ones(10)) == []
+
+
+BUMP_UM = 0.8
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory):
+    """A run through a coarse converter, steps of 8 mA, with a displacement sensor over a bump of the guide."""
+    values = shipped_parameters()
+    values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1, "drive.dac_bits": 8}
+    simulation = Simulation(values)
+    folder, count = tmp_path_factory.mktemp("run") / "bag", itertools.count()
+    with SimulatedRun(folder, by_node(values), simulation.delay) as run:
+        run._bag.add_topic("/displacement", DISPLACEMENT.layout.type_name)
+
+        def observe(sample, truth, *rest):
+            run.add(sample, truth, *rest)
+            if next(count) % 10 == 0:
+                stamp = START_NS + sample.stamp_ns
+                # The zero of the sensor is arbitrary.
+                reading = 5e-6 + simulation.map.deviation(truth.x) + BUMP_UM * 1e-6 * (0.05 < truth.x < 0.07)
+                run._bag.write("/displacement", DISPLACEMENT.layout.pack(stamp, reading), stamp, stamp)
+
+        simulation.run(observe=observe)
+    return evaluate_bag(folder)
+
+
+def test_the_bandwidth_comes_from_commands_as_the_converter_of_that_bag_rounded_them(coarse):
+    def bandwidths(evaluation):
+        return [row.amplifier_bandwidth_Hz for row in rows_of(evaluation, Recorded())]
+
+    assert bandwidths(coarse) == pytest.approx([500.0, 500.0], rel=0.02)
+    driver = {**coarse.parameters["driver"], "stage.drive.dac_bits": 12}
+    another = dataclasses.replace(coarse, parameters={**coarse.parameters, "driver": driver})
+    assert bandwidths(another) != pytest.approx([500.0, 500.0], rel=0.02)
+
+
+def test_the_guide_has_changed_where_the_sensor_saw_it(coarse):
+    rows = rows_of(coarse, Recorded())
+    assert [row.direction for row in rows] == ["forward", "backward"]
+    for row in rows:
+        middles = row.bins_from_mm + 10.0 * (np.arange(len(row.guide_change_um)) + 0.5)
+        change = np.array(row.guide_change_um, np.float64)
+        inside = (middles > 50) & (middles < 70)
+        assert np.allclose(change[inside] - np.median(change), BUMP_UM, atol=0.05)
+        assert np.abs(change[~inside] - np.median(change)).max() < 0.05

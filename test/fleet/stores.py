@@ -5,9 +5,10 @@ from pathlib import Path
 
 from straightcomp_ros.fleet.history.adding import Tally, add
 from straightcomp_ros.fleet.history.bag_places import bags_in
+from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.store import Store
 
-SAMPLES = Path(__file__).resolve().parents[3] / "bags"
+SAMPLES = Path(__file__).resolve().parents[2] / "bags"
 COUNT, STAGES = 6, 2
 """Good bags of the fixture ``months``, and their stages."""
 
@@ -26,3 +27,9 @@ def added(store, *sources, **options):
     places = (place for source in sources for place in bags_in(str(source)))
     add(Store(str(store)), places, tally, **{"jobs": 1, **options})
     return tally
+
+
+def strokes_of(store):
+    """The strokes of a store as rows, each with its stage, in one order."""
+    columns = "stage, checksum, stroke, start, encoder_pp_um, error_bins_um"
+    return query(Store(str(store)), f"SELECT {columns} FROM strokes ORDER BY checksum, stroke").to_pylist()

@@ -5,7 +5,7 @@ import logging
 
 import fsspec
 import pytest
-from stores import COUNT, added, files_of
+from stores import COUNT, added, files_of, strokes_of
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.fleet.history.bag_places import bags_in, is_finished
@@ -33,25 +33,24 @@ def bucket(months):
     server.stop()
 
 
-def strokes(files):
-    return {name: checksum for name, checksum in files.items() if name.startswith("strokes/")}
-
-
 def test_bags_in_s3_give_the_same_strokes_to_the_last_bit(bucket, alone, tmp_path):
     found = list(bags_in(f"{bucket}/bags"))
     assert len(found) == COUNT + 2 and [is_finished(place) for place in found].count(False) == 1
     tally = added(tmp_path, f"{bucket}/bags")
     assert (tally.added, tally.refused) == (COUNT, 2)
-    assert strokes(files_of(tmp_path)) == strokes(alone[1])
+    assert strokes_of(tmp_path) == strokes_of(alone[0])
     assert added(tmp_path, f"{bucket}/bags").known == COUNT + 2
 
 
-def test_a_store_in_s3_has_the_same_files(bucket, months, alone, tmp_path):
+def test_a_store_in_s3_has_the_same_strokes_and_rows_in_a_file_for_each_bag(bucket, months, alone, tmp_path):
     added(f"{bucket}/store", months)
-    Store(f"{bucket}/store").files.get("plant/store", str(tmp_path / "copy"), recursive=True)
-    assert files_of(tmp_path / "copy") == alone[1]
-    store = Store(f"{bucket}/store")
-    assert store.stages() == ["stage_0", "stage_1"] and store.strokes("stage_0", ["stroke"]).num_rows == COUNT
+    store, local = Store(f"{bucket}/store"), Store(str(alone[0]))
+    assert store.stages() == local.stages() == ["stage_0", "stage_1"]
+    assert all(store.strokes(stage).equals(local.strokes(stage)) for stage in store.stages())
+    store.files.get("plant/store", str(tmp_path / "copy"), recursive=True)
+    here, there = files_of(tmp_path / "copy"), alone[1]
+    assert {name: here[name] for name in here if name.startswith("bags/")}.items() <= there.items()
+    assert len(here) == 2 * COUNT + 2
 
 
 def test_a_store_in_s3_answers_queries_and_names_where_its_bags_are(bucket, capsys):

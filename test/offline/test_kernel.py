@@ -1,6 +1,7 @@
 """The compiled loop is the simulation, to the last bit."""
 
 import math
+from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +12,11 @@ from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.scenario import laws_of, make_scenario, paired, readings, references
+from straightcomp_ros.offline.scenario import readings, references
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import can_run, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
@@ -37,67 +39,71 @@ def steady(count: int, **changes) -> Conditions:
     return Conditions(**{**conditions, **changes})
 
 
+CYCLE = {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1}
+BEYOND_LUGRE = {"bands.fraction": 0.3, "rest.growth": 0.2, "step.factor": 1.5, "step.time": 0.8}
+
+
+def simulated(values):
+    return Simulation(values).run()
+
+
+def assert_same(record, expected):
+    for field in fields(expected):
+        np.testing.assert_array_equal(getattr(record, field.name), getattr(expected, field.name), field.name)
+
+
 @pytest.mark.parametrize("delay", [0.2, 0.5, 1.0, 1.5, 2.7])
 @pytest.mark.parametrize("law", LAWS)
-def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
-    values["stage"]["drive.delay"] = delay
-    values["driver"] = {"simulated.initial_y": 2e-6, "simulated.truth.mass": 0.97}
-    values["controller"] = {"control.law": law}
-    simulation = Simulation(values)
-    record = simulation.run()
-    scenario = make_scenario(values, [law])
-    stamps = np.arange(record.time.size) * PERIOD
-    cycle = run_cycle(
-        laws_of(scenario)[law],
-        scenario.driver.plant,
-        Conditions(
-            stamps=stamps,
-            delays=np.full(stamps.size, round(delay * PERIOD)),
-            references=paired(
-                references(simulation.map, scenario.feedforward, STAGE.motion.highest_speed, stamps, record.x),
-                stamps,
-                scenario.lead_ns,
-            ),
-            noise=np.zeros(stamps.size),
-        ),
-        PlantState(y=scenario.driver.simulated.initial_y),
-    )
-    assert stamps.size == scenario.samples > 3000
-    np.testing.assert_array_equal(cycle.true_y, record.true_y)
-    np.testing.assert_array_equal(cycle.y, record.y)
-    np.testing.assert_array_equal(cycle.current, record.current)
+def test_a_compiled_cycle_is_the_simulation_in_every_column(law, delay):
+    values = {
+        "driver": {"simulated.initial_y": 2e-6, "simulated.truth.mass": 0.97},
+        "controller": {"control.law": law},
+        "stage": {**CYCLE, "drive.delay": delay},
+    }
+    assert can_run(values)
+    record, straightness = run_stroke(values)
+    assert record.time.size > 3000 and straightness.span == Simulation(values).map.span
+    assert_same(record, simulated(values))
 
 
 @pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
-def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(values, model):
-    friction = {
-        "model": model,
-        "bands.fraction": 0.3,
-        "rest.growth": 0.2,
-        "step.factor": 1.5,
-        "step.time": 0.8,
-    }
-    values["driver"] = {f"simulated.truth.contact.{name}": value for name, value in friction.items()}
-    values["stage"]["drive.delay"] = 0.5
-    values["controller"] = {"control.law": "smc"}
-    simulation = Simulation(values)
-    record = simulation.run()
-    scenario = make_scenario(values, ["smc"])
-    values["driver"] = {}
-    plain = Simulation(values).run()
-    stamps = np.arange(record.time.size) * PERIOD
-    given = references(simulation.map, scenario.feedforward, STAGE.motion.highest_speed, stamps, record.x)
-    conditions = Conditions(
-        stamps=stamps,
-        delays=np.full(stamps.size, PERIOD // 2),
-        references=paired(given, stamps, scenario.lead_ns),
-        noise=np.zeros(stamps.size),
-    )
-    initial = PlantState(y=scenario.driver.simulated.initial_y)
-    cycle = run_cycle(laws_of(scenario)["smc"], scenario.driver.plant, conditions, initial)
-    np.testing.assert_array_equal(cycle.true_y, record.true_y)
-    np.testing.assert_array_equal(cycle.current, record.current)
+def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(model):
+    contact = {f"simulated.truth.contact.{name}": value for name, value in {"model": model, **BEYOND_LUGRE}.items()}
+    values = {"driver": contact, "controller": {"control.law": "smc"}, "stage": CYCLE}
+    record, _ = run_stroke(values)
+    assert_same(record, simulated(values))
+    plain, _ = run_stroke({**values, "driver": {}})
     assert not np.array_equal(record.true_y, plain.true_y)
+
+
+def test_a_stroke_that_begins_elsewhere_on_another_feedforward_is_the_simulation():
+    stage = {**CYCLE, "motion.start": 0.4}
+    values = {"driver": {}, "controller": {}, "stage": stage, "feedforward": {"stage.motion.speed": 0.01}}
+    assert_same(run_stroke(values)[0], simulated(values))
+
+
+def test_what_the_compiled_cycle_does_not_model_is_left_to_the_simulation():
+    values = {"driver": {}, "controller": {}, "stage": {**CYCLE, "drive.delay": 4.0}}
+    assert can_run(values)
+    values["driver"]["simulated.command_timeout"] = 0.002
+    assert not can_run(values)
+    values["stage"]["drive.delay"] = 0.5
+    assert can_run(values)
+    values["controller"]["learning.learn"] = True
+    assert not can_run(values)
+
+
+def test_delays_are_those_of_the_first_commands_and_the_rest_have_the_constant_one():
+    values = {"driver": {}, "controller": {}, "stage": {**CYCLE, "motion.stroke": 0.1, "drive.delay": 1.0}}
+    constant, _ = run_stroke(values)
+    n = constant.time.size
+    same, _ = run_stroke(values, np.full(100, PERIOD))
+    np.testing.assert_array_equal(same.true_y, constant.true_y)
+    # In a stroke: at rest all commands are the same.
+    one = n // 3
+    late, _ = run_stroke(values, np.where(np.arange(2 * n) == one, 3 * PERIOD, PERIOD))
+    np.testing.assert_array_equal(late.true_y[:one], constant.true_y[:one])
+    assert (late.true_y[one:] != constant.true_y[one:]).any()
 
 
 def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_board():

@@ -1,9 +1,13 @@
-"""Months of a stage, made by hand or from simulated strokes."""
+"""Bags of several stages for a history, and stores of them; months of a stage, by hand or from simulated strokes."""
+
+import shutil
 
 import numpy as np
 import pytest
+from stores import COUNT, SAMPLES, STAGES, added, files_of
 
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
+from trials.bench.generated_bags import template_of, write_bag
 from trials.bench.worn_stage import StrokePool, stroke_pool
 from trials.bench.worn_store import write_store
 
@@ -11,6 +15,30 @@ DAYS, BINS = 120, 100
 LEVELS = {"friction_A": 0.007, "stiffness_A_per_m": 667.0, "amplifier_bandwidth_Hz": 500.0, "latency_p50_us": 120.0}
 TWENTY_THOUSAND = 20_454
 """2026-01-01."""
+
+
+@pytest.fixture(scope="session")
+def months(tmp_path_factory):
+    """A folder with COUNT good bags of STAGES stages, one that was cut off, and one with damage in its middle."""
+    folder = tmp_path_factory.mktemp("months")
+    template = template_of(SAMPLES / "smc")
+    for number in range(COUNT):
+        write_bag(template, folder / f"stage_{number % STAGES}" / f"run_{number}", number, STAGES)
+    shutil.copytree(SAMPLES / "cut_off", folder / "cut_off")
+    damaged = folder / "damaged"
+    shutil.copytree(SAMPLES / "smc", damaged)
+    with (damaged / "smc_0.mcap").open("r+b") as file:
+        file.seek(1_000_000)
+        file.write(bytes(1000))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def alone(months, tmp_path_factory):
+    """The store that one process makes of ``months``, and its files."""
+    store = tmp_path_factory.mktemp("alone") / "store"
+    added(store, months)
+    return store, files_of(store)
 
 
 @pytest.fixture
