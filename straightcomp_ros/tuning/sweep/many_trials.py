@@ -47,19 +47,13 @@ def sweep(
 ) -> list[TrialResult]:
     """Run the trials in any order; the results are sorted by trial, then in the order of the laws.
 
-    Args:
-        scenario: what the trials have in common.
-        seed: of all random numbers.
-        trials: their numbers, each from 0.
-        jobs: processes on this machine; −1 takes all cores. Not used with ``dask``.
-        dask: address of a Dask scheduler, whose workers have this package; empty stays on this machine.
-        progress: called with the fraction that is done.
-
-    Raises:
-        WorkersError: Dask is not installed, or its scheduler or workers cannot be reached.
+    ``jobs`` and ``dask`` say where, as in :func:`~straightcomp_ros.offline.workers.spread`, with its errors;
+    ``progress`` is called with the fraction that is done.
     """
     workers = jobs if jobs > 0 else os.cpu_count() or 1
-    batches = _batches(trials, workers)
+    # At least one batch for each worker if there are enough trials.
+    size = max(1, min(_LARGEST_BATCH, len(trials) // workers))
+    batches = [trials[start : start + size] for start in range(0, len(trials), size)]
     finished = spread(run_trials, (scenario, seed), batches, jobs=jobs, dask=dask)
     results: list[TrialResult] = []
     progress(0.0)
@@ -70,40 +64,47 @@ def sweep(
     return sorted(results, key=lambda result: (result.trial, order[result.law]))
 
 
-def _batches(trials: Sequence[int], workers: int) -> list[Sequence[int]]:
-    """Batches of the trials, at least one for each worker if there are enough of them."""
-    size = max(1, min(_LARGEST_BATCH, len(trials) // workers))
-    return [trials[start : start + size] for start in range(0, len(trials), size)]
-
-
 @dataclass(frozen=True)
 class LawSummary:
-    """The figures of one law over a sweep, trials that are not in order included.
-
-    Attributes:
-        law: its name.
-        trials: number of machines.
-        pp, rms: percentiles of the true compensation error by name, m; infinite where cycles broke off.
-        control_activity: percentiles of Σ |Δ i_c|, A.
-        control_rms_step: percentiles of the root mean square of Δ i_c, A.
-        verdicts: number of trials by the verdict's word, the most frequent first; only those that are not in order.
-        not_in_order: those trials, in their order.
-        doubtful: names of the percentiles of ``pp`` that are the error of such a trial.
-        worst_trial: number of the trial with the largest peak-to-peak error.
-        outliers: peak-to-peak error in m of each trial in which it is above `OUTLIER` medians, by trial, worst first.
-    """
+    """The figures of one law over a sweep, trials that are not in order included."""
 
     law: str
-    trials: int
-    pp: dict[str, float]
-    rms: dict[str, float]
-    control_activity: dict[str, float]
-    control_rms_step: dict[str, float]
-    verdicts: dict[str, int]
-    not_in_order: tuple[TrialResult, ...]
-    doubtful: frozenset[str]
-    worst_trial: int
-    outliers: dict[int, float]
+    results: tuple[TrialResult, ...]
+
+    def percentiles(self, figure: str) -> dict[str, float]:
+        """Percentiles of a figure of `TrialResult` by their names; infinite where cycles broke off."""
+        values = [getattr(one, figure) for one in self.results]
+        # Interpolation between a number and infinity would be NaN.
+        found = np.percentile(values, list(PERCENTILES.values()), method="inverted_cdf")
+        return dict(zip(PERCENTILES, found.tolist(), strict=True))
+
+    @property
+    def trials(self) -> int:
+        """Number of machines."""
+        return len(self.results)
+
+    @property
+    def not_in_order(self) -> list[TrialResult]:
+        """The trials that are not in order."""
+        return [one for one in self.results if not one.verdict.in_order]
+
+    @property
+    def doubtful(self) -> set[str]:
+        """Names of the percentiles of the peak-to-peak error that are the error of such a trial."""
+        errors = {one.pp for one in self.not_in_order}
+        return {name for name, value in self.percentiles("pp").items() if value in errors}
+
+    @property
+    def outliers(self) -> dict[int, float]:
+        """Peak-to-peak error in m of each trial in which it is above `OUTLIER` medians, by trial, worst first."""
+        limit = OUTLIER * self.percentiles("pp")["p50"]
+        worst_first = sorted(self.results, key=lambda one: -one.pp)
+        return {one.trial: one.pp for one in worst_first if one.pp > limit}
+
+    @property
+    def verdicts(self) -> dict[str, int]:
+        """Number of trials by the verdict's word, the most frequent first; only those that are not in order."""
+        return dict(Counter(one.verdict.verdict for one in self.not_in_order).most_common())
 
     @property
     def verdict(self) -> Verdict:
@@ -117,24 +118,25 @@ class LawSummary:
 
     def to_display(self) -> dict[str, Any]:
         """The figures with lengths in µm; None where they are infinite."""
+        units = {"pp_um": 1e6, "rms_um": 1e6, "control_activity_A": 1.0, "control_rms_step_A": 1.0}
         return {
             **self.verdict._asdict(),
-            "pp_um": _shown(self.pp, 1e6),
-            "rms_um": _shown(self.rms, 1e6),
-            "control_activity_A": _shown(self.control_activity, 1.0),
-            "control_rms_step_A": _shown(self.control_rms_step, 1.0),
+            **{
+                name: {key: _shown(value, unit) for key, value in self.percentiles(name.rpartition("_")[0]).items()}
+                for name, unit in units.items()
+            },
             "not_in_order": len(self.not_in_order),
             "verdicts": self.verdicts,
             "machines_not_in_order": [
-                {"trial": one.trial, "pp_um": one.pp * 1e6 if math.isfinite(one.pp) else None, **one.verdict._asdict()}
-                for one in self.not_in_order
+                {"trial": one.trial, "pp_um": _shown(one.pp, 1e6), **one.verdict._asdict()} for one in self.not_in_order
             ],
-            "worst_trial": self.worst_trial,
-            "outliers": [
-                {"trial": trial, "pp_um": pp * 1e6 if math.isfinite(pp) else None}
-                for trial, pp in self.outliers.items()
-            ],
+            "worst_trial": max(self.results, key=lambda one: one.pp).trial,
+            "outliers": [{"trial": trial, "pp_um": _shown(pp, 1e6)} for trial, pp in self.outliers.items()],
         }
+
+
+def _shown(value: float, unit: float) -> float | None:
+    return value * unit if math.isfinite(value) else None
 
 
 def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
@@ -142,55 +144,13 @@ def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
     by_law: dict[str, list[TrialResult]] = {}
     for result in results:
         by_law.setdefault(result.law, []).append(result)
-    return [_summary(law, trials) for law, trials in by_law.items()]
-
-
-def _summary(law: str, trials: Sequence[TrialResult]) -> LawSummary:
-    pp = _percentiles([trial.pp for trial in trials])
-    bad = tuple(trial for trial in trials if not trial.verdict.in_order)
-    errors = {trial.pp for trial in bad}
-    return LawSummary(
-        law=law,
-        trials=len(trials),
-        pp=pp,
-        rms=_percentiles([trial.rms for trial in trials]),
-        control_activity=_percentiles([trial.control_activity for trial in trials]),
-        control_rms_step=_percentiles([trial.control_rms_step for trial in trials]),
-        verdicts=dict(Counter(trial.verdict.verdict for trial in bad).most_common()),
-        not_in_order=bad,
-        # Each percentile is the value of a trial.
-        doubtful=frozenset(name for name, value in pp.items() if value in errors),
-        worst_trial=max(trials, key=lambda trial: trial.pp).trial,
-        outliers=_outliers(trials),
-    )
-
-
-def _outliers(trials: Sequence[TrialResult]) -> dict[int, float]:
-    limit = OUTLIER * _percentiles([trial.pp for trial in trials])["p50"]
-    worse = [trial for trial in trials if trial.pp > limit]
-    return {trial.trial: trial.pp for trial in sorted(worse, key=lambda trial: -trial.pp)}
-
-
-def _percentiles(values: Sequence[float]) -> dict[str, float]:
-    # Interpolation between a number and infinity would be NaN.
-    found = np.percentile(values, list(PERCENTILES.values()), method="inverted_cdf")
-    return dict(zip(PERCENTILES, found.tolist(), strict=True))
-
-
-def _shown(percentiles: dict[str, float], unit: float) -> dict[str, float | None]:
-    return {name: value * unit if math.isfinite(value) else None for name, value in percentiles.items()}
+    return [LawSummary(law, tuple(trials)) for law, trials in by_law.items()]
 
 
 def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], path: str | Path, title: str) -> Path:
     """Draw the empirical distribution of each law's true peak-to-peak error, and return the path.
 
-    A curve ends below 100 % if cycles broke off.
-
-    Args:
-        results: of the sweep.
-        summaries: of the same sweep, for the legend.
-        path: the picture (PNG, SVG or PDF), replaced if it exists.
-        title: of the picture.
+    A curve ends below 100 % if cycles broke off. ``path`` (PNG, SVG or PDF) is replaced if it exists.
     """
     # The workers of a sweep need no matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -208,7 +168,7 @@ def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], 
         # A step curve that starts at its foot, on the first value.
         x = np.concatenate([errors_um[:1], errors_um])
         fraction = np.arange(x.size) / summary.trials
-        p50, p95 = summary.pp["p50"] * 1e6, summary.pp["p95"] * 1e6
+        p50, p95 = (summary.percentiles("pp")[name] * 1e6 for name in ("p50", "p95"))
         label = f"{summary.law}: p50 {p50:.2f} µm, p95 {p95:.2f} µm, {len(summary.not_in_order)} not in order"
         axes.step(x, fraction, where="post", color=colour, linestyle=style, linewidth=1.6, label=label)
     if finite.size and finite[-1] > _WIDE * finite[0] > 0.0:

@@ -66,8 +66,8 @@ def run(options: argparse.Namespace) -> None:
     verdict = _verdict(summaries)
     if options.json:
         shown = {summary.law: summary.to_display() for summary in summaries}
-        told = {"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds}
-        print_json({**told, **in_json(verdict)})
+        run_of = {"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds}
+        print_json({**run_of, **in_json(verdict)})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
         columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "not in order")
@@ -87,14 +87,10 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _row(summary: LawSummary) -> list[object]:
-    texts = {name: f"{value * 1e6:.3f}" for name, value in summary.pp.items()}
+    texts = {name: f"{value * 1e6:.3f}" for name, value in summary.percentiles("pp").items()}
     pp = [doubtful(text) if name in summary.doubtful else text for name, text in texts.items()]
-    return [
-        summary.law,
-        *pp,
-        f"{summary.control_rms_step['p50'] * 1e3:.1f}",
-        len(summary.not_in_order),
-    ]
+    step = f"{summary.percentiles('control_rms_step')['p50'] * 1e3:.1f}"
+    return [summary.law, *pp, step, len(summary.not_in_order)]
 
 
 def _verdict(summaries: list[LawSummary]) -> Verdict:

@@ -39,6 +39,7 @@ def test_the_fitted_friction_is_the_shipped_one():
     assert stage["friction.static"] == float(static)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("delay, bandwidth", [(0.5, 500.0), (1.0, 200.0)])
 def test_the_steepest_stable_boundary_layer_is_that_of_the_page(delay, bandwidth, fit):
     line = next(line for line in PAGE.splitlines() if line.startswith(f"| {delay:g} | {bandwidth:g} |"))

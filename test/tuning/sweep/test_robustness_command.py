@@ -82,8 +82,8 @@ def test_wrong_options_are_refused(capsys, arguments):
 def test_every_percentile_is_a_trial_that_was_run():
     errors = [1e-6, 2e-6, 4e-6, 8e-6]
     (summary,) = summarise(result(trial, pp) for trial, pp in enumerate(errors))
-    assert set(summary.pp.values()) <= set(errors)
-    assert summary.pp["max"] == 8e-6 and summary.worst_trial == 3
+    assert set(summary.percentiles("pp").values()) <= set(errors)
+    assert summary.percentiles("pp")["max"] == 8e-6 and summary.to_display()["worst_trial"] == 3
 
 
 def test_machines_above_twice_the_median_are_named_worst_first():
@@ -131,7 +131,7 @@ def test_the_verdict_on_a_law_is_its_most_frequent_one_and_names_a_machine():
     assert summary.verdict.reason == "oscillates 2, at_stop 1 of 4 machines; machine 2: error of machine 2"
     assert [one.trial for one in summary.not_in_order] == [1, 2, 3]
     (good,) = summarise([result(0, 1e-6)])
-    assert good.verdict.in_order and "1 machines" in good.verdict.reason and good.doubtful == frozenset()
+    assert good.verdict.in_order and "1 machines" in good.verdict.reason and good.doubtful == set()
 
 
 def test_a_percentile_of_a_machine_that_is_not_in_order_is_doubtful():
