@@ -1,6 +1,6 @@
 """Computes every recorded command again from the recorded samples and references, and compares the bits.
 
-The law's state depends on its samples, their order, and the reference of each. The recorded `controller_state` tells
+The law's state depends on its samples, their order, and the reference of each. The recorded `controller_state` has
 all three: it has one message for each step of the law, with the age of its reference.
 """
 
@@ -46,14 +46,12 @@ class Audit:
     """Result of an audit.
 
     Attributes:
-        law: name of the law.
         commands: commands that were computed again and compared.
         different: those of them that differ, in the command or in the law's inner variables.
         unverified: recorded commands that cannot be computed: an input of the law is not in the bag, and the law has
             not restarted since.
         missing: samples or references of those steps that are not in the bag.
         began_running: whether the recording began while the law was running.
-        first: the first difference, None without.
     """
 
     law: str
@@ -77,10 +75,8 @@ def audit(
 ) -> Audit:
     """Audit a bag.
 
-    Args:
-        bag: rosbag2 folder or MCAP file.
-        remap: the bag's topic for each of our topics that has another name there.
-        given: parameters by node and dotted name, of a bag that has none attached.
+    ``remap`` has the bag's topic for each of our topics that has another name there, ``given`` the parameters, by node
+    and dotted name, of a bag that has none attached.
 
     Raises:
         BagError: the bag is refused, or lacks a stream or the controller's parameters.

@@ -29,14 +29,8 @@ _SLACK_S = 90.0
 
 @dataclass(frozen=True)
 class GraphReplay:
-    """Result of a replay.
-
-    Attributes:
-        bag: the bag recorded of the replay.
-        samples: samples in the played bag.
-        commands: samples that have a command in both bags.
-        equal, different: of those, samples whose command is the same to the bit, or not.
-    """
+    """Result of a replay: the bag recorded of it, the samples in the played bag, how many have a command in both bags,
+    and how many of those have the same command to the bit, or not."""
 
     bag: Path
     samples: int
@@ -59,11 +53,8 @@ def replay_through_graph(
     The nodes are in a namespace and a ROS domain of their own, so that no driver that runs hears them, and they write
     to the output folder only: a table that was learned is read from a copy.
 
-    Args:
-        bag: rosbag2 folder or MCAP file.
-        output: folder for ``bag/`` and ``logs/``. There must be no bag.
-        remap: the bag's topic for each of our topics that has another name there.
-        given: parameters by node and dotted name, of a bag that has none attached.
+    ``output`` is the folder for ``bag/`` and ``logs/``, in which there must be no bag; ``remap`` and ``given`` as of
+    :func:`~straightcomp_ros.offline.audit.audit`.
 
     Raises:
         BagError: the bag is refused.

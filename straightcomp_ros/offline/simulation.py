@@ -31,7 +31,6 @@ class Simulation:
     """Cycles of the stage, one after the other, under the parameters of the nodes.
 
     Args:
-        values: parameters by node and dotted name.
         law: replaces the law that the parameters name.
         motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
         wiring: puts something between the machine and its driver.
@@ -43,11 +42,7 @@ class Simulation:
     Attributes:
         map: the feedforward's map.
         delay: command delay from the sample, in sampling periods.
-        law: name of the law that the parameters name.
     """
-
-    map: StraightnessMap
-    delay: float
 
     def __init__(
         self,

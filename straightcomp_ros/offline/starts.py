@@ -95,13 +95,10 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
 
     The result is that of `Simulation`, to the last bit, in a fifth of the time.
 
-    Args:
-        values: parameters by node and dotted name.
-        delays: of the first commands in ns, in place of ``stage.drive.delay``, which the others have.
+    ``delays`` are those of the first commands in ns, in place of ``stage.drive.delay``, which the others have.
 
     Raises:
-        ParameterError: a parameter is refused.
-        SurveyError: the map or the guide is refused.
+        ParameterError, SurveyError: the parameters are refused.
         ValueError: the platform's position, or the current, was not finite.
     """
     law = node_set(values).controller.control.law
@@ -126,12 +123,8 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
 
 
 def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:
-    """The first cycle under ``values``, compiled if possible, and the controller's map; ``law`` replaces theirs.
-
-    Raises:
-        ParameterError, SurveyError: the parameters are refused.
-        ValueError: the platform's position, or the current, was not finite.
-    """
+    """The first cycle under ``values``, compiled if possible, and the map; ``law`` replaces theirs. Raises the errors
+    of :func:`run_stroke`."""
     if law is None and can_run(values):
         return run_stroke(values)
     simulation = Simulation(values, law)
@@ -152,13 +145,10 @@ def metrics_of_starts(
 ) -> list[Metrics]:
     """Figures of the first cycle from each start, in the order of :func:`offsets`.
 
-    Args:
-        values: parameters by node and dotted name.
-        count: starts, at least one.
-        progress: called with the fraction that is done.
+    ``progress`` is called with the fraction that is done.
 
     Raises:
         MetricsError: the stage does not move.
-        ParameterError, SurveyError, ValueError: as of :func:`first_cycle`.
+        ParameterError, SurveyError, ValueError: as of :func:`run_stroke`.
     """
     return [evaluate(*run) for run in runs_of_starts(values, count, progress)]

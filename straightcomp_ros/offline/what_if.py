@@ -33,7 +33,6 @@ class WhatIf:
     """Figures of a recorded run, and of two simulations with its motion and its map.
 
     Attributes:
-        recorded: the run.
         again: with the recorded parameters: its difference from ``recorded`` is the error of the simulation.
         changed: with the changes; None without any.
         laws: names of the laws of the three, in this order.
@@ -58,11 +57,8 @@ def what_if(
     The plant is that of the bag's parameters; the loop's delay is the recorded median. If no truth was recorded, the
     guide is that of the map.
 
-    Args:
-        bag: rosbag2 folder or MCAP file.
-        changes: values by node and dotted name, over those of the bag.
-        remap: the bag's topic for each of our topics that has another name there.
-        given: parameters by node and dotted name, of a bag that has none attached.
+    ``changes`` are values by node and dotted name, over those of the bag; ``remap`` and ``given`` as of
+    :func:`~straightcomp_ros.offline.audit.audit`.
 
     Raises:
         BagError, MetricsError: the bag is refused, or its stage does not move.

@@ -139,7 +139,7 @@ def test_simulated_wear_is_found_with_its_cause(pool, wear):
 
 
 @pytest.mark.parametrize("wear", [wear for wear in WEARS if wear.name in ("guide", "bolt")], ids=lambda wear: wear.name)
-def test_without_a_displacement_sensor_nobody_sees_the_guide_move(pool, wear):
+def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
     assert not {"guide", "bolt"} & {one.cause for one in advice_of(levels_of_months(strokes, pool.x))}
 
@@ -237,9 +237,9 @@ def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
 
 def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning(monkeypatch, pool):
     wear = next(one for one in wear_found.WEARS if one.name == "friction")
-    told = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
+    alarms = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
     monkeypatch.setattr(wear_found, "_levels", lambda *_: None)
-    monkeypatch.setattr(wear_found, "alarms_of", lambda _: told)
+    monkeypatch.setattr(wear_found, "alarms_of", lambda _: alarms)
     assert wear_found.found(pool, wear, 0, True) == (50, 2)
 
 

@@ -45,7 +45,7 @@ def test_strokes_with_another_map_are_refused(pool):
 
 
 def test_only_strokes_with_that_map_make_the_proposal(pool):
-    """The zero of the guide's change is the map's: strokes with another one say nothing beside these."""
+    """The zero of the guide's change is the map's: strokes with another one say nothing together with these."""
     old = find_survey("config/survey_synthetic.csv")
     ours, others = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist(), rows(pool).to_pylist()
     for row in others:

@@ -82,5 +82,5 @@ def test_a_server_that_does_not_answer_is_named(monkeypatch, capsys, bucket, tmp
         assert main(["history", "add", f"{bucket}/bags", "-o", str(tmp_path)]) == 1
     finally:
         fsspec.filesystem("s3").clear_instance_cache()
-    told = capsys.readouterr().err
-    assert f"{bucket}/bags: Could not connect" in told and "Traceback" not in told
+    printed = capsys.readouterr().err
+    assert f"{bucket}/bags: Could not connect" in printed and "Traceback" not in printed

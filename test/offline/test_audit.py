@@ -161,8 +161,8 @@ def live(path: Path, seed: int) -> Path:
                 continue  # lost on its way to the controller, not on its way to the logger
             for _ in range(2 if source.random() < 0.02 else 1):
                 pairing.add_sample(stamp, numbers)
-            for taken, sample, served, age_ns in pairing.take():
-                command = servo.step(taken, sample[1], sample[3], served)
+            for taken, sample, given, age_ns in pairing.take():
+                command = servo.step(taken, sample[1], sample[3], given)
                 if command is not None:
                     record("command", taken, command.current)
                     record("controller_state", taken, *command[1:], age_ns * 1e-9)

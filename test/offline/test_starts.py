@@ -1,4 +1,4 @@
-"""Figures over several starts: which starts, and what is told of them."""
+"""Figures over several starts: which starts, and what is reported of them."""
 
 import json
 
@@ -58,10 +58,10 @@ def test_what_the_compiled_loop_does_not_model_is_simulated_from_each_start():
 def test_simulate_tells_median_and_range_of_the_starts(capsys, tmp_path):
     short = [f"--set=stage.{name}={value}" for name, value in SHORT["stage"].items()]
     assert main(["simulate", "--starts", "3", "--json", *short]) == 0
-    told = json.loads(capsys.readouterr().out)
-    starts = told["starts"]
+    printed = json.loads(capsys.readouterr().out)
+    starts = printed["starts"]
     assert starts["count"] == 3
-    assert starts["true_pp_um"]["min"] <= told["true_pp_um"] <= starts["true_pp_um"]["max"]
+    assert starts["true_pp_um"]["min"] <= printed["true_pp_um"] <= starts["true_pp_um"]["max"]
     assert main(["simulate", "--starts", "3", *short]) == 0
     assert " to " in capsys.readouterr().out
 

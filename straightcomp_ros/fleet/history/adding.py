@@ -17,7 +17,6 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.origin import origin
-from straightcomp_ros.fleet.history import HistoryError
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.fleet.history.rows import BagRow, EvaluatedBag, StrokeRow, checksum_of, parquet
 from straightcomp_ros.fleet.history.store import Store
@@ -51,28 +50,22 @@ def add(
     """Evaluate the bags that the store does not have as they are now, and write what they give, each as soon as it is
     there. Only this process writes: the workers need the bags, not the store.
 
-    Args:
-        store: the store.
-        places: of the bags, any number.
-        tally: is counted up.
-        again: evaluates the bags that the store has, too.
-        jobs, dask: where to evaluate, see :func:`straightcomp_ros.offline.workers.spread`.
-        remap: the bags' topic for each of our topics that has another name there.
-        on_added: called with each bag that was evaluated, after it was written.
+    ``tally`` is counted up. ``again`` evaluates the bags that the store has, too. ``jobs`` and ``dask`` say where to
+    evaluate, see :func:`straightcomp_ros.offline.workers.spread`. ``remap`` has the bags' topic for each of our topics
+    that has another name there. ``on_added`` is called with each bag that was evaluated, after it was written.
 
     Raises:
         WorkersError: the workers cannot be reached.
         OSError: the store cannot be written, or a folder not be listed.
     """
     store.clear_abandoned()
-    new = _new(store, places, tally, again)
+    new = _unknown(store, places, tally) if not again else iter(places)
     first = list(islice(new, 2))
     if not first:
         return
     # Other processes take longer to start than one bag takes.
-    for bag in spread(
-        partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs if len(first) > 1 else 1, dask=dask
-    ):
+    jobs = jobs if len(first) > 1 else 1
+    for bag in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
         with _whole():
             store.put(bag)
             if bag.row.reason is None:
@@ -96,9 +89,9 @@ def _whole() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _new(store: Store, places: Iterable[BagPlace], tally: Tally, again: bool) -> Iterator[BagPlace]:
+def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator[BagPlace]:
     for place in places:
-        if not again and store.has(place):
+        if store.has(place):
             tally.known += 1
         else:
             yield place
@@ -107,17 +100,7 @@ def _new(store: Store, places: Iterable[BagPlace], tally: Tally, again: bool) ->
 def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> EvaluatedBag:
     """Evaluate a bag. One that cannot be evaluated is refused with the reason, whatever that is: among thousands of
     bags a single one must not end the work. ``remap`` has the bag's topic for each of ours with another name there."""
-    row = BagRow(
-        location=place.location,
-        size=place.size,
-        modified=place.modified,
-        checksum=None,
-        stage=None,
-        month=None,
-        strokes=0,
-        reason=None,
-        evaluated_by=_this_program(),
-    )
+    row = BagRow(place.location, place.size, place.modified, evaluated_by=_this_program())
     try:
         with _on_this_machine(place) as bag:
             return _evaluated(bag, row, remap)
@@ -134,7 +117,7 @@ def _evaluated(bag: Path, row: BagRow, remap: Mapping[str, str] | None) -> Evalu
         facts = recorded_facts(bag, str(row.checksum), evaluation)
         strokes = rows_of(evaluation, facts)
         data = parquet(StrokeRow, strokes)
-    except (OSError, HistoryError):
+    except (OSError, ImportError):
         raise
     except (BagError, MetricsError) as error:
         reason = str(error)

@@ -41,9 +41,11 @@ class Column(NamedTuple):
         return self.kind.endswith("| None")
 
 
-def column(description: str) -> Any:
+def column(description: str, default: Any = dataclasses.MISSING) -> Any:
     """Declare a field of a row; the unit is at the end of the field's name."""
-    return dataclasses.field(metadata={_DESCRIPTION: description})
+    return dataclasses.field(
+        default=default, kw_only=default is not dataclasses.MISSING, metadata={_DESCRIPTION: description}
+    )
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,12 @@ class BagRow:
     location: str = column("full path or URL of the bag")
     size: int = column("bytes of its files")
     modified: datetime | None = column("when the newest of its files was changed, UTC")
-    checksum: str | None = column("BLAKE2b of its files; null if they could not be read")
-    stage: str | None = column("name of the stage; null for a refused bag")
-    month: str | None = column("month of its strokes, YYYY-MM; null for a refused bag")
-    strokes: int = column("number of its strokes in the table strokes")
-    reason: str | None = column("why its strokes are not in the store; null if they are")
-    evaluated_by: str = column("version of the package that evaluated it")
+    checksum: str | None = column("BLAKE2b of its files; null if they could not be read", None)
+    stage: str | None = column("name of the stage; null for a refused bag", None)
+    month: str | None = column("month of its strokes, YYYY-MM; null for a refused bag", None)
+    strokes: int = column("number of its strokes in the table strokes", 0)
+    reason: str | None = column("why its strokes are not in the store; null if they are", None)
+    evaluated_by: str = column("version of the package that evaluated it", "")
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,8 @@ class _Run:
 
     def row(self, number: int, stroke: Stroke, until_ns: int) -> StrokeRow:
         """The row of a stroke; faults until ``until_ns`` are its own."""
-        evaluation, recorded = self.evaluation, self.recorded
+        evaluation = self.evaluation
+        columns = {name: value for name, value in vars(self.recorded).items() if name != "stage"}
         part = part_of(evaluation.record, stroke.start, stroke.stop)
         known = part.best_known(self.reference)
         workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
@@ -129,11 +130,9 @@ class _Run:
         coils = evaluation.coil_current[stroke.samples]
         balance = force_balance(part.time, part.y, coils)
         return StrokeRow(
-            checksum=recorded.checksum,
-            bag=recorded.bag,
+            **columns,
             stroke=number,
             start=_EPOCH + timedelta(microseconds=begin // 1000),
-            identity=recorded.identity,
             law=part.law,
             **figures,
             control_activity_A=float(np.abs(np.diff(part.current)).sum()),
@@ -157,11 +156,6 @@ class _Run:
             residual_bins_um=bins.means(workpiece * 1e6),
             current_bins_A=bins.means(part.current),
             guide_change_um=self._guide_change(part, stroke, bins),
-            parameters_checksum=recorded.parameters_checksum,
-            map_checksum=recorded.map_checksum,
-            software_version=recorded.software_version,
-            software_revision=recorded.software_revision,
-            host=recorded.host,
         )
 
     def _course(self, stroke: Stroke) -> Course:

@@ -173,7 +173,7 @@ def _with_last_map(profiles: Array, maps: Sequence[str]) -> Array:
 
 def _level(values: Array, forward: NDArray[np.bool_]) -> Any:
     """Mean of the medians of both directions, of those that are there."""
-    parts = [_median(values[one]) for one in (forward, ~forward) if one.any()]
+    parts = [median_of(values[one]) for one in (forward, ~forward) if one.any()]
     if len(parts) == 1:
         return parts[0]
     first, second = parts
@@ -181,8 +181,8 @@ def _level(values: Array, forward: NDArray[np.bool_]) -> Any:
     return np.where(np.isnan(middle), np.where(np.isnan(first), second, first), middle)
 
 
-def _median(values: Array) -> Any:
-    """Over the first axis, without NaN; NaN where nothing else is left."""
+def median_of(values: Array) -> Any:
+    """Median over the first axis, without NaN; NaN where there is nothing else."""
     known = np.isfinite(values)
     if known.all():
         return np.median(values, axis=0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.html_document import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
 from straightcomp_ros.fleet.maintenance.advice import Advice, all_figures
-from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, GUIDE, PROFILES, DayLevels
+from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, GUIDE, PROFILES, DayLevels, median_of
 from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelChange, baseline_of, guide_shifts
 
 Array = NDArray[np.float64]
@@ -34,7 +34,13 @@ def history_plot(levels: DayLevels, values: Array, name: str, changes: Sequence[
     figure.update_yaxes(tickformat=".4~g")
     days = [levels.date(place).isoformat() for place in range(len(levels.day))]
     figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
-    figure.add_scatter(x=days, y=_weekly(values), mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
+    figure.add_scatter(
+        x=days,
+        y=[float(median_of(values[max(0, k - 3) : k + 4])) for k in range(values.size)],
+        mode="lines",
+        line={"color": BLUE, "width": 1.5},
+        name="week",
+    )
     baseline = baseline_of(values, watched)
     if baseline is not None:
         low, high = baseline.centre - SLACK * baseline.sigma, baseline.centre + SLACK * baseline.sigma
@@ -51,7 +57,8 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
     if first.figure != GUIDE:
         figure = history_plot(levels, all_figures(levels)[first.figure], first.figure, [first])
         figure.update_layout(height=_HEIGHT - 60)
-        figure.add_annotation(**_corner("green: baseline; dotted: began; red: alarm"))
+        corner = {"xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}
+        figure.add_annotation(text="green: baseline; dotted: began; red: alarm", **corner)
         return figure
     shifts = guide_shifts(levels.profiles[_GUIDE], levels.x)
     measured = np.flatnonzero(np.isfinite(shifts).any(axis=1))
@@ -113,9 +120,7 @@ def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
         return None
     week = (levels.day - levels.day[0]) // WEEK
     weeks = np.unique(week)
-    with np.errstate(all="ignore"):
-        rows = [_middle(profiles[week == one]) for one in weeks]
-    values = np.array(rows)
+    values = np.array([median_of(profiles[week == one]) for one in weeks])
     begins = [levels.date(int(np.flatnonzero(week == one)[0])).isoformat() for one in weeks]
     largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
     figure = line_figure("", "slider position x / mm")
@@ -132,26 +137,3 @@ def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
         hovertemplate="%{x}, x = %{y} mm: %{z:.1f} nm<extra></extra>",
     )
     return figure
-
-
-def _middle(values: Array) -> Array:
-    """Median over the first axis without NaN, NaN where there is nothing else."""
-    known = np.isfinite(values).any(axis=0)
-    found = np.full(values.shape[1], np.nan)
-    if known.any():
-        found[known] = np.nanmedian(values[:, known], axis=0)
-    return found
-
-
-def _weekly(values: Array) -> Array:
-    """Running median over a week, NaN where there is no value."""
-    return np.array(
-        [
-            float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan
-            for part in (values[max(0, k - 3) : k + 4] for k in range(values.size))
-        ]
-    )
-
-
-def _corner(text: str) -> dict[str, object]:
-    return {"text": text, "xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}

@@ -124,19 +124,9 @@ def changes_of_figure(levels: Array, watched: Watched) -> list[LevelChange]:
         # It cannot have begun after it was found.
         begin = min(start + begin, found)
         after = float(np.median(values[begin:stop][-WEEK:]))
-        ended_at = None if ended is None else int(known[ended])
-        changes.append(
-            LevelChange(
-                watched.name,
-                int(known[begin]),
-                int(known[found]),
-                ended_at,
-                baseline.centre,
-                after,
-                baseline.sigma,
-                step,
-            )
-        )
+        ended = None if ended is None else int(known[ended])
+        days = (int(known[begin]), int(known[found]), ended)
+        changes.append(LevelChange(watched.name, *days, baseline.centre, after, baseline.sigma, step))
         start = stop
     return changes
 

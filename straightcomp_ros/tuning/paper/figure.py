@@ -32,7 +32,7 @@ class Claim:
     name: str
     paper: float | None
     ours: float
-    unit: str
+    unit: str = ""
     tolerance: float = 0.0
     note: str = ""
     range: tuple[float, float] | None = None

@@ -120,7 +120,6 @@ def stick_slip(machine: Machine) -> StickSlip:
             "Fig. 6: stick phases in each period",
             None,
             len(sticks) / PERIODS,
-            "",
             note=f"one at each reversal, {length * 1e3:.0f} ms long: friction below {HELD:.0%} of Coulomb's",
         ),
     )
@@ -147,14 +146,8 @@ def estimate_friction(
     """Estimate velocity and friction from a record; the ends, half a window long, are less certain.
 
     The magnets' negative stiffness counts: an error of 1 µm in where y is zero is 30 mN with the magnets of
-    the shipped parameters.
-
-    Args:
-        y: (n,) encoder readings in m.
-        current: (n,) measured control current in A.
-        rate: samples per second.
-        mass: M in kg.
-        actuator: the magnets, as far as they are known.
+    the shipped parameters. ``y`` (n,) are the encoder's readings in m, ``current`` (n,) is the measured control current
+    in A, ``rate`` in samples per second, ``mass`` M in kg, ``actuator`` the magnets as far as they are known.
     """
     constants, bias = actuator.constants(), actuator.bias_current
     # (2) is arithmetic only: arrays pass through it as numbers do.
@@ -211,18 +204,22 @@ def hysteresis(velocity: NDArray[np.float64], friction: NDArray[np.float64], ris
         bins = np.digitize(velocity[branch], edges)
         count = np.bincount(bins, minlength=edges.size + 1)
         total = np.bincount(bins, friction[branch], minlength=edges.size + 1)
-        # A bin that one branch passes over tells nothing.
+        # A bin that one branch passes over has no mean.
         means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan)[1:-1])
     return float(np.nanmax(np.abs(means[1] - means[0])))
 
 
-def curve_of(response: Response, estimate: FrictionEstimate, coulomb: float) -> FrictionCurve:
-    """Put the estimate of a whole run beside the truth, in the periods evaluated."""
-    window = evaluated(response)
+def friction_curve(machine: Machine) -> FrictionCurve:
+    """Estimate friction from the run of Fig. 6, with the machine's own mass and magnets, and compare with the truth."""
+    run, plant = follow_sine(machine.with_law("linear")), machine.plant
+    estimate = estimate_friction(
+        run.reading, run.coil_current, rate=machine.stage.rate, mass=plant.platform.mass, actuator=plant.actuator
+    )
+    window = evaluated(run)
     inner = FrictionEstimate(estimate.velocity[window], estimate.friction[window])
-    velocity, friction = response.velocity[window], response.friction[window]
+    velocity, friction = run.velocity[window], run.friction[window]
     # r̈ = −ω² r: the velocity asked for rises while r is negative.
-    rising = response.reference[window] < 0.0
+    rising = run.reference[window] < 0.0
     deviation = inner.friction - friction
     width = hysteresis(inner.velocity, inner.friction, rising)
     sliding = np.abs(inner.velocity) > SLIDING
@@ -239,7 +236,7 @@ def curve_of(response: Response, estimate: FrictionEstimate, coulomb: float) -> 
             None,
             float(np.median(np.abs(inner.friction[sliding]))),
             "N",
-            note=f"the simulated machine has {coulomb:g} N Coulomb friction, and its viscous part",
+            note=f"the simulated machine has {plant.friction.coulomb:g} N Coulomb friction, and its viscous part",
         ),
         Claim(
             "Fig. 7: width of the hysteresis, estimated",
@@ -249,14 +246,4 @@ def curve_of(response: Response, estimate: FrictionEstimate, coulomb: float) -> 
             note=f"in the truth {hysteresis(velocity, friction, rising):.2f} N: the bristles bend before they slip",
         ),
     )
-    return FrictionCurve(response.time[window], inner, velocity, friction, rising, width, claims)
-
-
-def friction_curve(machine: Machine) -> FrictionCurve:
-    """Estimate friction from the run of Fig. 6, with the machine's own mass and magnets."""
-    run = follow_sine(machine.with_law("linear"))
-    plant = machine.plant
-    estimate = estimate_friction(
-        run.reading, run.coil_current, rate=machine.stage.rate, mass=plant.platform.mass, actuator=plant.actuator
-    )
-    return curve_of(run, estimate, plant.friction.coulomb)
+    return FrictionCurve(run.time[window], inner, velocity, friction, rising, width, claims)

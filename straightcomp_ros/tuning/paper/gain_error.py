@@ -75,7 +75,6 @@ def gain_error(machine: Machine) -> GainError:
         "Fig. 3: |y/y0| up to which |m_i| ≤ 1",
         PAPER_LIMIT,
         limit,
-        "",
         tolerance=0.02,
         note=f"the paper reads its figure; the closed form (√3 − 1)/2 is {UNIT_GAIN_ERROR_LIMIT:.6f}",
     )
@@ -83,7 +82,6 @@ def gain_error(machine: Machine) -> GainError:
         "Fig. 3: smallest gain 1 + m_i for |i_c| ≤ I0",
         None,
         float(1.0 + m_i.min()),
-        "",
         note="above zero everywhere: |m_i| ≤ 1 is sufficient for the law's sign to be right, not necessary",
     )
     return GainError(positions, _CURRENTS, m_i, limit, (claim, sign))
@@ -133,7 +131,7 @@ class FarRelease:
             text = f"{self.returns_from:.2f}: unclamped law returns from below"
             position.axhline(self.returns_from, color=GREY, linewidth=1.2, linestyle=":", label=text)
             position.set_ylim(-0.15, 0.9)
-            # Against the stop the integral only grows: the first part of it tells the tale.
+            # Against the stop the integral only grows: the first part of it is enough.
             current.set_ylim(-12.0, 1.5)
             label(position, f"Position, {when}", "time / ms", "position y/$y_0$ / 1")
             label(
@@ -171,21 +169,18 @@ def far_release(machine: Machine) -> FarRelease:
             "Fig. 4: from 0.6 y0 the unclamped law diverges (1 yes, 0 no)",
             1.0,
             float(abs(unclamped.y[-1]) > FAR * gap),
-            "",
             note=f"it asks {asked:.1f} I0 at the release; {hit}",
         ),
         Claim(
             "Fig. 4: the same with |i_c| ≤ I0 diverges (1 yes, 0 no)",
             None,
             float(abs(clamped.y[-1]) >= _RETURNED * gap),
-            "",
             note="the divergence belongs to the unclamped law, not to the position",
         ),
         Claim(
             "Fig. 4: largest release from which the unclamped law returns, y/y0",
             None,
             returns_from,
-            "",
             note=f"below the {gain_error_limit():.3f} of |m_i| ≤ 1, which holds for |i_c| ≤ I0 only: the law asks more",
         ),
     )

@@ -57,13 +57,6 @@ class StartGrid:
         return np.concatenate([upper[:0:-1, ::-1], upper])
 
 
-def start_grid(machine: Machine, points: int) -> StartGrid:
-    """All positions between the stops, and all velocities that any of them allows; ``points`` each way, odd."""
-    stop = machine.plant.platform.stop
-    fastest = fastest_outward(machine, -stop)
-    return StartGrid(np.linspace(-stop, stop, points), np.linspace(-fastest, fastest, points))
-
-
 def fastest_outward(machine: Machine, y: float) -> float:
     """Largest ẏ in m/s at ``y`` in m that i_c = −I0, at once, brings to zero before the stop; without friction.
 
@@ -233,7 +226,9 @@ def recovery(machine: Machine, points: int = POINTS) -> Recovery:
     """
     limited = machine.with_limit(machine.plant.actuator.bias_current)
     machines = {PUBLISHED: machine.idealised().with_law("smc"), **{law: limited.with_law(law) for law in LAWS}}
-    grid = start_grid(limited, points)
+    stop, fastest = limited.plant.platform.stop, fastest_outward(limited, -limited.plant.platform.stop)
+    # All positions between the stops, and all velocities that any of them allows.
+    grid = StartGrid(np.linspace(-stop, stop, points), np.linspace(-fastest, fastest, points))
     within = grid.filled(lambda y, v: possible(limited, y, v)) > 0.0
 
     def peaks(law: str, one: Machine) -> NDArray[np.float64]:
@@ -256,7 +251,6 @@ def recovery(machine: Machine, points: int = POINTS) -> Recovery:
         "beyond Fig. 4: region that the amplifier and the delay leave, part of the physical limit",
         None,
         data.share(data.least_peaks < limited.plant.platform.stop),
-        "",
         note="full current, but through the amplifier's lag and half a sample late: no law here can reach further",
     )
     return Recovery(**{**vars(data), "claims": (*claims, amplifier)})
@@ -273,14 +267,12 @@ def _claims(data: Recovery, law: str, machine: Machine) -> tuple[Claim, Claim]:
             f"beyond Fig. 4: {name} recovers from 0.6 y0 (1 yes, 0 no)",
             0.0 if published else None,
             float(back),
-            "",
             note=diverges if published else f"the paper: {diverges}; here within 1 % of y0 after {settled:.0f} ms",
         ),
         Claim(
             f"beyond Fig. 4: region of recovery, {law}, part of the physical limit",
             None,
             data.share(data.region(law)),
-            "",
             note=f"at rest it recovers up to {largest_release(machine) / gap:.2f} y0; the stop is at "
             f"{machine.plant.platform.stop / gap:g} y0",
         ),

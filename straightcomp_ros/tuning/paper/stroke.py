@@ -43,7 +43,7 @@ class SurveyedGuide:
         """All points of the survey with the map through their mean; below, the scatter of the runs about it."""
         figure, (above, below) = sheet("Fig. 2: straightness of the guide, as surveyed", rows=2, size=(8.0, 6.5))
         x_mm = self.x * 1e3
-        text = f"mean (map), {peak_to_peak(self.residual) * 1e6:.1f} µm p-p beside its least squares line"
+        text = f"mean (map), {peak_to_peak(self.residual) * 1e6:.1f} µm p-p about its least squares line"
         above.plot(x_mm, self.deviation * 1e6, color=BLACK, linewidth=1.0, zorder=3, label=text)
         for direction, colour, marker in (("forward", BLUE, "^"), ("backward", VERMILION, "v")):
             for number, run in enumerate(self.survey.runs):
@@ -55,7 +55,7 @@ class SurveyedGuide:
                 scatter = (run.deviation - np.interp(run.x, self.x, self.deviation)) * 1e9
                 below.plot(at_mm, scatter, marker, color=colour, markersize=2.5, label=name)
         label(above, "Deviation of the guide", "slider position x / mm", "deviation δ / µm")
-        label(below, "Runs beside the map", "slider position x / mm", "run − map / nm")
+        label(below, "Runs relative to the map", "slider position x / mm", "run − map / nm")
         for axes in (above, below):
             legend_above(axes, columns=3)
             axes.margins(x=0.01)

@@ -154,7 +154,7 @@ def test_trials_do_not_depend_on_their_order(scenario):
     assert len({result.pp for result in forward}) == len(forward)
 
 
-def test_a_law_meets_the_same_machine_whichever_laws_run_beside_it(values, scenario):
+def test_a_law_meets_the_same_machine_whichever_laws_run_with_it(values, scenario):
     alone = run_trials(make_scenario(values, ["smc"]), 3, [4])
     assert alone == [result for result in run_trials(scenario, 3, [4]) if result.law == "smc"]
 
