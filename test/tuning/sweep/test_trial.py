@@ -28,6 +28,7 @@ EXACT = UncertaintyParameters(
     map_noise=0.0,
 )  # fmt: skip
 """The machine that the controller was designed for."""
+HIGH_GAIN = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
 EXACT_STAGE = replace(STAGE, uncertainty=EXACT)
 
 
@@ -165,48 +166,24 @@ def test_another_seed_is_another_machine(scenario):
     assert first.pp != second.pp
 
 
-def test_a_platform_that_falls_onto_its_stop_is_at_the_stop(values):
-    # A milliampere does not hold it against the magnets' pull a tenth of a millimetre off the centre.
-    values["stage"]["actuator.current_limit"] = 1e-3
-    values["driver"] = {"simulated.initial_y": 1e-4}
-    (result,) = run_trials(make_scenario(within(EXACT, values), ["linear"]), 1, [0])
-    assert result.verdict.verdict == "at_stop"
-    assert result.pp < np.inf
+WEAK = {"actuator.current_limit": 1e-3}
+"""A milliampere overcomes neither friction nor the magnets' pull a tenth of a millimetre off the centre."""
 
 
-def test_a_platform_that_a_weak_law_cannot_move_is_saturated(values):
-    # A milliampere does not overcome friction.
-    values["stage"]["actuator.current_limit"] = 1e-3
-    values["stage"]["motion.stroke"] = 1.2
-    (result,) = run_trials(make_scenario(within(EXACT, values), ["linear"]), 1, [0])
-    assert result.verdict.verdict == "saturated"
-
-
-def test_a_law_that_switches_with_sgn_limit_cycles(values):
-    values["stage"]["motion.stroke"] = 0.1
-    values["controller"] = {"control.smc.boundary_layer": 0.0}
-    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
-    assert result.verdict.verdict == "oscillates"
-
-
-def test_a_gain_too_high_for_the_delay_limit_cycles_where_half_the_delay_does_not(values):
-    values["stage"]["motion.stroke"] = 0.1
-    values["controller"] = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
-    late, early = (run_trials(make_scenario(within(EXACT, values, delay), ["smc"]), 1, [0])[0] for delay in (1.5, 0.2))
-    assert late.verdict.verdict == "oscillates" and early.verdict.in_order
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_each_law_is_in_order_on_the_machine_that_it_was_designed_for(values, law):
-    values["stage"]["motion.stroke"] = 0.1
-    (result,) = run_trials(make_scenario(within(EXACT, values), [law]), 1, [0])
-    assert result.verdict.in_order
-
-
-def test_a_stage_that_leaves_the_survey_left_the_map(values):
-    values["stage"]["motion.stroke"] = 1.8
-    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
-    assert result.verdict.verdict == "left_map"
-    values["stage"]["motion.stroke"] = 1.77
-    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
-    assert result.verdict.in_order
+@pytest.mark.parametrize(
+    ("law", "stage", "others", "delay", "verdict"),
+    [
+        ("linear", WEAK, {"driver": {"simulated.initial_y": 1e-4}}, 0.5, "at_stop"),
+        ("linear", {**WEAK, "motion.stroke": 1.2}, {}, 0.5, "saturated"),
+        ("smc", {"motion.stroke": 0.1}, {"controller": {"control.smc.boundary_layer": 0.0}}, 0.5, "oscillates"),
+        ("smc", {"motion.stroke": 0.1}, {"controller": HIGH_GAIN}, 1.5, "oscillates"),
+        ("smc", {"motion.stroke": 0.1}, {"controller": HIGH_GAIN}, 0.2, "in_order"),
+        ("smc", {"motion.stroke": 1.8}, {}, 0.5, "left_map"),
+        ("smc", {"motion.stroke": 1.77}, {}, 0.5, "in_order"),
+        *((law, {"motion.stroke": 0.1}, {}, 0.5, "in_order") for law in LAWS),
+    ],
+)
+def test_a_law_gets_the_verdict_that_its_machine_deserves(values, law, stage, others, delay, verdict):
+    values = {**values, **others, "stage": {**values["stage"], **stage}}
+    (result,) = run_trials(make_scenario(within(EXACT, values, delay), [law]), 1, [0])
+    assert result.verdict.verdict == verdict and result.pp < np.inf
