@@ -25,12 +25,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from scripts.law_figures import LawFigures, figures_of
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
-from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, with_values
-from straightcomp_ros.offline.starts import Spread
+from straightcomp_ros.offline.starts import Spread, Values, with_values
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters

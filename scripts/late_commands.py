@@ -19,8 +19,7 @@ from straightcomp_ros.analysis.record import find_motion
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.offline.compiled_stroke import run_stroke
-from straightcomp_ros.offline.starts import spreads, values_of_starts
+from straightcomp_ros.offline.starts import run_stroke, spreads, values_of_starts
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.tuning.commissioning.acceptance import stalled

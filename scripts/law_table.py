@@ -14,13 +14,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from scripts.law_figures import LawFigures, figures_of, law_of
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
-from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, law_of, with_values
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
-from straightcomp_ros.offline.starts import Spread
+from straightcomp_ros.offline.starts import Spread, Values, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper.ideal_machine import machine_from
+from straightcomp_ros.tuning.paper.machine import machine_from
 
 SGN = "`smc` with sgn σ as printed"
 NAMES = {

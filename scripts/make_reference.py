@@ -11,10 +11,8 @@ from pathlib import Path
 import cantools
 
 from straightcomp_ros import contract
-from straightcomp_ros.fleet.history.bag_row import BagRow
-from straightcomp_ros.fleet.history.row_columns import columns_of
+from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, columns_of
 from straightcomp_ros.fleet.history.store import BAGS, STROKES
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 from straightcomp_ros.hardware.can import can_parameters, emulator_frames
 from straightcomp_ros.messages.cdr import BATCH_TYPE
 from straightcomp_ros.parameters.declaration import Declaration, declarations

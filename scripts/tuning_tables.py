@@ -7,8 +7,7 @@ True error p-p and RMS in µm, RMS step of i_c in mA; each is the median of nine
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from straightcomp_ros.offline.comparison import Values, with_values
-from straightcomp_ros.offline.starts import STARTS, Spread, metrics_of_starts, spreads
+from straightcomp_ros.offline.starts import STARTS, Spread, Values, metrics_of_starts, spreads, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 FIGURES = {"p-p": ("true_pp_um", 1.0, 2), "RMS": ("true_rms_um", 1.0, 3), "step of i_c": ("control_rms_step_A", 1e3, 1)}

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from scripts import law_table as script
-from straightcomp_ros.offline.comparison import LawFigures, figures_of, law_of, with_values
-from straightcomp_ros.offline.starts import Spread, spread
+from scripts.law_figures import LawFigures, figures_of, law_of
+from straightcomp_ros.offline.starts import Spread, spread, with_values
 
 SHORT = {
     "driver": {"simulated.truth.guide": "config/guide_synthetic.csv"},

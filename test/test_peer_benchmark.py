@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import peer_opensmc as script
-from straightcomp_ros.offline.comparison import LawFigures, figures_of, with_values
-from straightcomp_ros.offline.starts import spread
+from scripts.law_figures import LawFigures, figures_of
+from straightcomp_ros.offline.starts import spread, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 SHORT = {

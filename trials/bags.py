@@ -32,7 +32,7 @@ from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.messages.cdr import read_by_names
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters

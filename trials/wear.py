@@ -17,9 +17,7 @@ import numpy as np
 
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import print_json
-from straightcomp_ros.fleet.history.recorded_facts import checksum_of
-from straightcomp_ros.fleet.history.row_columns import table_of
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
+from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, table_of
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded
 from straightcomp_ros.fleet.maintenance.advice import advice_of, changes_of
 from straightcomp_ros.fleet.maintenance.day_levels import DayLevels
@@ -27,7 +25,7 @@ from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.offline.starts import metrics_of_starts, spread
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.tuning.sweep.draws import mismeasured
+from straightcomp_ros.tuning.sweep.trial import mismeasured
 from trials.rig import Progress, progress
 from trials.worn_stage import (
     SOUND,

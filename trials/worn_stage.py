@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.fleet.history.evaluated_bag import parquet
+from straightcomp_ros.fleet.history.rows import StrokeRow, parquet
 from straightcomp_ros.fleet.history.store import STROKES
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, levels_of
-from straightcomp_ros.fleet.maintenance.trend import MONTH, WEEK
+from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values

@@ -49,7 +49,7 @@ def _given(options: argparse.Namespace) -> dict[str, dict[str, Any]] | None:
 
 
 def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
-    from straightcomp_ros.offline.replay.audit import audit
+    from straightcomp_ros.offline.audit import audit
 
     with working("computing the commands again"):
         found = audit(bag, remap, given)
@@ -76,7 +76,7 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
 
 def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.cli.options import chosen_changes
-    from straightcomp_ros.offline.replay.what_if import what_if
+    from straightcomp_ros.offline.what_if import what_if
 
     with working("simulating"):
         result = what_if(bag, chosen_changes(options), remap, given)
@@ -99,7 +99,7 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
 
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
-    from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
+    from straightcomp_ros.offline.graph_replay import replay_through_graph
     from straightcomp_ros.parameters.output_files import making
 
     require_ros()

@@ -29,9 +29,8 @@ from straightcomp_ros.cli.results import (
     results_table,
     warn_of_missing_margin,
 )
-from straightcomp_ros.offline.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
+from straightcomp_ros.offline.starts import Spread, can_run, run_stroke, runs_of_starts, spreads
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap

@@ -74,12 +74,8 @@ def run_cycle(
     The law starts at rest at its first reading. The time limits of amplifier, board and `Servo` for late commands and
     lost samples are not modelled.
 
-    Args:
-        law: the law; its functions must be `compilable`.
-        plant: the machine.
-        conditions: of the cycle.
-        initial: state of the plant at the start; its forces are not read.
-        hold: how the board holds the platform when the next command is late.
+    The law's functions must be `compilable`. Of the plant's ``initial`` state the forces are not read; ``hold`` is how
+    the board holds the platform when the next command is late.
     """
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)

@@ -1,32 +1,99 @@
-"""What all trials of a sweep have in common: the nominal machine, the motion, the survey and the laws' design."""
+"""How a stroke is set up offline: from the parameters of the nodes to what a law is given at each sample.
+
+`node_set` reads the parameters, for the simulation of the nodes too. A scenario holds what strokes and sweeps take from
+them; its stroke is the motion as all but the platform see it, and its cycle is the platform's answer.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.pairing import extrapolated
+from straightcomp_ros.model.compiled import compiled
+from straightcomp_ros.model.converters import nearest_count
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.offline.simulation import node_set
+from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.offline.kernel import Conditions, Cycle, run_cycle
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import DriverNodeParameters, Values
+from straightcomp_ros.parameters.node_parameters import (
+    CellNodeParameters,
+    ControllerNodeParameters,
+    DriverNodeParameters,
+    FeedforwardNodeParameters,
+    Values,
+    node_parameters,
+)
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
-from straightcomp_ros.straightness.feedforward import FeedforwardParameters
-from straightcomp_ros.straightness.guide_map import find_survey
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters, continues, rates, restarted, updated
+from straightcomp_ros.straightness.guide_map import StraightnessMap, find_survey
 from straightcomp_ros.straightness.survey import Survey, read_survey
 
 LOWEST_RATE = 100
 """Hz; below, a period comes near the gap after which the Servo restarts a law, which the kernel does not model."""
 
 
+class NodeSet(NamedTuple):
+    """Parameters of the simulated nodes."""
+
+    driver: DriverNodeParameters
+    feedforward: FeedforwardNodeParameters
+    controller: ControllerNodeParameters
+    cell: CellNodeParameters
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Motion of the stage, one cycle."""
+        return Trajectory(forward_and_back(self.cell.stage.motion))
+
+    def survey(self) -> Survey:
+        """The measurement for the feedforward's map; SurveyError if it is refused."""
+        guide = self.feedforward.stage.guide
+        return read_survey(find_survey(guide.file), min_points=guide.min_points, max_gap=guide.max_gap)
+
+    def check_rates(self) -> None:
+        """Raise ParameterError if controller and machine disagree about the rate."""
+        rate, machine = self.controller.stage.rate, self.driver.stage.rate
+        if rate != machine:
+            raise ParameterError(
+                f"node controller: parameter 'stage.rate': {rate} Hz; allowed: {machine} Hz, as the driver has"
+            )
+
+
+def node_set(values: Values) -> NodeSet:
+    """The parameters of the simulated nodes; ParameterError if one is refused."""
+    return NodeSet(*(node_parameters(node, values) for node in NodeSet._fields))
+
+
+class Stroke(NamedTuple):
+    """One motion of the stage; all arrays (n,), one entry for each sample.
+
+    Attributes:
+        stamps: ns; the first is 0.
+        true_x, x: of the slider in m, and as its encoder reads it.
+        map: of the guide.
+        references: (n, 3) r in m, ṙ in m/s and r̈ in m/s² of the feedforward.
+        given: (n, 3) the same as the law gets them.
+    """
+
+    stamps: NDArray[np.int64]
+    true_x: NDArray[np.float64]
+    x: NDArray[np.float64]
+    map: StraightnessMap
+    references: NDArray[np.float64]
+    given: NDArray[np.float64]
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A sweep without its seed: self-contained, so that it can be sent to a worker that has no files.
+    """A stroke, or a sweep without its seed: self-contained, so that it can be sent to a worker that has no files.
 
     The guide is left out: the error under r(x) does not depend on how straight the guide truly is.
 
@@ -35,6 +102,7 @@ class Scenario:
         description: of the stage, as the controller has it.
         controls: parameters of each law, by its name.
         feedforward: tracking of the stage.
+        followed: description of the stage, as the feedforward has it.
         lead_ns: how much older than a sample its reference is, in ns.
         trajectory: motion of the stage, one cycle.
         survey: the measurement for the controller's map.
@@ -44,13 +112,15 @@ class Scenario:
     description: StageParameters
     controls: Mapping[str, ControlParameters]
     feedforward: FeedforwardParameters
+    followed: StageParameters
     lead_ns: int
     trajectory: Trajectory
     survey: Survey
 
     def on(self, stage: StageParameters) -> Scenario:
-        """The same on another stage: controller and machine have its description."""
-        return dataclasses.replace(self, description=stage, driver=dataclasses.replace(self.driver, stage=stage))
+        """The same on another stage: all have its description."""
+        driver = dataclasses.replace(self.driver, stage=stage)
+        return dataclasses.replace(self, description=stage, followed=stage, driver=driver)
 
     @property
     def period_ns(self) -> int:
@@ -65,6 +135,45 @@ class Scenario:
     def positions(self, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
         """True x (n,) in m at ``stamps`` (n,) in ns."""
         return np.array([self.trajectory.position(stamp) for stamp in stamps.tolist()])
+
+    def stroke(self, stamps: NDArray[np.int64] | None = None, survey: Survey | None = None) -> Stroke:
+        """A cycle with samples at ``stamps`` in ns, by default on the grid, and a map by ``survey``, by default by its
+        own; SurveyError if the survey gives no map within the platform's travel."""
+        if stamps is None:
+            stamps = np.arange(self.samples, dtype=np.int64) * self.period_ns
+        straightness = StraightnessMap(survey or self.survey, self.followed.guide)
+        true_x = self.positions(stamps)
+        x = readings(self.driver.stage.encoder.x_resolution, true_x)
+        found = references(straightness, self.feedforward, self.followed.motion.highest_speed, stamps, x)
+        return Stroke(stamps, true_x, x, straightness, found, paired(found, stamps, self.lead_ns))
+
+    def cycle(
+        self,
+        law: Law,
+        stroke: Stroke,
+        delays: float | NDArray[np.int64] | None = None,
+        noise: NDArray[np.float64] | None = None,
+        plant: PlantParameters | None = None,
+    ) -> Cycle:
+        """The platform during a stroke; it is shorter than the stroke if a current or a position was not finite.
+
+        Args:
+            law: of the scenario, or another compilable one.
+            stroke: of the scenario.
+            delays: of all commands in sampling periods, or of the first ones in ns; the stage's by default, and of all
+                others.
+            noise: (n,) added to y before the encoder rounds, m.
+            plant: the machine, by default the scenario's.
+        """
+        own = delays if isinstance(delays, float) else self.driver.stage.drive.delay
+        late = np.full(stroke.stamps.size, round(own * self.period_ns))
+        if isinstance(delays, np.ndarray):
+            late[: delays.size] = delays[: late.size]
+        conditions = Conditions(
+            stroke.stamps, late, stroke.given, np.zeros(stroke.stamps.size) if noise is None else noise
+        )
+        initial = PlantState(y=self.driver.simulated.initial_y)
+        return run_cycle(law, plant or self.driver.plant, conditions, initial, self.driver.hold)
 
 
 def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
@@ -81,21 +190,20 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
     controls = {}
     for law in laws:
         nodes = node_set({**values, "controller": {**values.get("controller", {}), "control.law": law}})
-        driver, feedforward, controller, cell = nodes
         nodes.check_rates()
-        rate = controller.stage.rate
+        rate = nodes.controller.stage.rate
         if rate < LOWEST_RATE:
             raise ParameterError(f"parameter 'stage.rate': {rate} Hz; allowed in a sweep: >= {LOWEST_RATE}")
-        controls[law] = controller.control
-    guide_map = feedforward.stage.guide
+        controls[law] = nodes.controller.control
     scenario = Scenario(
-        driver=driver,
-        description=controller.stage,
+        driver=nodes.driver,
+        description=nodes.controller.stage,
         controls=controls,
-        feedforward=feedforward.feedforward,
-        lead_ns=controller.lead_ns,
-        trajectory=Trajectory(forward_and_back(cell.stage.motion)),
-        survey=read_survey(find_survey(guide_map.file), min_points=guide_map.min_points, max_gap=guide_map.max_gap),
+        feedforward=nodes.feedforward.feedforward,
+        followed=nodes.feedforward.stage,
+        lead_ns=nodes.controller.lead_ns,
+        trajectory=nodes.trajectory,
+        survey=nodes.survey(),
     )
     _check(scenario)
     return scenario
@@ -116,3 +224,51 @@ def _check(scenario: Scenario) -> None:
 def laws_of(scenario: Scenario) -> dict[str, Law]:
     """The scenario's laws, ready to run."""
     return {law: make_law(control, scenario.description) for law, control in scenario.controls.items()}
+
+
+@compiled
+def readings(resolution: float, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Readings of an encoder of ``resolution`` (m) at ``positions``, (n,) in m."""
+    seen = np.empty_like(positions)
+    for k in range(positions.size):
+        seen[k] = nearest_count(resolution, positions[k])
+    return seen
+
+
+@compiled
+def _follow(bandwidth, gap_ns, max_speed, stamps, x, v, a):  # type: ignore[no-untyped-def]
+    tracked = restarted(x[0])
+    v[0], a[0] = tracked.v, tracked.a
+    for k in range(1, x.size):
+        elapsed = stamps[k] - stamps[k - 1]
+        if continues(gap_ns, max_speed, elapsed, x[k] - x[k - 1]):
+            tracked = updated(bandwidth, tracked, elapsed * 1e-9, x[k])
+        else:
+            tracked = restarted(x[k])
+        v[k], a[k] = tracked.v, tracked.a
+
+
+def references(
+    straightness: StraightnessMap,
+    parameters: FeedforwardParameters,
+    highest_speed: float,
+    stamps: NDArray[np.int64],
+    x: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The references of a whole cycle at once, bit for bit those of `Feedforward.step`, by the same functions.
+
+    r in m, ṙ in m/s and r̈ in m/s², (n, 3), at ``stamps``, (n,) in ns, all different, and ``x``, (n,) in m.
+
+    ``highest_speed`` is that which the stage cannot reach, m/s.
+    """
+    v, a = np.empty_like(x), np.empty_like(x)
+    _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, stamps, x, v, a)
+    r, slope, curvature = straightness.evaluate(x)
+    return np.column_stack([r, *rates(slope, curvature, v, a)])
+
+
+def paired(references: NDArray[np.float64], stamps: NDArray[np.int64], lead_ns: int) -> NDArray[np.float64]:
+    """The references as `Pairing` gives them to the law, (n, 3): extrapolated from those of ``lead_ns`` before each
+    sample."""
+    earlier = np.searchsorted(stamps, np.maximum(stamps - lead_ns, stamps[0]), side="right") - 1
+    return np.column_stack(extrapolated(*references[earlier].T, (stamps - stamps[earlier]) * 1e-9))

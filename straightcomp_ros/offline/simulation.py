@@ -5,7 +5,6 @@ It calls what the nodes call, in the order of `lockstep`, so that both give the 
 
 from array import array
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,44 +17,20 @@ from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.parameters import node_parameters as nodes
-from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.feedforward import Feedforward
-from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 _PROGRESS_EVERY = 2000
 _COLUMNS = ("x", "y", "r", "current", "true_x", "true_y", "guide")
-
-
-class NodeSet(NamedTuple):
-    """Parameters of the simulated nodes."""
-
-    driver: nodes.DriverNodeParameters
-    feedforward: nodes.FeedforwardNodeParameters
-    controller: nodes.ControllerNodeParameters
-    cell: nodes.CellNodeParameters
-
-    def check_rates(self) -> None:
-        """Raise ParameterError if controller and machine disagree about the rate."""
-        rate, machine = self.controller.stage.rate, self.driver.stage.rate
-        if rate != machine:
-            raise ParameterError(
-                f"node controller: parameter 'stage.rate': {rate} Hz; allowed: {machine} Hz, as the driver has"
-            )
-
-
-def node_set(values: Values) -> NodeSet:
-    """The parameters of the simulated nodes; ParameterError if one is refused."""
-    return NodeSet(*(nodes.node_parameters(node, values) for node in NodeSet._fields))
 
 
 class Simulation:
     """Cycles of the stage, one after the other, under the parameters of the nodes.
 
     Args:
-        values: parameters by node and dotted name.
         law: replaces the law that the parameters name.
         motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
         wiring: puts something between the machine and its driver.
@@ -67,11 +42,7 @@ class Simulation:
     Attributes:
         map: the feedforward's map.
         delay: command delay from the sample, in sampling periods.
-        law: name of the law that the parameters name.
     """
-
-    map: StraightnessMap
-    delay: float
 
     def __init__(
         self,
@@ -82,12 +53,12 @@ class Simulation:
     ) -> None:
         parameters = node_set(values)
         parameters.check_rates()
-        driver, feedforward, controller, cell = parameters
+        driver, feedforward, controller, _ = parameters
         stage, control = controller.stage, controller.control
-        self.map = load_map(feedforward.stage.guide)
+        self.map = StraightnessMap(parameters.survey(), feedforward.stage.guide)
         self.delay = driver.stage.drive.delay
         self.law = control.law
-        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.stage.motion)), 0)
+        self._trajectory, self._start_ns = motion or (parameters.trajectory, 0)
         first = self._trajectory.waypoints[0].position
         hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
         self._period_ns = hardware.period_ns
@@ -127,8 +98,8 @@ class Simulation:
             reference = reference_at(sample.stamp_ns, sample.x)
             pairing.add_reference(sample.stamp_ns, reference)
             pairing.add_sample(sample.stamp_ns, (sample.x, sample.y, sample.current))
-            ((stamp_ns, (x, y, coil_current), served, age_ns),) = pairing.take()
-            command = step(stamp_ns, y, coil_current, served, x)
+            ((stamp_ns, (x, y, coil_current), given, age_ns),) = pairing.take()
+            command = step(stamp_ns, y, coil_current, given, x)
             assert command is not None  # a simulated sample is finite and newer than the last
             hardware.write(command.current, sample.stamp_ns + delay_ns)
             rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.offline.compiled_stroke import can_run, run_stroke
+from straightcomp_ros.offline.scenario import LOWEST_RATE, laws_of, make_scenario, node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -56,6 +57,13 @@ def spreads(shown: Iterable[Mapping[str, float | None]]) -> dict[str, Spread]:
     return {name: spread(numbers) for name, numbers in columns.items() if len(numbers) == len(rows)}
 
 
+def with_values(values: Values, node: str, changes: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """A copy of ``values`` with ``changes`` of parameters of ``node``, by dotted name."""
+    copied = {name: dict(parameters) for name, parameters in values.items()}
+    copied.setdefault(node, {}).update(changes)
+    return copied
+
+
 def offsets(count: int = STARTS) -> tuple[float, ...]:
     """Offsets in m from the start of the parameters: none, then to either side in turn."""
     return tuple(offset(k, PITCH) for k in range(count))
@@ -73,13 +81,50 @@ def values_of_starts(values: Values, count: int = STARTS) -> list[dict[str, Mapp
     return [{**values, "driver": {**driver, "simulated.initial_y": initial + offset}} for offset in offsets(count)]
 
 
-def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:
-    """The first cycle under ``values``, compiled if possible, and the controller's map; ``law`` replaces theirs.
+def can_run(values: Values) -> bool:
+    """Whether the compiled loop models a cycle under ``values``; ParameterError if a parameter is refused."""
+    driver, _, controller, _ = node_set(values)
+    rate = driver.stage.rate
+    oldest_command = (driver.stage.drive.delay + 1.0) / rate
+    answers_in_time = oldest_command < driver.simulated.command_timeout
+    return rate == controller.stage.rate and rate >= LOWEST_RATE and answers_in_time and not controller.learning.learn
+
+
+def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple[StrokeRecord, StraightnessMap]:
+    """The first cycle under ``values``, for which :func:`can_run` must hold, and the map.
+
+    The result is that of `Simulation`, to the last bit, in a fifth of the time.
+
+    ``delays`` are those of the first commands in ns, in place of ``stage.drive.delay``, which the others have.
 
     Raises:
         ParameterError, SurveyError: the parameters are refused.
         ValueError: the platform's position, or the current, was not finite.
     """
+    law = node_set(values).controller.control.law
+    scenario = make_scenario(values, [law])
+    stroke = scenario.stroke()
+    cycle = scenario.cycle(laws_of(scenario)[law], stroke, delays)
+    count = stroke.stamps.size
+    if cycle.y.size < count:
+        raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
+    record = StrokeRecord(
+        time=np.arange(count) * (scenario.period_ns * 1e-9),
+        x=stroke.x,
+        y=cycle.y,
+        r=stroke.references[:, 0].copy(),
+        current=cycle.current,
+        true_x=stroke.true_x,
+        true_y=cycle.true_y,
+        guide=scenario.driver.guide().deviations(stroke.true_x),
+        law=law,
+    )
+    return record, stroke.map
+
+
+def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:
+    """The first cycle under ``values``, compiled if possible, and the map; ``law`` replaces theirs. Raises the errors
+    of :func:`run_stroke`."""
     if law is None and can_run(values):
         return run_stroke(values)
     simulation = Simulation(values, law)
@@ -100,13 +145,10 @@ def metrics_of_starts(
 ) -> list[Metrics]:
     """Figures of the first cycle from each start, in the order of :func:`offsets`.
 
-    Args:
-        values: parameters by node and dotted name.
-        count: starts, at least one.
-        progress: called with the fraction that is done.
+    ``progress`` is called with the fraction that is done.
 
     Raises:
         MetricsError: the stage does not move.
-        ParameterError, SurveyError, ValueError: as of :func:`first_cycle`.
+        ParameterError, SurveyError, ValueError: as of :func:`run_stroke`.
     """
     return [evaluate(*run) for run in runs_of_starts(values, count, progress)]

@@ -1,19 +1,17 @@
-"""Spreads work over the cores of this machine by joblib, or over those of others by Dask."""
+"""Spreads work over the cores of this machine, or over those of a Dask cluster, by joblib."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from itertools import islice
+from contextlib import ExitStack
 from typing import Any, TypeVar
 
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, parallel_config
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _CONNECT_S = 20.0
-_AHEAD = 4
-"""Items that wait for each core of a Dask cluster: enough to keep it busy, and few enough to fit into any memory."""
 
 
 class WorkersError(RuntimeError):
@@ -41,56 +39,38 @@ def spread(
     Raises:
         WorkersError: Dask is not installed, or its scheduler or workers cannot be reached.
     """
-    return _on_dask(dask, function, shared, items) if dask else _on_this_machine(jobs, function, shared, items)
+    with ExitStack() as open_client:
+        if dask:
+            client = open_client.enter_context(_client_of(dask))
+            where = {"backend": "dask", "client": client, "scatter": list(shared)}
+        else:
+            where = {"backend": "loky", "n_jobs": jobs}
+        with parallel_config(**where):
+            parallel = Parallel(return_as="generator_unordered")
+        results = parallel(delayed(function)(*shared, item) for item in items)
+        try:
+            for result in results:  # noqa: UP028 - `yield from` would close it before the warning is switched off
+                yield result
+        finally:
+            with warnings.catch_warnings():
+                # joblib warns of results that were not taken: after Ctrl-C or an error none are wanted.
+                warnings.simplefilter("ignore")
+                results.close()
 
 
-def _on_this_machine(
-    jobs: int, function: Callable[..., _Result], shared: tuple[Any, ...], items: Iterable[_Item]
-) -> Iterator[_Result]:
-    parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
-    results = parallel(delayed(function)(*shared, item) for item in items)
+def _client_of(address: str) -> Any:
+    """A client of a Dask scheduler with a worker."""
     try:
-        for result in results:  # noqa: UP028 - `yield from` would close it before the warning is switched off
-            yield result
-    finally:
-        with warnings.catch_warnings():
-            # joblib warns of results that nobody took: after Ctrl-C or an error nobody wants them.
-            warnings.simplefilter("ignore")
-            results.close()
-
-
-def _on_dask(
-    address: str, function: Callable[..., _Result], shared: tuple[Any, ...], items: Iterable[_Item]
-) -> Iterator[_Result]:
-    try:
-        from distributed import Client, as_completed
+        from distributed import Client
     except ImportError as error:
         raise WorkersError("Dask is not installed. Remedy: pip install 'straightcomp_ros[dask]'") from error
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise WorkersError(f"no Dask scheduler at {address!r}: {error}") from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_CONNECT_S)
-        except TimeoutError as error:
-            raise WorkersError(
-                f"the Dask scheduler at {address!r} has no worker. Remedy: dask worker {address}"
-            ) from error
-        # Sent once to each worker, not with each item.
-        everywhere = client.scatter(list(shared), broadcast=True, hash=False) if shared else []
-        remaining, pending = iter(items), set[Any]()
-
-        def submitted(count: int) -> list[Any]:
-            futures = [client.submit(function, *everywhere, item, pure=False) for item in islice(remaining, count)]
-            pending.update(futures)
-            return futures
-
-        completed = as_completed(submitted(_AHEAD * sum(client.nthreads().values())), loop=client.loop)
-        try:
-            for future in completed:
-                pending.remove(future)
-                completed.update(submitted(1))
-                yield future.result()
-        finally:
-            client.cancel(list(pending))
+    try:
+        client.wait_for_workers(1, timeout=_CONNECT_S)
+    except TimeoutError as error:
+        client.close()
+        raise WorkersError(f"the Dask scheduler at {address!r} has no worker. Remedy: dask worker {address}") from error
+    return client

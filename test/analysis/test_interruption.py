@@ -11,7 +11,7 @@ from rewritten_bag import SMC, rewritten
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE
-from straightcomp_ros.fleet.history.evaluated_bag import evaluate_bag
+from straightcomp_ros.fleet.history.adding import evaluate_bag
 from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
 
 S = 1_000_000_000

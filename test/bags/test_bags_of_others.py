@@ -25,7 +25,7 @@ from straightcomp_ros.bags.reader import read_attachments, read_messages, read_m
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 
 SAMPLE = next((Path(__file__).resolve().parents[2] / "bags" / "smc").glob("*.mcap"))
 CYCLES = 800

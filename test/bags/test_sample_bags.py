@@ -13,7 +13,7 @@ from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STREAMS
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ("survey", "uncompensated", "smc", "cut_off")

@@ -20,7 +20,7 @@ from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.sweep.draws import draw, streams
+from straightcomp_ros.tuning.sweep.trial import draw, streams
 
 SPACING = 1e-3
 MARGIN = 0.05

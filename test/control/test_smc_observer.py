@@ -13,8 +13,8 @@ from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesig
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, LagWeights, SizeGains, _stiffness, fit_at_start, fitted, lagged
 from straightcomp_ros.model.friction import bristle_after, friction_force
-from straightcomp_ros.offline.compiled_stroke import run_stroke
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters

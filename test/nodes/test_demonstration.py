@@ -21,7 +21,7 @@ from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate
 from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.learning import Learning, LearningParameters
-from straightcomp_ros.offline.replay.audit import audit
+from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
 
 pytestmark = pytest.mark.keeps_time

@@ -10,7 +10,7 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND
-from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
+from straightcomp_ros.offline.graph_replay import replay_through_graph
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS

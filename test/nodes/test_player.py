@@ -13,7 +13,7 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.contract import CLOCK, ENCODER, POSITION_EVERY
-from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
+from straightcomp_ros.offline.graph_replay import replay_through_graph
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.runtime.streams import stream_qos, subscribe
 

@@ -17,9 +17,9 @@ from straightcomp_ros.cell.demonstration import Demonstration
 from straightcomp_ros.cli import demo
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.replay.what_if import what_if
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import first_cycle
+from straightcomp_ros.offline.what_if import what_if
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey

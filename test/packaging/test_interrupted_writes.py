@@ -32,7 +32,6 @@ CASES = {
     "friction --output": ([], "friction smc -o p.yaml --force"),
     "friction --excitation": ([], "friction --excitation p.yaml --force"),
     "history add --store": ([OLD_STORE], "history add uncompensated smc -o store --jobs 1 --again"),
-    "history compact store": ([OLD_STORE, "history add uncompensated -o store --jobs 1"], "history compact store"),
     "history advise --output": ([OLD_STORE, "history advise store -o out"], "history advise store -o out"),
     "history report --output": ([OLD_STORE, "history report store -o out"], "history report store -o out"),
     "map build --output --plot": ([], "map build survey -o p.yaml --plot r.png --force"),

@@ -1,19 +1,29 @@
-"""Adds bags to a store, on as many cores as wanted."""
+"""Adds bags to a store, on as many cores as wanted. A bag gives the same bytes wherever it is evaluated."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import chain, islice
+from pathlib import Path
 
-from straightcomp_ros.fleet.history.bag_places import BagPlace
-from straightcomp_ros.fleet.history.bag_row import BagRow
-from straightcomp_ros.fleet.history.evaluated_bag import evaluated
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.record import MetricsError
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.information import origin
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
+from straightcomp_ros.fleet.history.rows import BagRow, EvaluatedBag, StrokeRow, checksum_of, parquet
 from straightcomp_ros.fleet.history.store import Store
+from straightcomp_ros.fleet.history.strokes_of_bag import recorded_facts, rows_of
 from straightcomp_ros.offline.workers import spread
+
+_BLOCK = 1 << 20
 
 
 @dataclass
@@ -35,33 +45,27 @@ def add(
     jobs: int = -1,
     dask: str = "",
     remap: Mapping[str, str] | None = None,
-    told: Callable[[BagRow], None] = lambda row: None,
+    on_added: Callable[[BagRow], None] = lambda row: None,
 ) -> None:
     """Evaluate the bags that the store does not have as they are now, and write what they give, each as soon as it is
     there. Only this process writes: the workers need the bags, not the store.
 
-    Args:
-        store: the store.
-        places: of the bags, any number.
-        tally: is counted up.
-        again: evaluates the bags that the store has, too.
-        jobs, dask: where to evaluate, see :func:`straightcomp_ros.offline.workers.spread`.
-        remap: the bags' topic for each of our topics that has another name there.
-        told: called with each bag that was evaluated, after it was written.
+    ``tally`` is counted up. ``again`` evaluates the bags that the store has, too. ``jobs`` and ``dask`` say where to
+    evaluate, see :func:`straightcomp_ros.offline.workers.spread`. ``remap`` has the bags' topic for each of our topics
+    that has another name there. ``on_added`` is called with each bag that was evaluated, after it was written.
 
     Raises:
         WorkersError: the workers cannot be reached.
         OSError: the store cannot be written, or a folder not be listed.
     """
     store.clear_abandoned()
-    new = _new(store, places, tally, again)
+    new = _unknown(store, places, tally) if not again else iter(places)
     first = list(islice(new, 2))
     if not first:
         return
     # Other processes take longer to start than one bag takes.
-    for bag in spread(
-        partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs if len(first) > 1 else 1, dask=dask
-    ):
+    jobs = jobs if len(first) > 1 else 1
+    for bag in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
         with _whole():
             store.put(bag)
             if bag.row.reason is None:
@@ -69,7 +73,7 @@ def add(
                 tally.strokes += bag.row.strokes
             else:
                 tally.refused += 1
-        told(bag.row)
+        on_added(bag.row)
 
 
 @contextmanager
@@ -85,9 +89,86 @@ def _whole() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _new(store: Store, places: Iterable[BagPlace], tally: Tally, again: bool) -> Iterator[BagPlace]:
+def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator[BagPlace]:
     for place in places:
-        if not again and store.has(place):
+        if store.has(place):
             tally.known += 1
         else:
             yield place
+
+
+def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> EvaluatedBag:
+    """Evaluate a bag. One that cannot be evaluated is refused with the reason, whatever that is: among thousands of
+    bags a single one must not end the work. ``remap`` has the bag's topic for each of ours with another name there."""
+    row = BagRow(place.location, place.size, place.modified, evaluated_by=_this_program())
+    try:
+        with _on_this_machine(place) as bag:
+            return _evaluated(bag, row, remap)
+    except OSError as error:
+        return EvaluatedBag(replace(row, reason=f"cannot be read: {error.strerror or error}"), None)
+
+
+def _evaluated(bag: Path, row: BagRow, remap: Mapping[str, str] | None) -> EvaluatedBag:
+    try:
+        files, _ = found_files(bag)
+        row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
+        _check_finished(files)
+        evaluation = evaluate_bag(bag, remap)
+        facts = recorded_facts(bag, str(row.checksum), evaluation)
+        strokes = rows_of(evaluation, facts)
+        data = parquet(StrokeRow, strokes)
+    except (OSError, ImportError):
+        raise
+    except (BagError, MetricsError) as error:
+        reason = str(error)
+    except Exception as error:
+        reason = f"cannot be evaluated: {type(error).__name__}: {error}; please report this bag"
+    else:
+        month = f"{strokes[0].start:%Y-%m}"
+        row = replace(row, stage=facts.stage, month=month, strokes=len(strokes))
+        return EvaluatedBag(row, data)
+    # Where a copy of a remote bag lay says nothing.
+    return EvaluatedBag(replace(row, reason=reason.replace(str(bag), row.location)), None)
+
+
+def _check_finished(files: Sequence[Path]) -> None:
+    """Raise BagError for a bag that is being written or was cut off: its last stroke may be half a stroke."""
+    for file in files:
+        if file.suffix == ".mcap":
+            with McapInput(file) as opened:
+                if opened.summary is None:
+                    raise BagError(
+                        f"bag {file} was not finished, or its end is damaged; save what is there with `straightcomp "
+                        "recover`, and add that"
+                    )
+
+
+def _blocks(file: Path) -> Iterator[bytes]:
+    with file.open("rb") as opened:
+        while block := opened.read(_BLOCK):
+            yield block
+
+
+@contextmanager
+def _on_this_machine(place: BagPlace) -> Iterator[Path]:
+    """The bag itself, or a temporary copy of one that lies elsewhere."""
+    files, path, local = file_system(place.location)
+    if local:
+        yield Path(path)
+        return
+    with tempfile.TemporaryDirectory(prefix="straightcomp_history_") as folder:
+        bag = Path(folder, Path(path).name)
+        with reaching(place.location):
+            if place.names:
+                bag.mkdir()
+            for name in place.names:
+                files.get_file(f"{path}/{name}", str(bag / name))
+            if not place.names:
+                files.get_file(path, str(bag))
+        yield bag
+
+
+@cache
+def _this_program() -> str:
+    made_by = origin()
+    return f"{made_by['version']} ({made_by['revision']})"

@@ -1,9 +1,13 @@
-"""Finds bags below a folder, on this machine or at any URL that fsspec knows."""
+"""Finds bags below a folder, on this machine or at any URL that fsspec knows; in folders that grow, each bag once.
+
+Folders that grow are listed again and again, since network file systems and S3 report no changes.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
@@ -13,7 +17,10 @@ from mcap.writer import MCAP0_MAGIC
 
 from straightcomp_ros.bags.folder import STORED, split_number
 from straightcomp_ros.fleet.history import HistoryError, StorageError
+from straightcomp_ros.fleet.history.rows import BagRow
 
+SETTLED_S = 60.0
+"""Time in s without a change after which an unfinished bag counts as cut off."""
 _METADATA = "metadata.yaml"
 
 
@@ -24,7 +31,7 @@ class BagPlace(NamedTuple):
         location: full path or URL of the folder or file.
         names: of its files, within the folder; a bag that is one file has none.
         size: of its files, bytes.
-        modified: when the newest of them was changed, UTC; None where the storage does not tell.
+        modified: when the newest of them was changed, UTC; None where the storage does not say.
     """
 
     location: str
@@ -47,12 +54,9 @@ class _Entry(NamedTuple):
 def file_system(url: str) -> tuple[Any, str, bool]:
     """The fsspec file system of a path or URL, the path on it, and whether it is this machine's own. Raises
     HistoryError when there is none for such URLs."""
-    try:
-        import fsspec
-        from fsspec.implementations.local import LocalFileSystem
-    except ImportError as error:
-        remedy = "pip install 'straightcomp_ros[history]'"
-        raise HistoryError(f"the history needs fsspec, which is not installed. Remedy: {remedy}") from error
+    import fsspec
+    from fsspec.implementations.local import LocalFileSystem
+
     try:
         # A list that is kept would hide changes, and fill the memory.
         files, path = fsspec.url_to_fs(url, use_listings_cache=False)
@@ -77,7 +81,7 @@ def reaching(url: str) -> Iterator[None]:
 def bags_in(url: str) -> Iterator[BagPlace]:
     """The bag at ``url``, or all bags below that folder, in the order of their names.
 
-    A folder with metadata.yaml is a bag, as is one whose files are the parts of recordings by their numbers (of several
+    A folder with metadata.yaml is a bag, as is one whose files are splits of recordings by their numbers (of several
     recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
     their own. Links to folders are not followed.
 
@@ -109,8 +113,8 @@ def _found(url: str) -> Iterator[BagPlace]:
     if files.isdir(path):
         yield from _below(files, path.rstrip("/") or path, local)
     elif local:
-        told = os.stat(path)
-        yield BagPlace(_location(files, path, local), (), told.st_size, _changed(told))
+        status = os.stat(path)
+        yield BagPlace(_location(files, path, local), (), status.st_size, _changed(status))
     else:
         info = files.info(path)
         yield BagPlace(_location(files, path, local), (), info["size"], _modified(info))
@@ -123,8 +127,8 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
         return  # removed meanwhile
     messages = [entry for entry in entries if STORED.fullmatch(entry.name)]
     numbered = [name for name, number, _ in (split_number(Path(entry.name)) for entry in messages) if number >= 0]
-    parts = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
-    if messages and (parts or any(entry.name == _METADATA for entry in entries)):
+    splits = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
+    if messages and (splits or any(entry.name == _METADATA for entry in entries)):
         own = [entry for entry in entries if entry.name == _METADATA or entry in messages]
         yield _place(_location(files, path, local), own)
         return
@@ -152,8 +156,8 @@ def _listed(files: Any, path: str, local: bool) -> tuple[list[str], list[_Entry]
                 elif one.is_file():
                     # One that was removed since the folder was listed says nothing of the others.
                     with suppress(FileNotFoundError):
-                        told = one.stat()
-                        entries.append(_Entry(one.name, told.st_size, _changed(told)))
+                        status = one.stat()
+                        entries.append(_Entry(one.name, status.st_size, _changed(status)))
     else:
         for info in files.ls(path, detail=True):
             name = PurePosixPath(info["name"]).name
@@ -168,11 +172,54 @@ def _location(files: Any, path: str, local: bool) -> str:
     return os.path.abspath(path) if local else str(files.unstrip_protocol(path))
 
 
-def _changed(told: os.stat_result) -> datetime:
-    return datetime.fromtimestamp(told.st_mtime, timezone.utc)
+def _changed(status: os.stat_result) -> datetime:
+    return datetime.fromtimestamp(status.st_mtime, timezone.utc)
 
 
 def _modified(info: Mapping[str, Any]) -> datetime | None:
     """Storages name the time differently: S3 as the first, Azure and Google as the others."""
     known = (info.get(name) for name in ("LastModified", "last_modified", "updated"))
     return next((one.astimezone(timezone.utc) for one in known if isinstance(one, datetime)), None)
+
+
+class GrowingFolders:
+    """Remembers which bags it gave out: 0.1 kB for each."""
+
+    def __init__(self, settled_s: float = SETTLED_S) -> None:
+        self._settled_s = settled_s
+        self._given: set[int] = set()
+        self._waiting: dict[str, tuple[int, float]] = {}
+
+    def whole(self, places: Iterable[BagPlace]) -> Iterator[BagPlace]:
+        """Of the bags that are there now those that were not given out as they are: finished ones, and those that have
+        not changed since an earlier call, ``settled_s`` ago."""
+        for place in places:
+            state = _state(place)
+            if state in self._given:
+                continue
+            if not _seems_finished(place) and not self._settled(place.location, state):
+                continue
+            self._waiting.pop(place.location, None)
+            self._given.add(state)
+            yield place
+
+    def retry(self, row: BagRow) -> None:
+        """Give the bag of a row out again, if it is there."""
+        self._given.discard(_state(row))
+
+    def _settled(self, location: str, state: int) -> bool:
+        now = time.monotonic()
+        known, since = self._waiting.get(location, (state, now))
+        self._waiting[location] = (state, since if known == state else now)
+        return known == state and now - since >= self._settled_s
+
+
+def _seems_finished(place: BagPlace) -> bool:
+    try:
+        return is_finished(place)
+    except OSError:
+        return False  # it has gone meanwhile, or cannot be read now
+
+
+def _state(place: BagPlace | BagRow) -> int:
+    return hash((place.location, place.size, place.modified))

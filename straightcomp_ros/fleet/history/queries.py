@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.fleet.history import HistoryError
-from straightcomp_ros.fleet.history.bag_row import BagRow
-from straightcomp_ros.fleet.history.row_columns import schema_of
+from straightcomp_ros.fleet.history.rows import BIN_MM, PARTITIONS, BagRow, StrokeRow, schema_of
 from straightcomp_ros.fleet.history.store import BAGS, STROKES, Store
-from straightcomp_ros.fleet.history.stroke_row import BIN_MM, PARTITIONS, StrokeRow
 from straightcomp_ros.parameters.output_files import same_or_within
 
 if TYPE_CHECKING:
@@ -35,21 +33,18 @@ _WRITTEN = re.compile(r"\b(?:TO|DATABASE)\s+'((?:[^']|'')*)'", re.IGNORECASE)
 def query(store: Store, sql: str, force: bool = False) -> pyarrow.Table:
     """What a query gives; a table without columns for a statement that gives nothing.
 
-    Its tables are ``strokes``, with the columns of :class:`straightcomp_ros.fleet.history.stroke_row.StrokeRow` and its
-    partitions, ``bags``, of :class:`straightcomp_ros.fleet.history.bag_row.BagRow`, ``refused``, the bags among them
+    Its tables are ``strokes``, with the columns of :class:`~straightcomp_ros.fleet.history.rows.StrokeRow` and its
+    partitions, ``bags``, of :class:`~straightcomp_ros.fleet.history.rows.BagRow`, ``refused``, the bags among them
     that have no strokes in the store, and ``bins``, one row for each bin of each stroke.
 
     A file that COPY names is replaced with ``force`` only, and one of the store never.
 
     Raises:
-        HistoryError: DuckDB is not installed, there is no store, or the query is refused.
+        HistoryError: there is no store, or the query is refused.
     """
-    try:
-        import duckdb
-        import pyarrow
-    except ImportError as error:
-        remedy = "pip install 'straightcomp_ros[history]'"
-        raise HistoryError(f"queries need duckdb and pyarrow, which are not installed. Remedy: {remedy}") from error
+    import duckdb
+    import pyarrow
+
     with duckdb.connect() as database:
         database.execute("SET TimeZone = 'UTC'")
         if not store.local:

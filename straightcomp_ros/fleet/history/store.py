@@ -1,50 +1,55 @@
 """A store: folders of Parquet files that any number of processes may add to at once.
 
-    strokes/stage=NAME/month=YYYY-MM/CHECKSUM.parquet    the strokes of the bag with this checksum
-    strokes/stage=NAME/month=YYYY-MM/compacted-HASH.parquet    those of all bags that were compacted
+    strokes/stage=NAME/month=YYYY-MM/strokes.parquet     all strokes of a stage's month, on a local disk
+    strokes/stage=NAME/month=YYYY-MM/CHECKSUM.parquet    the strokes of the bag with this checksum, on other storages
     bags/HASH.parquet                                    one row: the bag at the place whose hash this is
 
-A file of a bag is a function of the bag alone, and appears whole under its name. Processes that add the same bag write
-the same bytes, and a process that is killed leaves nothing that the next one does not write again. The strokes are
-written before the row that says so. A lock keeps compacting and writing apart on a local disk.
+A month's file is a function of its bags alone, and is replaced as a whole under a lock, which the kernel takes from a
+process that is killed. Other storages have no lock: there each bag has a file, which is a function of that bag. So
+processes that add the same bags write the same bytes, and a process that is killed leaves nothing that the next one
+does not write again. The strokes are written before the row that says so.
+
+The strokes of a bag are in one file at any time. Stores that earlier versions made have a file for each bag, or a
+month's file named `compacted-HASH.parquet`: a bag's strokes stay in the file where they are.
 """
 
 from __future__ import annotations
 
-import os
-import secrets
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
-from straightcomp_ros.fleet.history import HistoryError, StorageError, month_folder
+from straightcomp_ros.fleet.history import HistoryError, StorageError
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
-from straightcomp_ros.fleet.history.bag_row import BagRow
-from straightcomp_ros.fleet.history.evaluated_bag import EvaluatedBag, parquet
-from straightcomp_ros.fleet.history.month_folder import KEYS
-from straightcomp_ros.fleet.history.recorded_facts import checksum_of, stored_name
-from straightcomp_ros.fleet.history.row_columns import arrow, schema_of
-from straightcomp_ros.fleet.history.stroke_row import PARTITIONS, StrokeRow
-from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.fleet.history.rows import (
+    PARTITIONS,
+    BagRow,
+    EvaluatedBag,
+    StrokeRow,
+    checksum_of,
+    parquet,
+    schema_of,
+    stored_name,
+)
+from straightcomp_ros.parameters.output_files import locked, write_whole
 
 if TYPE_CHECKING:
     import pyarrow
 
 STROKES, BAGS = "strokes", "bags"
-_PARTS = ".parts"
-_TRIES = 3
-"""Compacting exchanges a month once: two in the same read are rare."""
+_PARTS, _LOCK = ".parts", ".lock"
+_MONTH = "strokes.parquet"
+_FORMER_MONTH = "compacted-*.parquet"
+_ORDER = [(name, "ascending") for name in ("start", "checksum", "stroke")]
+"""Order of the strokes of a stage."""
 _ABANDONED_S = 60.0
 """Age of a file in ``.parts`` from which whoever wrote it has been killed: writing takes milliseconds."""
 
 
 class Store:
-    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind, a path that is a file, or where the
-    packages for stores are not installed.
+    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind or a path that is a file.
 
     Attributes:
         url: as it was given.
@@ -53,7 +58,8 @@ class Store:
     """
 
     def __init__(self, url: str) -> None:
-        arrow()  # tells that it is missing before anything is evaluated
+        import pyarrow  # noqa: F401 - if it is missing, that is reported before anything is evaluated
+
         self.url = url
         self.files, root, self.local = file_system(url)
         self.root = root.rstrip("/")
@@ -79,11 +85,20 @@ class Store:
         return same and place.modified is not None and found["checksum"] is not None
 
     def put(self, bag: EvaluatedBag) -> None:
-        """Write what a bag gives. Raises OSError when the store cannot be written."""
+        """Write what a bag gives.
+
+        Raises:
+            OSError: the store cannot be written.
+            HistoryError: the file of the bag's month is damaged.
+        """
         row = bag.row
         if bag.strokes is not None:
             folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
-            self._write_strokes("/".join((self.root, STROKES, *folders)), str(row.checksum), bag.strokes)
+            month = "/".join((self.root, STROKES, *folders))
+            if self.local:
+                self._add_to_month(Path(month), str(row.checksum), bag.strokes)
+            else:
+                self._write(f"{month}/{row.checksum}.parquet", bag.strokes)
         self._write(self._bag_file(row.location), parquet(BagRow, [row]))
 
     def stages(self) -> list[str]:
@@ -96,17 +111,18 @@ class Store:
 
     def strokes(self, stage: str, columns: list[str] | None = None) -> pyarrow.Table:
         """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``: all columns of
-        :class:`straightcomp_ros.fleet.history.stroke_row.StrokeRow`, or those named. Raises HistoryError for a stage
+        :class:`straightcomp_ros.fleet.history.rows.StrokeRow`, or those named. Raises HistoryError for a stage
         that the store does not have."""
+        import pyarrow.dataset
+
         folder = f"{self.root}/{STROKES}/stage={quote(stored_name(stage), safe='')}"
         if not self.files.isdir(folder):
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
-        # A month that is compacted after it was listed is to be listed again.
-        for _ in range(_TRIES):
-            with suppress(FileNotFoundError):
-                return _sorted_strokes(self.files, folder, columns)
-        return _sorted_strokes(self.files, folder, columns)
+        data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=self.files)
+        wanted = data.schema.names if columns is None else columns
+        table = data.to_table(columns=list(dict.fromkeys([*wanted, *(name for name, _ in _ORDER)])))
+        return table.sort_by(_ORDER).select(wanted)
 
     def clear_abandoned(self) -> None:
         """Remove what killed processes have left half-written."""
@@ -119,64 +135,53 @@ class Store:
             except FileNotFoundError:
                 continue  # another process was faster
 
-    def compact(self) -> Iterator[tuple[str, int]]:
-        """Make one file of the strokes of each stage and month; gives each month's folder, and how many files became
-        one, 0 where one was all. Nothing is lost or doubled at any moment, whatever is killed.
-
-        Raises:
-            HistoryError: the store is not on a disk of this machine, or a file is damaged.
-            OSError: it cannot be written.
-        """
-        from pyarrow import ArrowException
-
-        if not self.local:
-            raise HistoryError(f"store {self.url}: cannot be compacted; allowed: a folder of this machine")
-        self.clear_abandoned()
-        root = Path(self.root)
-        for month in sorted(root.glob(f"{STROKES}/stage=*/month=*")):
-            part = self._parts() / f"{os.getpid()}-{secrets.token_hex(8)}"
-            try:
-                with month_folder.alone(root):
-                    merged = month_folder.compact(month, part)
-            except ArrowException as error:
-                raise HistoryError(f"store {self.url}: {month}: {error}") from error
-            yield str(month.relative_to(root / STROKES)), merged
-
     def _bag_file(self, location: str) -> str:
         return f"{self.root}/{BAGS}/{checksum_of([location.encode('utf-8', 'surrogateescape')])}.parquet"
 
     def _write(self, path: str, data: bytes) -> None:
-        if not self.local:
+        """Make a file that appears whole."""
+        if self.local:
+            parts = Path(self.root, _PARTS)
+            for folder in (Path(path).parent, parts):
+                folder.mkdir(parents=True, exist_ok=True)
+            write_whole(path, data, parts)
+            return
+        try:
+            with reaching(self.url):
+                self.files.pipe_file(path, data)
+        except FileNotFoundError as error:
+            raise StorageError(f"store {self.url} cannot be written: {error}") from error
+
+    def _add_to_month(self, month: Path, checksum: str, data: bytes) -> None:
+        """Put the strokes of a bag, a Parquet file, in place of those that the month has of it."""
+        from pyarrow import ArrowException
+
+        Path(self.root).mkdir(parents=True, exist_ok=True)
+        with locked(Path(self.root, _LOCK)):
+            own = month / f"{checksum}.parquet"
+            if own.exists():
+                self._write(str(own), data)
+                return
+            file = next(month.glob(_FORMER_MONTH), month / _MONTH)
             try:
-                with reaching(self.url):
-                    # An object appears whole.
-                    self.files.pipe_file(path, data)
-            except FileNotFoundError as error:
-                raise StorageError(f"store {self.url} cannot be written: {error}") from error
-            return
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(Path(path), data, self._parts())
-
-    def _write_strokes(self, month: str, checksum: str, data: bytes) -> None:
-        if not self.local:
-            self._write(f"{month}/{checksum}.parquet", data)
-            return
-        Path(month).mkdir(parents=True, exist_ok=True)
-        with month_folder.alone(Path(self.root)):
-            month_folder.write_bag(Path(month), checksum, data, self._parts())
-
-    def _parts(self) -> Path:
-        """Folder of what is to appear whole."""
-        parts = Path(self.root, _PARTS)
-        parts.mkdir(parents=True, exist_ok=True)
-        return parts
+                content = _with_bag(file, checksum, data)
+            except ArrowException as error:
+                remedy = "remove it, and add the bags of this month again with --again"
+                raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
+            self._write(str(file), content)
 
 
-def _sorted_strokes(files: Any, folder: str, columns: list[str] | None) -> pyarrow.Table:
-    import pyarrow.dataset
+def _with_bag(file: Path, checksum: str, data: bytes) -> bytes:
+    """The content of a month's file with the strokes ``data`` of a bag in place of those that it has of it."""
+    import pyarrow
+    import pyarrow.compute as compute
+    import pyarrow.parquet
 
-    data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=files)
-    keys = [key for key, _ in KEYS]
-    wanted = data.schema.names if columns is None else columns
-    table = data.to_table(columns=[*wanted, *(key for key in keys if key not in wanted)])
-    return table.sort_by(KEYS).select(wanted)
+    strokes = pyarrow.parquet.read_table(pyarrow.BufferReader(data), schema=schema_of(StrokeRow))
+    if file.exists():
+        there = pyarrow.parquet.read_table(pyarrow.BufferReader(file.read_bytes()), schema=strokes.schema)
+        others = there.filter(compute.not_equal(there["checksum"], checksum))
+        strokes = pyarrow.concat_tables([others, strokes])
+    out = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(strokes.sort_by(_ORDER), out, compression="zstd", store_schema=False)
+    return out.getvalue().to_pybytes()  # type: ignore[no-any-return]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,9 +27,18 @@ from straightcomp_ros.analysis.run_verdict import (
     recorded_drive,
     verdict_of,
 )
-from straightcomp_ros.fleet.history.stroke_bins import Bins, bins_over
-from straightcomp_ros.fleet.history.stroke_row import StrokeRow
+from straightcomp_ros.bags import MAP_ATTACHMENT
+from straightcomp_ros.bags.folder import found_files, split_number
+from straightcomp_ros.bags.information import ORIGIN_METADATA
+from straightcomp_ros.bags.reader import read_attachments, read_metadata
+from straightcomp_ros.fleet.history.rows import BIN_MM, StrokeRow, checksum_of, stored_name
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.stage.description import StageParameters
 
+_IN_THE_LOOP = ("driver", "feedforward", "controller")
+"""Nodes whose parameters have an effect on a stroke. The logger's name each bag's folder."""
+_STAGE = "stage."
+_WIDTH = 1e-3 * BIN_MM
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _AROUND = 0.05
 """Time in s before and after a stroke that its verdict sees: there its motion is recognised as in the whole run."""
@@ -34,13 +46,7 @@ _AROUND = 0.05
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a bag says beside its samples.
-
-    Attributes:
-        checksum, bag: key and name of the bag.
-        stage: name of the stage.
-        identity, parameters_checksum, map_checksum, software_version, software_revision, host: as in the row.
-    """
+    """What a bag says apart from its samples: columns of its rows, and the name of the stage."""
 
     checksum: str = ""
     bag: str = ""
@@ -51,6 +57,32 @@ class Recorded:
     software_version: str | None = None
     software_revision: str | None = None
     host: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """``count`` bins, the first from x = ``from_mm`` on; ``place`` (n,) is the bin of each sample, beyond 0 to
+    ``count`` − 1 for the samples outside."""
+
+    from_mm: int
+    count: int
+    place: NDArray[np.int64]
+
+    def means(self, values: NDArray[np.float64]) -> list[float | None]:
+        """Mean of ``values`` (n,) in each bin, without those that are NaN; None for a bin without a value."""
+        inside = (self.place >= 0) & (self.place < self.count) & np.isfinite(values)
+        place = self.place[inside]
+        samples = np.bincount(place, minlength=self.count)
+        sums = np.bincount(place, values[inside], minlength=self.count)
+        return [total / n if n else None for total, n in zip(sums.tolist(), samples.tolist(), strict=True)]
+
+
+def bins_over(x: NDArray[np.float64]) -> Bins:
+    """The bins of which a stroke over ``x`` (n,) in m covers at least half: a stroke that begins a count before an edge
+    would otherwise have a bin of some samples at rest."""
+    first = math.ceil(float(x.min()) / _WIDTH - 0.5)
+    last = math.floor(float(x.max()) / _WIDTH + 0.5)
+    return Bins(first * BIN_MM, max(last - first, 0), np.floor(x / _WIDTH).astype(np.int64) - first)
 
 
 def rows_of(evaluation: BagEvaluation, recorded: Recorded) -> list[StrokeRow]:
@@ -81,7 +113,8 @@ class _Run:
 
     def row(self, number: int, stroke: Stroke, until_ns: int) -> StrokeRow:
         """The row of a stroke; faults until ``until_ns`` are its own."""
-        evaluation, recorded = self.evaluation, self.recorded
+        evaluation = self.evaluation
+        columns = {name: value for name, value in vars(self.recorded).items() if name != "stage"}
         part = part_of(evaluation.record, stroke.start, stroke.stop)
         known = part.best_known(self.reference)
         workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
@@ -92,19 +125,17 @@ class _Run:
         first, last = np.searchsorted(evaluation.stamps, (begin, end + 1)).tolist()
         stamps = evaluation.stamps[first:last]
         taken = samples_taken(stamps)
-        heard = (evaluation.latency_stamps >= begin) & (evaluation.latency_stamps <= end)
-        latency = evaluation.latency[heard]
+        within = (evaluation.latency_stamps >= begin) & (evaluation.latency_stamps <= end)
+        latency = evaluation.latency[within]
         partial = partial_run(evaluation, begin, until_ns)
         verdict = partial or verdict_of(self._course(stroke), bounds_of(evaluation.parameters, evaluation.map))
         bins = bins_over(part.x)
         coils = evaluation.coil_current[stroke.samples]
         balance = force_balance(part.time, part.y, coils)
         return StrokeRow(
-            checksum=recorded.checksum,
-            bag=recorded.bag,
+            **columns,
             stroke=number,
             start=_EPOCH + timedelta(microseconds=begin // 1000),
-            identity=recorded.identity,
             law=part.law,
             **figures,
             control_activity_A=float(np.abs(np.diff(part.current)).sum()),
@@ -128,11 +159,6 @@ class _Run:
             residual_bins_um=bins.means(workpiece * 1e6),
             current_bins_A=bins.means(part.current),
             guide_change_um=self._guide_change(part, stroke, bins),
-            parameters_checksum=recorded.parameters_checksum,
-            map_checksum=recorded.map_checksum,
-            software_version=recorded.software_version,
-            software_revision=recorded.software_revision,
-            host=recorded.host,
         )
 
     def _course(self, stroke: Stroke) -> JudgedMotion:
@@ -142,7 +168,7 @@ class _Run:
         return judged_motion(part_of(record, start, stop), self.reference, self.evaluation.stalls)
 
     def _bandwidth(self, part: StrokeRecord, coils: NDArray[np.float64]) -> float | None:
-        """Of the amplifier in Hz, where no sample of the stroke is missing and its current steps tell it."""
+        """Of the amplifier in Hz, where no sample of the stroke is missing and its current steps show it."""
         steps = np.diff(part.time)
         if not np.isfinite(coils).all() or steps.max() > 1.5 * steps.min():
             return None
@@ -160,6 +186,36 @@ class _Run:
         return bins.means((change - np.nanmean(change)) * 1e6) if np.isfinite(change).any() else None
 
 
+def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> Recorded:
+    """The facts of a bag with this checksum, ``evaluation`` of the same bag; BagError when the bag is damaged."""
+    attachments, reports, parameters = read_attachments(bag), evaluation.reports, evaluation.parameters
+    origin = read_metadata(bag).get(ORIGIN_METADATA, {})
+    facts = {
+        name.removeprefix(_STAGE): value
+        for name, value in parameters.get("driver", {}).items()
+        if name.startswith(_STAGE)
+    }
+    own = {node: parameters[node] for node in _IN_THE_LOOP if node in parameters}
+    survey = attachments.get(MAP_ATTACHMENT)
+    return Recorded(
+        checksum=checksum,
+        bag=recorded_name(bag),
+        stage=stored_name(str(facts.get("name") or "unknown")),
+        identity=_identity(facts),
+        parameters_checksum=checksum_of([json.dumps(own, sort_keys=True).encode()]) if own else None,
+        map_checksum=None if survey is None else checksum_of([survey]),
+        software_version=origin.get("version"),
+        software_revision=origin.get("revision"),
+        # The driver reports on the machine, the others on their computer.
+        host=next((one.hardware_id for node in ("logger", "controller") for one in reports.get(node, ())), None),
+    )
+
+
+def recorded_name(bag: Path) -> str:
+    """The name under which a bag was recorded, whatever its folder is called now."""
+    return split_number(found_files(bag)[0][0])[0]
+
+
 def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
     """The samples ``start`` to ``stop`` (exclusive) of a record; their times stay those of the record."""
     columns: dict[str, Any] = {name: values[start:stop] for name, values in record.columns().items()}
@@ -172,3 +228,11 @@ def _integral(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
 
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
+
+
+def _identity(facts: Mapping[str, Any]) -> str | None:
+    try:
+        return from_mapping(StageParameters, facts).identity if facts else None
+    except ParameterError:
+        # Recorded by a version with other facts.
+        return None

@@ -2,22 +2,27 @@
 
 A cause is read from which figures changed, not from how the error did: each wear has a figure of its own (friction as
 current, the amplifier's bandwidth, the guide by a sensor, the latency), and moves others less. What changed in the same
-week in software, parameters or map is told as the likelier cause, since wear does not wait for an update.
+week in software, parameters or map is named as the likelier cause, since wear does not wait for an update.
+
+A small JSON file carries a stage's advice to the live view and the OPC UA gateway. `straightcomp history advise` writes
+it whole; who reads it finds the old file or the new one:
+
+    {"stage": "gantry", "as_of": "2026-11-24", "advice": [{"cause": "guide", "text": "…", "remedy": "…", …}]}
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.fleet.maintenance.day_levels import DayLevels
-from straightcomp_ros.fleet.maintenance.guide_shift import Place, guide_shifts, moved_place
-from straightcomp_ros.fleet.maintenance.level_change import LevelChange, changes_of_figure
-from straightcomp_ros.fleet.maintenance.watched_figures import (
+from straightcomp_ros.fleet.maintenance.day_levels import (
     AMPLIFIER,
     BY_NAME,
     ERROR,
@@ -28,7 +33,17 @@ from straightcomp_ros.fleet.maintenance.watched_figures import (
     LOST,
     STIFFNESS,
     WATCHED,
+    Array,
+    DayLevels,
 )
+from straightcomp_ros.fleet.maintenance.level_change import (
+    LevelChange,
+    Place,
+    changes_of_figure,
+    guide_shifts,
+    moved_place,
+)
+from straightcomp_ros.parameters.output_files import plain, write_whole
 
 _SAME_TIME = 3
 """Days between an update and a change that it may have made."""
@@ -48,10 +63,19 @@ _REMEDIES = {
     "settings": "compare with what was set before; take it back if the change was not wanted",
 }
 
+_LIKELY = {
+    "friction_up": "grease is used up, or dirt lies between slider and platform",
+    "friction_down": "fresh grease, or less preload",
+    "stiffness": "the encoder of y changed its scale, or the magnets their bias current or gap",
+    "amplifier": "the amplifier ages",
+    "host": "the computer is slower or busier",
+    "unknown": "no figure of its own says why",
+}
+
 
 @dataclass(frozen=True)
 class Advice:
-    """One matter that needs somebody.
+    """One change that needs work.
 
     Attributes:
         cause: its name, for programs.
@@ -72,7 +96,7 @@ class Advice:
 
     @property
     def due(self) -> bool:
-        """Whether it still holds: the figure may have gone back by itself, or after somebody's work."""
+        """Whether it still holds: the figure may have gone back by itself, or after work."""
         return self.changes[0].lasting
 
 
@@ -82,7 +106,7 @@ def changes_of(levels: DayLevels) -> list[LevelChange]:
     return [change for one in WATCHED for change in changes_of_figure(known[one.name], one)]
 
 
-def all_figures(levels: DayLevels) -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+def all_figures(levels: DayLevels) -> dict[str, Array]:
     """The levels of all watched figures, (n,) each, that of the guide among them."""
     shifts = guide_shifts(levels.profiles["guide_change_um"], levels.x)
     size = np.full(len(levels.day), np.nan)
@@ -116,7 +140,7 @@ def _end(change: LevelChange) -> float:
 
 
 def _matters(levels: DayLevels, changes: Mapping[str, LevelChange]) -> list[Advice]:
-    """One for each cause; what a cause does not stand for is told with the nearest one."""
+    """One for each cause; what a cause does not stand for is listed with the nearest one."""
     explained: dict[str, list[LevelChange]] = {own: [] for own in _causes(changes)}
     for name, change in changes.items():
         if name not in explained:
@@ -197,11 +221,24 @@ def _advice(levels: DayLevels, change: LevelChange, update: str, others: list[Le
     return Advice(cause, f"{text}: {likely}", remedy, since, found, (change, *others), place)
 
 
-_LIKELY = {
-    "friction_up": "grease is used up, or dirt lies between slider and platform",
-    "friction_down": "fresh grease, or less preload",
-    "stiffness": "the encoder of y changed its scale, or the magnets their bias current or gap",
-    "amplifier": "the amplifier ages",
-    "host": "the computer is slower or busier",
-    "unknown": "no figure of its own says why",
-}
+def advice_json(stage: str, as_of: date, advice: Sequence[Advice]) -> dict[str, Any]:
+    """The content of the file: the advice that is due. ``as_of`` is the day of the last stroke that it knows."""
+    return plain({"stage": stage, "as_of": str(as_of), "advice": [_entry(one) for one in advice if one.due]})  # type: ignore[no-any-return]
+
+
+def write_advice(path: Path, content: dict[str, Any]) -> None:
+    """Write :func:`advice_json`; OSError if that is impossible."""
+    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+def _entry(advice: Advice) -> dict[str, Any]:
+    return {
+        "cause": advice.cause,
+        "text": advice.text,
+        "remedy": advice.remedy,
+        "since": str(advice.since),
+        "found": str(advice.found),
+        "from_mm": advice.place.first if advice.place else None,
+        "to_mm": advice.place.last if advice.place else None,
+        "figures": {change.figure: {"before": change.before, "after": change.after} for change in advice.changes},
+    }

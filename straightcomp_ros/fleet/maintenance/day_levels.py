@@ -1,4 +1,6 @@
-"""The levels of a stage's figures from day to day: medians, which single strokes that went wrong do not move.
+"""The figures of a stage that are watched for wear, and their levels from day to day.
+
+A level is a median, which single strokes that went wrong do not move.
 
 The two directions of motion differ, so that each has its median, and their mean is the level.
 """
@@ -8,19 +10,60 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.fleet.history.stroke_row import BIN_MM
-from straightcomp_ros.fleet.maintenance.watched_figures import GUIDE, WATCHED
+from straightcomp_ros.fleet.history.rows import BIN_MM
 
 if TYPE_CHECKING:
     import pyarrow
 
 Array = NDArray[np.float64]
-EPOCH = date(1970, 1, 1)
+
+
+class Watched(NamedTuple):
+    """A figure.
+
+    Attributes:
+        name: column of the store; :data:`GUIDE` is made from ``guide_change_um``.
+        words: for people.
+        unit: of its values.
+        relative, absolute: least scatter from day to day that is assumed, as a fraction of the level and in the unit: a
+            figure that hardly scatters during its baseline must not make an alarm of every tremor.
+        falling: whether a fall is watched too; of the others only a rise is bad.
+    """
+
+    name: str
+    words: str
+    unit: str
+    relative: float = 0.002
+    absolute: float = 0.0
+    falling: bool = False
+
+
+GUIDE = "guide_change_pp_um"
+"""Change of the guide's profile since the baseline, p-p about a line, by the displacement sensor."""
+FRICTION, STIFFNESS, AMPLIFIER = "friction_A", "stiffness_A_per_m", "amplifier_bandwidth_Hz"
+LATENCY, LATE, LOST = "latency_p50_us", "latency_p99_us", "lost_samples"
+ERROR, ERROR_PP, WORK, ACTIVITY = "encoder_rms_um", "encoder_pp_um", "coil_work_A2s", "control_activity_A"
+
+WATCHED = (
+    Watched(GUIDE, "change of the guide", "µm", absolute=0.002),
+    Watched(FRICTION, "friction", "A", falling=True),
+    Watched(STIFFNESS, "stiffness", "A/m", falling=True),
+    Watched(AMPLIFIER, "bandwidth of the amplifier", "Hz", falling=True),
+    Watched(LATENCY, "latency, median", "µs", absolute=1.0),
+    Watched(LATE, "latency, 99th percentile", "µs", absolute=5.0),
+    Watched(LOST, "lost samples in a stroke", "", absolute=1.0),
+    Watched(ERROR, "error, RMS", "µm"),
+    Watched(ERROR_PP, "error, p-p", "µm"),
+    Watched(WORK, "work of the coils", "A²s", falling=True),
+    Watched(ACTIVITY, "activity of the command", "A"),
+)
+BY_NAME = {one.name: one for one in WATCHED}
+_EPOCH = date(1970, 1, 1)
 _GUIDE = "guide_change_um"
 PROFILES = (_GUIDE, "error_bins_um")
 """Columns of the store over x that are watched or shown."""
@@ -45,7 +88,7 @@ class DayLevels:
     Attributes:
         day: (n,) days since 1970-01-01.
         strokes: (n,) how many.
-        figures: by name, (n,) median of the day; NaN where no stroke tells it.
+        figures: by name, (n,) median of the day; NaN where no stroke has it.
         x: (m,) m, middles of the bins.
         profiles: by name of :data:`PROFILES`, (n, m) median of the day in µm; NaN where not known. That of the guide is
             known of the strokes with the last map alone: another map is another zero.
@@ -63,30 +106,19 @@ class DayLevels:
 
     def date(self, place: int) -> date:
         """Date of entry ``place``."""
-        return date_of(int(self.day[place]))
+        return _EPOCH + timedelta(days=int(self.day[place]))
 
     def until(self, count: int) -> DayLevels:
         """The first ``count`` entries: what was known then."""
-        return DayLevels(
-            self.day[:count],
-            self.strokes[:count],
-            {name: values[:count] for name, values in self.figures.items()},
-            self.x,
-            {name: values[:count] for name, values in self.profiles.items()},
-            self.software[:count],
-            self.map[:count],
-            self.parameters[:count],
-        )
-
-
-def date_of(day: int) -> date:
-    """Date of a number of days since 1970-01-01."""
-    return EPOCH + timedelta(days=day)
+        profiles = {name: values[:count] for name, values in self.profiles.items()}
+        figures = {name: values[:count] for name, values in self.figures.items()}
+        columns = (self.software[:count], self.map[:count], self.parameters[:count])
+        return DayLevels(self.day[:count], self.strokes[:count], figures, self.x, profiles, *columns)
 
 
 def day_levels(strokes: pyarrow.Table) -> DayLevels:
     """The levels from the strokes of a stage in the order of their start, with at least :data:`COLUMNS`."""
-    day = np.array([(start.date() - EPOCH).days for start in strokes["start"].to_pylist()], np.int64)
+    day = np.array([(start.date() - _EPOCH).days for start in strokes["start"].to_pylist()], np.int64)
     columns = {name: _floats(strokes[name].to_pylist()) for name in FIGURES}
     begins = strokes["bins_from_mm"].to_pylist()
     lists = {name: strokes[name].to_pylist() for name in PROFILES}
@@ -141,7 +173,7 @@ def _with_last_map(profiles: Array, maps: Sequence[str]) -> Array:
 
 def _level(values: Array, forward: NDArray[np.bool_]) -> Any:
     """Mean of the medians of both directions, of those that are there."""
-    parts = [_median(values[one]) for one in (forward, ~forward) if one.any()]
+    parts = [median_of(values[one]) for one in (forward, ~forward) if one.any()]
     if len(parts) == 1:
         return parts[0]
     first, second = parts
@@ -149,8 +181,8 @@ def _level(values: Array, forward: NDArray[np.bool_]) -> Any:
     return np.where(np.isnan(middle), np.where(np.isnan(first), second, first), middle)
 
 
-def _median(values: Array) -> Any:
-    """Over the first axis, without NaN; NaN where nothing else is left."""
+def median_of(values: Array) -> Any:
+    """Median over the first axis, without NaN; NaN where there is nothing else."""
     known = np.isfinite(values)
     if known.all():
         return np.median(values, axis=0)

@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.html_page import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
 from straightcomp_ros.fleet.maintenance.advice import Advice, all_figures
-from straightcomp_ros.fleet.maintenance.day_levels import PROFILES, DayLevels
-from straightcomp_ros.fleet.maintenance.guide_shift import guide_shifts
-from straightcomp_ros.fleet.maintenance.level_change import SLACK, LevelChange, baseline_of
-from straightcomp_ros.fleet.maintenance.watched_figures import BY_NAME, GUIDE
+from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, GUIDE, PROFILES, DayLevels, median_of
+from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelChange, baseline_of, guide_shifts
 
 Array = NDArray[np.float64]
-_WEEK = 7
 _SMALL, _HEIGHT = 230, 360
 _FAULT = 34
 """Height in pixels of a line of marks."""
@@ -37,7 +34,13 @@ def history_plot(levels: DayLevels, values: Array, name: str, changes: Sequence[
     figure.update_yaxes(tickformat=".4~g")
     days = [levels.date(place).isoformat() for place in range(len(levels.day))]
     figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
-    figure.add_scatter(x=days, y=_weekly(values), mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
+    figure.add_scatter(
+        x=days,
+        y=[float(median_of(values[max(0, k - 3) : k + 4])) for k in range(values.size)],
+        mode="lines",
+        line={"color": BLUE, "width": 1.5},
+        name="week",
+    )
     baseline = baseline_of(values, watched)
     if baseline is not None:
         low, high = baseline.centre - SLACK * baseline.sigma, baseline.centre + SLACK * baseline.sigma
@@ -54,16 +57,17 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
     if first.figure != GUIDE:
         figure = history_plot(levels, all_figures(levels)[first.figure], first.figure, [first])
         figure.update_layout(height=_HEIGHT - 60)
-        figure.add_annotation(**_corner("green: baseline; dotted: began; red: alarm"))
+        corner = {"xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}
+        figure.add_annotation(text="green: baseline; dotted: began; red: alarm", **corner)
         return figure
     shifts = guide_shifts(levels.profiles[_GUIDE], levels.x)
     measured = np.flatnonzero(np.isfinite(shifts).any(axis=1))
     figure = line_figure("slider position x / mm", "change of the guide / µm")
     figure.update_layout(height=_HEIGHT - 60)
     # From then to now, the last one strongest.
-    chosen = np.unique(np.linspace(_WEEK, len(measured), 5).astype(int))
+    chosen = np.unique(np.linspace(WEEK, len(measured), 5).astype(int))
     for number, stop in enumerate(chosen):
-        days = measured[max(0, stop - _WEEK) : stop]
+        days = measured[max(0, stop - WEEK) : stop]
         newest = number == len(chosen) - 1
         figure.add_scatter(
             x=levels.x * 1e3,
@@ -114,11 +118,9 @@ def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]
 def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
     if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
         return None
-    week = (levels.day - levels.day[0]) // _WEEK
+    week = (levels.day - levels.day[0]) // WEEK
     weeks = np.unique(week)
-    with np.errstate(all="ignore"):
-        rows = [_middle(profiles[week == one]) for one in weeks]
-    values = np.array(rows)
+    values = np.array([median_of(profiles[week == one]) for one in weeks])
     begins = [levels.date(int(np.flatnonzero(week == one)[0])).isoformat() for one in weeks]
     largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
     figure = line_figure("", "slider position x / mm")
@@ -129,32 +131,9 @@ def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
         z=values.T,
         zmin=-largest,
         zmax=largest,
-        # Blue to vermilion through white: told apart with any colour vision.
+        # Blue to vermilion through white: distinct with any colour vision.
         colorscale=[[0.0, BLUE], [0.5, "#FFFFFF"], [1.0, VERMILION]],
         colorbar={"title": "nm"},
         hovertemplate="%{x}, x = %{y} mm: %{z:.1f} nm<extra></extra>",
     )
     return figure
-
-
-def _middle(values: Array) -> Array:
-    """Median over the first axis without NaN, NaN where there is nothing else."""
-    known = np.isfinite(values).any(axis=0)
-    found = np.full(values.shape[1], np.nan)
-    if known.any():
-        found[known] = np.nanmedian(values[:, known], axis=0)
-    return found
-
-
-def _weekly(values: Array) -> Array:
-    """Running median over a week, NaN where there is no value."""
-    return np.array(
-        [
-            float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan
-            for part in (values[max(0, k - 3) : k + 4] for k in range(values.size))
-        ]
-    )
-
-
-def _corner(text: str) -> dict[str, object]:
-    return {"text": text, "xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}

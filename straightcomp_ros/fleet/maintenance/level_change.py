@@ -1,4 +1,6 @@
-"""Finds when the level of a figure changed: CUSUM control charts tell that it did, ruptures when and how.
+"""How a figure changes from day to day: when its level changed, its trend, and where the guide moved.
+
+CUSUM control charts find that a level changed, ruptures when and how.
 
 Levels of days are compared with those of a baseline, the first four weeks. The sums
 
@@ -8,6 +10,9 @@ Levels of days are compared with those of a baseline, the first four weeks. The 
 them near zero. An alarm stands until the figure is back, then the sums begin anew; each day is judged by what was known
 on it. k and h are tuned on simulated sound stages, see docs/maintenance.md. The day of the change is where two
 constants, or a constant and a slope, fit the levels best.
+
+A parabola over the whole length is left out of the guide's profiles: the sensor's straight edge may be put down anew,
+and guides bow with the temperature of what they are mounted on. What is left is local.
 """
 
 from __future__ import annotations
@@ -18,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.fleet.maintenance.watched_figures import Watched
+from straightcomp_ros.fleet.history.rows import BIN_MM
+from straightcomp_ros.fleet.maintenance.day_levels import Watched
 
 Array = NDArray[np.float64]
 BASELINE = 28
@@ -31,7 +37,15 @@ _MOST_ALIKE = 0.8
 """Largest correlation of a day with the next that is read from a baseline: of four weeks it is uncertain."""
 _BACK = 1.0
 """A figure is back when the median of its last week is within so many standard deviations of the baseline's median."""
-_WEEK = 7
+WEEK = 7
+MONTH = 365.25 / 12.0
+_FEWEST_WEEKS = 5
+"""Of a trend."""
+_SMOOTH = 5
+"""Bins over which a profile is averaged: guides move over centimetres, readings scatter from bin to bin."""
+_DEGREE = 2
+_EDGE = 0.3
+"""Fraction of the largest change at which the moved place ends."""
 _LEAST = 3
 """Days before a change, and of a slope. A step may have come on the last day."""
 
@@ -60,7 +74,7 @@ class LevelChange(NamedTuple):
 
     @property
     def lasting(self) -> bool:
-        """Whether the figure is still beside its baseline: one that went back needs nobody."""
+        """Whether the figure is still off its baseline: one that went back needs no work."""
         return self.ended is None
 
 
@@ -84,13 +98,13 @@ def _scatter(values: Array) -> float:
     """Standard deviation of later days about the mean of ``values`` (n,).
 
     Days that are alike count as fewer, n (1 − ρ) / (1 + ρ) with the correlation ρ of a day with the next: from few days
-    the standard deviation comes out too small, and the mean lies beside that of the year.
+    the standard deviation comes out too small, and the mean is not that of the year.
     """
     scatter = float(values.std())
     if scatter == 0.0:
         return 0.0
-    beside = values - values.mean()
-    alike = min(max(float(beside[1:] @ beside[:-1] / (beside @ beside)), 0.0), _MOST_ALIKE)
+    off = values - values.mean()
+    alike = min(max(float(off[1:] @ off[:-1] / (off @ off)), 0.0), _MOST_ALIKE)
     days = values.size * (1.0 - alike) / (1.0 + alike)
     return scatter * math.sqrt((days + 1.0) / (days - 1.0))
 
@@ -105,24 +119,14 @@ def changes_of_figure(levels: Array, watched: Watched) -> list[LevelChange]:
     changes, start = [], 0
     for found, ended in _alarms((values - baseline.centre) / baseline.sigma, watched.falling):
         # Until the week that was judged to be back.
-        stop = values.size if ended is None else ended - _WEEK + 1
+        stop = values.size if ended is None else ended - WEEK + 1
         begin, step = _onset(values[start:stop] / baseline.sigma)
         # It cannot have begun after it was found.
         begin = min(start + begin, found)
-        after = float(np.median(values[begin:stop][-_WEEK:]))
-        ended_at = None if ended is None else int(known[ended])
-        changes.append(
-            LevelChange(
-                watched.name,
-                int(known[begin]),
-                int(known[found]),
-                ended_at,
-                baseline.centre,
-                after,
-                baseline.sigma,
-                step,
-            )
-        )
+        after = float(np.median(values[begin:stop][-WEEK:]))
+        ended = None if ended is None else int(known[ended])
+        days = (int(known[begin]), int(known[found]), ended)
+        changes.append(LevelChange(watched.name, *days, baseline.centre, after, baseline.sigma, step))
         start = stop
     return changes
 
@@ -139,7 +143,7 @@ def _alarms(z: Array, falling: bool) -> list[tuple[int, int | None]]:
             standing = max(high, low) > THRESHOLD
             if standing:
                 alarms.append((place, None))
-        elif place - alarms[-1][0] >= _WEEK and abs(float(np.median(z[place - _WEEK + 1 : place + 1]))) < _BACK:
+        elif place - alarms[-1][0] >= WEEK and abs(float(np.median(z[place - WEEK + 1 : place + 1]))) < _BACK:
             alarms[-1] = (alarms[-1][0], place)
             high = low = 0.0
             standing = False
@@ -163,3 +167,85 @@ def _onset(values: Array) -> tuple[int, bool]:
     costs = {at: ramp_cost(at) for at in range(_LEAST, last - _LEAST)}
     ramp_at = min(costs, key=costs.__getitem__)
     return (step_at, True) if step_cost <= costs[ramp_at] else (ramp_at, False)
+
+
+class Trend(NamedTuple):
+    """Change a month in the figure's unit, with its 95 % interval, and the level at the trend's end."""
+
+    slope: float
+    low: float
+    high: float
+    level: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether the interval leaves no doubt about the sign."""
+        return self.low > 0.0 or self.high < 0.0
+
+
+def trend_of(day: NDArray[np.int64], levels: NDArray[np.float64]) -> Trend | None:
+    """The trend over ``day`` (n,) of ``levels`` (n,), NaN left out; None with less than five weeks.
+
+    It is the median of all slopes between weeks, which a bad week does not move (Theil, Sen). Medians of weeks are
+    compared, since days that follow each other are alike: they share the weather.
+    """
+    from scipy.stats import theilslopes
+
+    known = np.isfinite(levels)
+    day, levels = day[known], levels[known]
+    if not day.size:
+        return None
+    week = (day[-1] - day) // WEEK
+    weeks = np.unique(week)
+    if weeks.size < _FEWEST_WEEKS:
+        return None
+    at = np.array([day[week == one].mean() for one in weeks])
+    values = np.array([np.median(levels[week == one]) for one in weeks])
+    slope, middle, low, high = theilslopes(values, at, 0.95)
+    return Trend(slope * MONTH, low * MONTH, high * MONTH, float(middle + slope * day[-1]))
+
+
+class Place(NamedTuple):
+    """A stretch of the guide in mm."""
+
+    first: int
+    last: int
+
+
+def guide_shifts(profiles: Array, x: Array) -> Array:
+    """Change (n, m) in µm of ``profiles`` (n, m) since their baseline, smooth and without its parabola; NaN
+    without a profile. ``x`` (m,) in m."""
+    found = np.full(profiles.shape, np.nan)
+    inside = np.isfinite(profiles).any(axis=0)
+    days = np.flatnonzero(np.isfinite(profiles[:, inside]).all(axis=1)) if inside.any() else np.zeros(0, np.intp)
+    if not days.size:
+        return found
+    known = profiles[np.ix_(days, inside)]
+    change = known - known[:BASELINE].mean(axis=0)
+    at = x[inside]
+    if at.size <= _DEGREE:
+        return found
+    powers = np.vander(at - at.mean(), _DEGREE + 1)
+    local = change - (powers @ np.linalg.lstsq(powers, change.T, rcond=None)[0]).T
+    kernel = np.ones(min(_SMOOTH, at.size))
+    # At the ends over the bins that are there.
+    weight = np.convolve(np.ones(at.size), kernel, mode="same")
+    found[np.ix_(days, inside)] = [np.convolve(one, kernel, mode="same") / weight for one in local]
+    return found
+
+
+def moved_place(shift: Array, x: Array) -> Place | None:
+    """Where a change ``shift`` (m,) in µm over ``x`` (m,) in m is largest, to where it falls below a third of that."""
+    if not np.isfinite(shift).any():
+        return None
+    # The parabola through a guide that moved in one place lies off zero elsewhere.
+    size = np.abs(shift - np.nanmedian(shift))
+    peak = int(np.nanargmax(size))
+    large = np.nan_to_num(size) > _EDGE * size[peak]
+    first = last = peak
+    while first > 0 and large[first - 1]:
+        first -= 1
+    while last < size.size - 1 and large[last + 1]:
+        last += 1
+    low, high = (round(float(x[place]) * 1e3 + half) for place, half in ((first, -BIN_MM / 2), (last, BIN_MM / 2)))
+    return Place(low, high)

@@ -1,8 +1,8 @@
 """A proposed map: the old one, changed by what a displacement sensor saw of the guide on the last days' strokes.
 
-The encoder of y sees the platform beside the slider. Whether the guide under the slider has moved, neither it nor what
-is learned from stroke to stroke (r − y) can tell: a sensor on the slider that measures against a straight edge must be
-recorded with the strokes. What it sees of single strokes is noisier than a survey, but there are many of them.
+The encoder of y sees the platform relative to the slider. Whether the guide under the slider has moved, neither it nor
+what is learned from stroke to stroke (r − y) shows: a sensor on the slider that measures against a straight edge must
+be recorded with the strokes. What it sees of single strokes is noisier than a survey, but there are many of them.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import BuiltMap, Choices, build
-from straightcomp_ros.fleet.history.recorded_facts import checksum_of
-from straightcomp_ros.fleet.history.stroke_row import BIN_MM
+from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -35,13 +34,13 @@ _LIMIT = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A map to look at, beside the old one.
+    """A map to look at, next to the old one.
 
     Attributes:
         built: the map with its provenance.
         old: the map that the strokes were driven with.
         strokes: how many it is made from.
-        change: (n,) new minus old deviation in m, over ``built.repeatability.x``, beside its mean.
+        change: (n,) new minus old deviation in m, over ``built.repeatability.x``, without its mean.
     """
 
     built: BuiltMap

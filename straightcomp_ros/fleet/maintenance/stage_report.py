@@ -12,7 +12,7 @@ from straightcomp_ros.analysis.html_page import blocks, html_page, html_plot
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.fleet.maintenance import day_levels
 from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of, all_figures
-from straightcomp_ros.fleet.maintenance.day_levels import DayLevels
+from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, WATCHED, DayLevels
 from straightcomp_ros.fleet.maintenance.history_plots import (
     error_map,
     evidence,
@@ -20,9 +20,7 @@ from straightcomp_ros.fleet.maintenance.history_plots import (
     guide_map_over_time,
     history_plot,
 )
-from straightcomp_ros.fleet.maintenance.level_change import BASELINE, LevelChange
-from straightcomp_ros.fleet.maintenance.trend import trend_of
-from straightcomp_ros.fleet.maintenance.watched_figures import BY_NAME, WATCHED
+from straightcomp_ros.fleet.maintenance.level_change import BASELINE, LevelChange, trend_of
 
 if TYPE_CHECKING:
     import pyarrow

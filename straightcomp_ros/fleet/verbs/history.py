@@ -4,5 +4,342 @@ A store is a folder of Parquet files, which pandas, Polars and DuckDB read too. 
 directory.
 """
 
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from datetime import date, datetime, timezone
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from straightcomp_ros.cli import Tool
+from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_dask,
+    add_force,
+    add_repeatable,
+    check_range,
+    output_file,
+    output_folder,
+    whole_number,
+)
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.results import figures_table, shown, titled_table
+
+if TYPE_CHECKING:
+    import pyarrow
+
+    from straightcomp_ros.fleet.history.bag_places import BagPlace
+    from straightcomp_ros.fleet.history.rows import BagRow
+
 SUMMARY = "the figures of many bags in one store, and questions to it"
-TOOLS = ("add", "query", "compact", "advise", "report", "map")
+PURPOSE = "fleet"
+_STORE = "history"
+_LONGEST_WAIT = 86_400.0
+_MOST_COLUMNS = 12
+"""Rows with more columns are printed one below the other: side by side no terminal has room for them."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("bags", nargs="+", metavar="BAG", help="rosbag2 folder, MCAP or SQLite file, or a folder of bags")
+    add("--store", "-o", default=_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
+    add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
+    add_dask(parser)
+    add("--again", action="store_true", help="evaluate bags that the store has, too: after an update of this program")
+    add("--follow", action="store_true", help="go on until Ctrl-C, adding each new bag when its recording has ended")
+    wait = "with --follow: seconds between two looks (default: %(default)g)"
+    add("--every", type=float, default=10.0, metavar="S", help=wait)
+    add_remap_option(parser)
+    _add_json(parser)
+
+
+def _add(options: argparse.Namespace) -> None:
+    """Add the figures of each stroke of each bag to a store.
+
+    A bag that the store has, unchanged, costs nothing, so the same command may run every hour, and after a kill or a
+    failure. Several processes may add to one store at once. Bags and stores may be URLs of any kind that fsspec knows,
+    for example s3://bucket/folder.
+
+    A bag that was cut off, is damaged or has no stroke is refused: the store's table `refused` says why. The exit code
+    is 1 if a bag was refused now.
+    """
+    from straightcomp_ros.fleet.history.adding import Tally, add
+    from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
+    from straightcomp_ros.fleet.history.store import Store
+
+    check_range("--every", options.every, 0.1, _LONGEST_WAIT, "s")
+    remap = parsed_remap(options.remap)
+    store, tally, growing = Store(options.store), Tally(), GrowingFolders()
+    for url in options.bags:
+        if next(bags_in(url), None) is None and not options.follow:
+            raise CommandFailed(f"{url}: no bag is there; allowed: a bag, or a folder with bags below it", exit_code=2)
+
+    def look() -> Iterator[BagPlace]:
+        found = chain.from_iterable(map(bags_in, options.bags))
+        return growing.whole(found) if options.follow else found
+
+    with progress_bar() as bar:
+        task = bar.add_task("looking for bags", total=None)
+
+        def on_added(row: BagRow) -> None:
+            bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
+            if row.reason is not None:
+                notes.print(f"refused: {row.reason}", soft_wrap=True, highlight=False)
+            if row.checksum is None:
+                growing.retry(row)
+
+        def add_new() -> None:
+            workers = {"jobs": options.jobs or -1, "dask": options.dask}
+            add(store, look(), tally, again=options.again, remap=remap, on_added=on_added, **workers)
+
+        add_new()
+        # Ctrl-C is the usual end of these.
+        with suppress(KeyboardInterrupt):
+            while options.follow:
+                time.sleep(options.every)
+                add_new()
+    if options.json:
+        print_json({"store": options.store, **asdict(tally)})
+    else:
+        counts = f"added {tally.added}, known and unchanged {tally.known}, refused {tally.refused}"
+        console.print(f"{options.store}: bags {counts}; strokes added {tally.strokes}", soft_wrap=True)
+    if tally.refused:
+        remedy = f'straightcomp history query {options.store} "SELECT * FROM refused"'
+        raise CommandFailed(f"bags refused: {tally.refused}; the reasons: {remedy}")
+
+
+def _query_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("store", nargs="?", default=_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
+    add("sql", metavar="SQL", help="the query")
+    add_force(parser)
+    _add_json(parser)
+
+
+def _query(options: argparse.Namespace) -> None:
+    """Ask a store in SQL, by DuckDB.
+
+      straightcomp history query "SELECT stage, month, median(true_pp_um) FROM strokes GROUP BY ALL ORDER BY ALL"
+      straightcomp history query "SELECT x_mm, avg(error_um) FROM bins WHERE direction = 'forward' GROUP BY x_mm"
+      straightcomp history query "SELECT location, reason FROM refused"
+      straightcomp history query "COPY (SELECT start, latency_p99_us FROM strokes ORDER BY start) TO 'latency.csv'"
+
+    Tables: `strokes`, one row for each stroke; `bins`, one row for each 10 mm of each stroke; `bags`, one row for each
+    bag that was added or refused; `refused`, those of them that were refused. `DESCRIBE strokes` lists the columns,
+    which docs/reference.md explains. Times are UTC. With --json the rows are the list `rows`.
+    """
+    from pyarrow import types
+
+    from straightcomp_ros.fleet.history.queries import query
+    from straightcomp_ros.fleet.history.store import Store
+
+    found = query(Store(options.store), options.sql, options.force)
+    rows = [{name: _plain(value) for name, value in row.items()} for row in found.to_pylist()]
+    if options.json:
+        print_json({"rows": rows})
+    elif len(found.column_names) > _MOST_COLUMNS:
+        for number, row in enumerate(rows, 1):
+            console.print(figures_table(f"row {number} of {len(rows)}", row))
+    elif found.column_names:
+        numbers = (types.is_integer, types.is_floating, types.is_decimal)
+        left = {field.name for field in found.schema if not any(is_kind(field.type) for is_kind in numbers)}
+        cells = ([shown(value) for value in row.values()] for row in rows)
+        console.print(titled_table(f"rows: {len(rows)}", *found.column_names, left=left, rows=cells))
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON and tables have it: times as ISO 8601, other types that JSON lacks as texts."""
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    if isinstance(value, dict):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, date):
+        return value.isoformat()
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def _advise_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_stages(parser)
+    parser.add_argument("--output", "-o", metavar="DIR", help="write STAGE.json for each stage into this folder")
+    add_force(parser)
+    _add_json(parser)
+
+
+def _advise(options: argparse.Namespace) -> None:
+    """Say what changed on each stage of a store, since when, the likely cause and what helps.
+
+    Levels of days are compared with those of the first four weeks, so that a stage needs five weeks of strokes. After
+    maintenance give its day by --since. With -o a small JSON file for each stage is written, which the live view
+    (`straightcomp view --maintenance FILE`) and the OPC UA gateway (parameter `maintenance_file`, alarm MaintenanceDue)
+    show: run it once a day.
+    """
+    from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
+    from straightcomp_ros.fleet.maintenance.day_levels import COLUMNS, day_levels
+    from straightcomp_ros.fleet.maintenance.level_change import BASELINE
+    from straightcomp_ros.parameters.output_files import making
+
+    folder = output_folder("--output", options.output) if options.output else None
+    contents: dict[str, Any] = {}
+    for stage, strokes in _stored_stages(options, COLUMNS):
+        levels = day_levels(strokes)
+        days = len(levels.day)
+        advice = advice_of(levels)
+        contents[stage] = advice_json(stage, levels.date(-1), advice)
+        if options.json:
+            continue
+        if days <= BASELINE:
+            notes.print(f"{stage}: {days} days with strokes; allowed: > {BASELINE}, the baseline", soft_wrap=True)
+            continue
+        due = sum(one.due for one in advice)
+        style = "yellow" if due else "green"
+        matters = f"matters: {due}" if due else "nothing to do"
+        console.print(f"{stage}, {days} days until {levels.date(-1)}: {matters}", style=style, highlight=False)
+        for one in advice:
+            console.print(f"  found {one.found}: {one.text}", soft_wrap=True, highlight=False)
+            what = one.remedy if one.due else "nothing: it is back where it was"
+            console.print(f"    → {what}", soft_wrap=True, highlight=False)
+    if folder is not None:
+        files = {_file_of(stage, ".json"): content for stage, content in contents.items()}
+        with making(folder, files, force=options.force, anew=False):
+            for name, content in files.items():
+                write_advice(folder / name, content)
+    if options.json:
+        print_json({"stages": contents})
+
+
+def _report_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_stages(parser)
+    parser.add_argument("--output", "-o", metavar="DIR", default="report", help="folder (default: %(default)s)")
+    add_force(parser)
+    _add_json(parser)
+
+
+def _report(options: argparse.Namespace) -> None:
+    """Write a report of each stage of a store: one HTML file that needs no network.
+
+    Advice with its evidence, trends of all figures, the error over x and time, faults, and the bags to look at.
+    """
+    from straightcomp_ros.fleet.maintenance.stage_report import COLUMNS, stage_report
+    from straightcomp_ros.parameters.output_files import making, write_whole
+
+    folder = output_folder("--output", options.output)
+    pages = {stage: stage_report(stage, strokes) for stage, strokes in _stored_stages(options, COLUMNS)}
+    files = {stage: str(folder / _file_of(stage, ".html")) for stage in pages}
+    with making(folder, [Path(path).name for path in files.values()], force=options.force, anew=False):
+        for stage, path in files.items():
+            write_whole(path, pages[stage])
+            if not options.json:
+                console.print(f"{stage}: {path}", soft_wrap=True, highlight=False)
+    if options.json:
+        print_json({"reports": files})
+
+
+def _map_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("store", metavar="STORE", help="folder or URL")
+    add("stage", metavar="STAGE", help="name of the stage")
+    add("--map", required=True, metavar="FILE", help="the survey that the strokes used")
+    add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
+    add_force(parser)
+    add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
+    add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    _add_json(parser)
+
+
+def _map(options: argparse.Namespace) -> None:
+    """Propose a map from what a displacement sensor saw of the guide on many strokes.
+
+    Nothing takes the new map over by itself: look at its change, then name it in `stage.guide.file`. The sensor rides
+    on the slider and measures against a straight edge; its topic `displacement` must have been recorded with the
+    strokes. The encoders alone do not see the guide move.
+    """
+    from straightcomp_ros.fleet.history.store import Store
+    from straightcomp_ros.fleet.maintenance.map_proposal import COLUMNS, proposed_map
+    from straightcomp_ros.straightness.guide_map import find_survey
+
+    check_range("--days", options.days, 0.01, 3650.0, "days")
+    old = find_survey(options.map)
+    output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
+    if output is not None and output.resolve() == old:
+        raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
+    proposal = proposed_map(Store(options.store).strokes(options.stage, COLUMNS), Path(old), options.days)
+    if output is not None:
+        proposal.built.write(output)
+    if plot is not None:
+        from straightcomp_ros.analysis.pictures import plot_map
+
+        plot_map(proposal.built, plot)
+    if options.json:
+        x = (proposal.built.repeatability.x * 1e3).tolist()
+        change = {"x_mm": x, "change_um": (proposal.change * 1e6).tolist()}
+        provenance = dict(proposal.built.provenance)
+        print_json({**proposal.figures(), **change, "provenance": provenance, "output": options.output})
+        return
+    console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))
+    if output is not None:
+        notes.print(f"map: {output}; to use it, name it in stage.guide.file", soft_wrap=True)
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def _add_stages(parser: argparse.ArgumentParser) -> None:
+    """Declare the store, ``--stage`` and ``--since``."""
+    add = parser.add_argument
+    add("store", nargs="?", default=_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
+    add_repeatable(parser, "--stage", "NAME", "only this stage")
+    since = (
+        "strokes from this day on, YYYY-MM-DD: that after the last maintenance, whose first four weeks are the measure"
+    )
+    add("--since", type=_day, metavar="DATE", help=since)
+
+
+def _day(text: str) -> datetime:
+    """The beginning of a day, UTC."""
+    try:
+        return datetime.combine(date.fromisoformat(text), datetime.min.time(), timezone.utc)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a date as 2026-11-24") from error
+
+
+def _stored_stages(options: argparse.Namespace, columns: Sequence[str]) -> Iterator[tuple[str, pyarrow.Table]]:
+    """Each chosen stage with its strokes; CommandFailed where there are none."""
+    import pyarrow.compute
+
+    from straightcomp_ros.fleet.history.store import Store
+
+    store = Store(options.store)
+    names = options.stage or store.stages()
+    if not names:
+        raise CommandFailed(f"store {options.store} has no strokes; fill it by `straightcomp history add`")
+    for name in names:
+        strokes = store.strokes(name, list(columns))
+        if options.since is not None:
+            strokes = strokes.filter(pyarrow.compute.greater_equal(strokes["start"], options.since))
+        if not strokes.num_rows:
+            raise CommandFailed(f"stage '{name}' has no strokes since {options.since:%Y-%m-%d}")
+        yield name, strokes
+
+
+def _file_of(stage: str, ending: str) -> str:
+    """Name of a stage's file: a stage may be called anything."""
+    from straightcomp_ros.fleet.history.rows import stored_name
+
+    return f"{quote(stored_name(stage), safe=' ')}{ending}"
+
+
+TOOLS = {
+    "add": Tool("add the strokes of bags to a store", _add_arguments, _add),
+    "query": Tool("ask a store in SQL", _query_arguments, _query),
+    "advise": Tool("what changed on a stage, why, and what helps", _advise_arguments, _advise),
+    "report": Tool("a page for each stage: trends, advice, error over x and time", _report_arguments, _report),
+    "map": Tool("propose a map from the strokes of the last days", _map_arguments, _map),
+}

@@ -23,7 +23,7 @@ from straightcomp_ros.analysis.judgement import STARVED, Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_bag
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map, survey_check

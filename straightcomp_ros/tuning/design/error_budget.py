@@ -17,7 +17,7 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.design.gains import scaled, scaled_facts, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
-from straightcomp_ros.tuning.sweep.draws import sample_times, streams
+from straightcomp_ros.tuning.sweep.trial import sample_times, streams
 
 _STARTS = 3
 _FINE = 1e-3

@@ -14,8 +14,7 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import Hold, PlantParameters, PlantState
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.references import readings, references, served
-from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario, paired, readings, references
 from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -130,7 +129,7 @@ def prepared_stroke(
     else:
         x = readings(scenario.description.encoder.x_resolution, true_x)
         measured = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
-        given = served(measured, stamps, scenario.lead_ns)
+        given = paired(measured, stamps, scenario.lead_ns)
     strokes = motion_of(time, x)
     resting = math.ceil(_RESTING * 1e9 / moved.period_ns)
     rest = slice(0, 0)

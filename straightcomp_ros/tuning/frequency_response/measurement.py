@@ -23,7 +23,8 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
-from straightcomp_ros.offline.simulation import Simulation, node_set
+from straightcomp_ros.offline.scenario import node_set
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded

@@ -1,1 +1,1 @@
-"""The paper's figures, computed anew and put beside the numbers it prints."""
+"""The paper's figures, computed anew and compared with the numbers it prints."""

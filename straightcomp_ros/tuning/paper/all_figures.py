@@ -1,29 +1,30 @@
 """Computes and draws all figures, and gathers their claims."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from straightcomp_ros.analysis.pictures import save_whole
-from straightcomp_ros.tuning.paper import (
-    beyond_figure_4,
-    figure_2,
-    figure_3,
-    figure_4,
-    figure_5,
-    figure_6,
-    figure_7,
-    figure_8,
-    figure_9,
-    poles,
-)
-from straightcomp_ros.tuning.paper.claims import Claim
-from straightcomp_ros.tuning.paper.ideal_machine import Machine
+from straightcomp_ros.tuning.paper.figure import Claim, PaperFigure
+from straightcomp_ros.tuning.paper.friction import friction_curve, stick_slip
+from straightcomp_ros.tuning.paper.gain_error import far_release, gain_error
+from straightcomp_ros.tuning.paper.machine import Machine
+from straightcomp_ros.tuning.paper.recovery import recovery
+from straightcomp_ros.tuning.paper.stroke import linear_stroke, sliding_mode_stroke, surveyed_guide
+from straightcomp_ros.tuning.paper.surface import near_release, pole_claims
 
-FIGURES = (figure_2, figure_3, figure_4, beyond_figure_4, figure_5, figure_6, figure_7, figure_8, figure_9)
-"""Modules of the figures; each has compute(machine), with the claims in its answer, and draw(answer)."""
-PICTURES = tuple(f"{module.__name__.rpartition('.')[2]}.png" for module in FIGURES)
-"""Names of their files."""
+FIGURES: Mapping[str, Callable[[Machine], PaperFigure]] = {
+    "figure_2.png": surveyed_guide,
+    "figure_3.png": gain_error,
+    "figure_4.png": far_release,
+    "beyond_figure_4.png": recovery,
+    "figure_5.png": near_release,
+    "figure_6.png": stick_slip,
+    "figure_7.png": friction_curve,
+    "figure_8.png": linear_stroke,
+    "figure_9.png": sliding_mode_stroke,
+}
+"""By the name of its picture, what computes a figure."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Reproduction:
 def reproduce(
     machine: Machine, folder: Path, progress: Callable[[float], None] = lambda fraction: None
 ) -> Reproduction:
-    """Compute every figure, write it to ``folder`` under its module's name, and gather the claims.
+    """Compute every figure, write it to ``folder``, and gather the claims.
 
     Args:
         machine: what the figures are computed with.
@@ -49,13 +50,11 @@ def reproduce(
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    claims, paths = list(poles.claims(machine)), []
-    for number, (module, name) in enumerate(zip(FIGURES, PICTURES, strict=True)):
+    claims = list(pole_claims(machine))
+    for number, (name, compute) in enumerate(FIGURES.items()):
         progress(number / len(FIGURES))
-        data = module.compute(machine)
-        path = folder / name
-        save_whole(module.draw(data), path)
-        claims += data.claims
-        paths.append(path)
+        figure = compute(machine)
+        save_whole(figure.draw(), folder / name)
+        claims += figure.claims
     progress(1.0)
-    return Reproduction(tuple(claims), tuple(paths))
+    return Reproduction(tuple(claims), tuple(folder / name for name in FIGURES))

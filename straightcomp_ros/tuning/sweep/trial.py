@@ -1,24 +1,27 @@
-"""One trial: one machine within the uncertainty, one cycle of the stage under each law."""
+"""One trial: one machine within the uncertainty of the stage's description, one cycle of the stage under each law.
 
+Trial k of a seed is the same in any process and order: its random numbers come from the k-th child of the seed
+(:class:`numpy.random.SeedSequence`), in four streams, so that a longer stroke or another parameter's range changes no
+other quantity. numpy promises the bits of its distributions within a version only.
+"""
+
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judgement import INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.analysis.run_verdict import Bounds, JudgedMotion, verdict_of
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.model.plant import PlantState
-from straightcomp_ros.offline.kernel import Conditions, Cycle, run_cycle
-from straightcomp_ros.offline.references import readings, references, served
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.stage.description import deviating
-from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.tuning.sweep.draws import Streams, draw, mismeasured, sample_times, streams
+from straightcomp_ros.stage.description import Factors, StageParameters, deviating
+from straightcomp_ros.straightness.survey import Survey
 
 
 @dataclass(frozen=True)
@@ -44,17 +47,6 @@ class TrialResult:
     verdict: Verdict
 
 
-class _Course(NamedTuple):
-    """The same for all laws of a trial: time of the samples in s, true x and r(true x) in m, (n,) each; samples of the
-    motion; and x in m from which and up to which the map has a reference."""
-
-    time: NDArray[np.float64]
-    true_x: NDArray[np.float64]
-    target: NDArray[np.float64]
-    window: slice
-    bounds: Bounds
-
-
 def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int) -> list[TrialResult]:
     """One result for each of ``laws``, all on the same machine; depends on nothing but the arguments.
 
@@ -62,64 +54,103 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         SurveyError: the survey with its errors gives no map within the platform's travel.
         MetricsError: the stage does not move.
     """
-    random, board = streams(seed, trial), scenario.driver.simulated
-    stage = scenario.description
+    random, stage = streams(seed, trial), scenario.description
     deviation = draw(stage, random.machine)
     plant = deviating(scenario.driver.plant, deviation.factors)
     stamps = sample_times(stage.uncertainty.jitter * stage.period, scenario.period_ns, scenario.samples, random.clock)
-    given, course = _follow(scenario, stamps, random)
-    conditions = Conditions(
-        stamps=stamps,
-        delays=np.full(stamps.size, round(deviation.delay * scenario.period_ns)),
-        references=served(given, stamps, scenario.lead_ns),
-        noise=deviation.sensor_noise * random.sensor.standard_normal(stamps.size),
-    )
-    initial = PlantState(y=board.initial_y)
-    return [
-        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, initial, scenario.driver.hold))
-        for name, law in laws.items()
-    ]
-
-
-def _follow(scenario: Scenario, stamps: NDArray[np.int64], random: Streams) -> tuple[NDArray[np.float64], _Course]:
-    """References (n, 3) from a map of this trial, and the stage's course."""
-    survey = mismeasured(scenario.survey, scenario.description.uncertainty.map_noise, random.survey)
-    straightness = StraightnessMap(survey, scenario.description.guide)
-    true_x = scenario.positions(stamps)
-    x = readings(scenario.description.encoder.x_resolution, true_x)
-    given = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
+    stroke = scenario.stroke(stamps, mismeasured(scenario.survey, stage.uncertainty.map_noise, random.survey))
+    noise = deviation.sensor_noise * random.sensor.standard_normal(stamps.size)
+    cycles = {name: scenario.cycle(law, stroke, deviation.delay, noise, plant) for name, law in laws.items()}
     time = np.asarray(stamps * 1e-9, dtype=np.float64)
-    window, target = motion_of(time, x).window, straightness.evaluate(true_x)[0]
-    return given, _Course(
-        time, true_x, target, window, Bounds().within(straightness, scenario.description.guide.runout)
+    window, target = motion_of(time, stroke.x).window, stroke.map.evaluate(stroke.true_x)[0]
+    drive = scenario.driver.plant
+    bounds = (
+        Bounds()
+        .within(stroke.map, stage.guide.runout)
+        ._replace(current=min(stage.actuator.current_limit, drive.drive.largest_current), stop=drive.platform.stop)
+    )
+    results = []
+    for name, cycle in cycles.items():
+        if cycle.current.size < stamps.size:
+            broken = Verdict(INACCURATE, "position or current not finite")
+            results.append(TrialResult(trial, name, *(math.inf,) * 4, broken))
+            continue
+        y, r, current = cycle.true_y[window], target[window], cycle.current[window]
+        count = drive.encoder.y_resolution
+        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, error=r - y, true=True, count=count)
+        steps = np.diff(current)
+        results.append(
+            TrialResult(
+                trial=trial,
+                law=name,
+                pp=judged.pp,
+                rms=float(np.sqrt(np.mean(judged.error * judged.error))),
+                control_activity=float(np.abs(steps).sum()),
+                control_rms_step=float(np.sqrt(np.mean(steps * steps))),
+                verdict=verdict_of(judged, bounds),
+            )
+        )
+    return results
+
+
+class Streams(NamedTuple):
+    """Random numbers of one trial, by purpose."""
+
+    machine: Generator
+    sensor: Generator
+    clock: Generator
+    survey: Generator
+
+
+class Deviation(NamedTuple):
+    """One machine: factors of mass, force, air gap and friction; sensor noise in m; command delay in samples; factor of
+    the amplifier's bandwidth."""
+
+    mass: float
+    force: float
+    air_gap: float
+    friction: float
+    sensor_noise: float
+    delay: float
+    amplifier: float
+
+    @property
+    def factors(self) -> Factors:
+        """The machine relative to its description."""
+        return Factors(self.mass, self.force, self.air_gap, self.friction, self.amplifier)
+
+
+def streams(seed: int, trial: int) -> Streams:
+    """The random numbers of trial ``trial`` (from 0), as of ``SeedSequence(seed).spawn(n)[trial]`` for any n."""
+    children = SeedSequence(seed, spawn_key=(trial,)).spawn(len(Streams._fields))
+    return Streams(*map(default_rng, children))
+
+
+def draw(stage: StageParameters, random: Generator) -> Deviation:
+    """A machine within the uncertainty of ``stage``."""
+    ranges = stage.uncertainty
+    u = random.random(len(Deviation._fields)).tolist()
+    return Deviation(
+        mass=1.0 + ranges.mass * (2.0 * u[0] - 1.0),
+        force=1.0 + ranges.force * (2.0 * u[1] - 1.0),
+        air_gap=1.0 + ranges.air_gap * (2.0 * u[2] - 1.0),
+        friction=ranges.friction ** (2.0 * u[3] - 1.0),
+        sensor_noise=ranges.sensor_noise * stage.encoder.y_resolution * u[4],
+        delay=stage.drive.delay * (ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]),
+        amplifier=ranges.amplifier ** (2.0 * u[6] - 1.0),
     )
 
 
-def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cycle) -> TrialResult:
-    if cycle.current.size < scenario.samples:
-        broken = (math.inf,) * 4
-        return TrialResult(trial, law, *broken, Verdict(INACCURATE, "position or current not finite"))
-    plant = scenario.driver.plant
-    window = course.window
-    y, r = cycle.true_y[window], course.target[window]
-    judged = JudgedMotion(
-        time=course.time[window],
-        x=course.true_x[window],
-        y=y,
-        r=r,
-        current=cycle.current[window],
-        error=r - y,
-        true=True,
-        count=plant.encoder.y_resolution,
-    )
-    current = min(scenario.description.actuator.current_limit, plant.drive.largest_current)
-    steps = np.diff(judged.current)
-    return TrialResult(
-        trial=trial,
-        law=law,
-        pp=judged.pp,
-        rms=float(np.sqrt(np.mean(judged.error * judged.error))),
-        control_activity=float(np.abs(steps).sum()),
-        control_rms_step=float(np.sqrt(np.mean(steps * steps))),
-        verdict=verdict_of(judged, course.bounds._replace(current=current, stop=plant.platform.stop)),
-    )
+def sample_times(jitter: float, period_ns: int, count: int, random: Generator) -> NDArray[np.int64]:
+    """Stamps (count,) in ns from 0, around a grid of ``period_ns``; ``jitter`` in s does not add up."""
+    largest = round(jitter * 1e9)
+    stamps = np.arange(count) * period_ns + random.integers(-largest, largest, count, endpoint=True)
+    stamps[0] = 0
+    return stamps
+
+
+def mismeasured(survey: Survey, noise: float, random: Generator) -> Survey:
+    """``survey`` with an error of standard deviation ``noise`` (m) in each point."""
+    errors = [noise * random.standard_normal(run.x.size) for run in survey.runs]
+    runs = [dataclasses.replace(run, deviation=run.deviation + e) for run, e in zip(survey.runs, errors, strict=True)]
+    return Survey(tuple(runs), survey.source)

@@ -1,4 +1,4 @@
-"""Compute every figure of the paper anew, write each as a PNG, and put the paper's numbers beside ours.
+"""Compute every figure of the paper anew, write each as a PNG, and compare the paper's numbers with ours.
 
 A number that does not agree is no failure of the command: the note of that number says why."""
 
@@ -10,10 +10,10 @@ from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.cli.results import shown, titled_table
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper.all_figures import PICTURES, Reproduction, reproduce
-from straightcomp_ros.tuning.paper.ideal_machine import DELAY, machine_from
+from straightcomp_ros.tuning.paper.all_figures import FIGURES, Reproduction, reproduce
+from straightcomp_ros.tuning.paper.machine import DELAY, machine_from
 
-SUMMARY = "compute the paper's figures, and its numbers beside ours"
+SUMMARY = "compute the paper's figures, and compare its numbers with ours"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> None:
     values = shipped_parameters()
     values["stage"]["drive.delay"] = DELAY
     machine = machine_from(values)
-    with making(output, PICTURES, force=options.force) as place, working("computing the figures") as advance:
+    with making(output, FIGURES, force=options.force) as place, working("computing the figures") as advance:
         result = reproduce(machine, place, advance)
     if options.json:
         claims = [claim.to_display() for claim in result.claims]

@@ -33,8 +33,7 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.stage.description import UncertaintyParameters
 from straightcomp_ros.straightness.survey import SurveyError
-from straightcomp_ros.tuning.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
-from straightcomp_ros.tuning.sweep.sweep_plot import plot_sweep
+from straightcomp_ros.tuning.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, plot_sweep, summarise, sweep
 
 SUMMARY = "run many strokes on uncertain machines, offline"
 
@@ -81,8 +80,8 @@ def run(options: argparse.Namespace) -> None:
     verdict = _verdict(summaries)
     if options.json:
         shown = {summary.law: summary.to_display() for summary in summaries}
-        told = {"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds}
-        print_json({**told, **in_json(verdict)})
+        run_of = {"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds}
+        print_json({**run_of, **in_json(verdict)})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
         columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "not in order")
@@ -102,14 +101,10 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _row(summary: LawSummary) -> list[object]:
-    texts = {name: f"{value * 1e6:.3f}" for name, value in summary.pp.items()}
+    texts = {name: f"{value * 1e6:.3f}" for name, value in summary.percentiles("pp").items()}
     pp = [doubtful(text) if name in summary.doubtful else text for name, text in texts.items()]
-    return [
-        summary.law,
-        *pp,
-        f"{summary.control_rms_step['p50'] * 1e3:.1f}",
-        len(summary.not_in_order),
-    ]
+    step = f"{summary.percentiles('control_rms_step')['p50'] * 1e3:.1f}"
+    return [summary.law, *pp, step, len(summary.not_in_order)]
 
 
 def _verdict(summaries: list[LawSummary]) -> Verdict:

@@ -12,7 +12,7 @@ from roughly_known import check_of, other_guide, values_of, work_on
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step

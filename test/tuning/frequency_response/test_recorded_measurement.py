@@ -10,7 +10,8 @@ from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.control.excitation import MultisineParameters, loop_multisine, multisine_injection
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, Waypoint
-from straightcomp_ros.offline.simulation import Simulation, node_set
+from straightcomp_ros.offline.scenario import node_set
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded

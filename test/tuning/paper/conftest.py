@@ -11,7 +11,7 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper.ideal_machine import DELAY, Machine, machine_from
+from straightcomp_ros.tuning.paper.machine import DELAY, Machine, machine_from
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,28 @@
-"""The errata of equations (6) and (10), shown on numbers: both sides computed apart from each other."""
+"""The errata of equations (6) and (10), both sides computed apart; closed forms of the sliding motion."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from straightcomp_ros.control.sliding_mode import SlidingDesign, state_matrices
 from straightcomp_ros.model.actuator import magnetic_force, stiffness_errors
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.paper.surface import (
+    following_error_gain,
+    free_motion,
+    gain_implied,
+    lag,
+    rate_implied,
+    reaching_demand,
+    reaching_time,
+    sliding_variable_over,
+)
 
 DESIGN, STAGE = SlidingDesign(), StageParameters()
 ACTUATOR, MASS = STAGE.actuator, STAGE.platform.mass
@@ -72,3 +85,66 @@ def test_the_printed_sign_is_wrong_wherever_there_is_a_disturbance():
     with_plus = float(S @ B) * matched_disturbance(x, 0.0, 0.5, with_current=False)
     assert float(S @ state_rate(x, 0.0, 0.0, 0.5)) == pytest.approx(with_plus)
     assert abs(2.0 * with_plus) > 0.3
+
+
+positive = st.floats(0.1, 100.0)
+
+
+@given(positive, positive, st.floats(1e-3, 1.0))
+def test_the_sliding_variable_is_zero_at_the_reaching_time_and_not_before(phi, rho, sigma_0):
+    end = reaching_time(phi, rho, sigma_0)
+    before, after = sliding_variable_over(np.array([0.999 * end, 1.001 * end]), phi, rho, sigma_0)
+    assert before > 0.0 and after == 0.0
+
+
+@given(positive, positive, st.floats(1e-3, 1.0))
+def test_the_sliding_variable_obeys_its_differential_equation(phi, rho, sigma_0):
+    time = np.linspace(0.0, 0.9 * reaching_time(phi, rho, sigma_0), 50)
+    answer = solve_ivp(lambda t, s: -phi * s - rho, time[[0, -1]], [sigma_0], t_eval=time, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(sliding_variable_over(time, phi, rho, sigma_0), answer.y[0], rtol=1e-6, atol=1e-9)
+
+
+def test_without_a_rate_the_switching_alone_reaches_the_surface():
+    assert reaching_time(0.0, 2.0, -0.5) == pytest.approx(0.25)
+    assert reaching_time(1e-9, 2.0, -0.5) == pytest.approx(0.25)
+
+
+@given(st.floats(0.5, 50.0), st.floats(1e-3, 1.0), st.floats(1e-2, 1.0))
+def test_the_rate_implied_by_a_reaching_time_gives_that_time(phi, rho, sigma_0):
+    time = reaching_time(phi, rho, sigma_0)
+    assert rate_implied(time, rho, sigma_0) == pytest.approx(phi, rel=1e-6)
+    assert gain_implied(time, phi, sigma_0) == pytest.approx(rho, rel=1e-6)
+
+
+def test_no_rate_reaches_the_surface_later_than_switching_alone():
+    assert math.isnan(rate_implied(0.26, 1.0, 0.1))
+
+
+def test_free_motion_solves_equation_12():
+    y_0, v_0, omega = 3e-4, -0.02, DESIGN.omega_n
+    time = np.linspace(0.0, 0.05, 100)
+    answer = solve_ivp(
+        lambda t, s: [s[1], -2 * DESIGN.zeta * omega * s[1] - omega**2 * s[0]],
+        (0.0, 0.05),
+        [y_0, v_0],
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-14,
+    )
+    np.testing.assert_allclose(free_motion(time, DESIGN, y_0, v_0), answer.y[0], atol=1e-11)
+
+
+def test_a_slow_reference_is_followed_with_a_lag_of_two_zeta_over_omega_n():
+    omega = 2.0 * math.pi * 0.01
+    assert following_error_gain(DESIGN, omega) == pytest.approx(omega * lag(DESIGN), rel=1e-4)
+    assert lag(DESIGN) == pytest.approx(7.276e-3, rel=1e-3)
+
+
+def test_the_reaching_condition_asks_for_nothing_at_the_centre_of_a_frictionless_guide():
+    frictionless = dataclasses.replace(STAGE, friction=LuGreParameters(coulomb=0.0, static=0.0))
+    assert reaching_demand(DESIGN, frictionless, 0.0, 0.5) == pytest.approx(DESIGN.gamma)
+
+
+def test_the_reaching_condition_cannot_be_met_where_the_gain_error_exceeds_one():
+    actuator = STAGE.actuator
+    assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * actuator.air_gap, actuator.bias_current))

@@ -1,13 +1,30 @@
+"""The figures of the paper: what the machine does in each, and where each law brings the platform back from."""
+
+import dataclasses
+
 import numpy as np
 import pytest
 
-from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT
-from straightcomp_ros.tuning.paper import figure_4, figure_5, figure_6
-from straightcomp_ros.tuning.paper.figure_3 import gain_error_limit, largest_gain_error
-from straightcomp_ros.tuning.paper.ideal_machine import UNCLAMPED
-from straightcomp_ros.tuning.paper.release import hold_still, release
-from straightcomp_ros.tuning.paper.sine import AMPLITUDE, OMEGA, evaluated, follow_sine, fundamental
-from straightcomp_ros.tuning.paper.surface import following_error_gain, lag, reaching_time
+from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, ActuatorParameters, control_current
+from straightcomp_ros.tuning.paper import recovery
+from straightcomp_ros.tuning.paper.friction import (
+    WINDOW,
+    estimate_friction,
+    friction_curve,
+    hysteresis,
+    smoothed,
+    stick_slip,
+)
+from straightcomp_ros.tuning.paper.gain_error import FAR, far_release, gain_error_limit, largest_gain_error, returns
+from straightcomp_ros.tuning.paper.machine import (
+    AMPLITUDE,
+    OMEGA,
+    evaluated,
+    follow_sine,
+    fundamental,
+)
+from straightcomp_ros.tuning.paper.surface import NEAR, following_error_gain, lag, near_release, reaching_time
 
 
 def test_the_gain_error_limit_found_is_the_closed_form():
@@ -21,12 +38,12 @@ def test_beyond_the_limit_some_current_makes_the_gain_error_exceed_one():
 
 @pytest.fixture(scope="module")
 def far(machine):
-    return figure_4.compute(machine)
+    return far_release(machine)
 
 
 def test_released_far_out_the_unclamped_law_drives_the_platform_against_its_stop(far, machine):
     assert far.unclamped.y[-1] == machine.plant.platform.stop
-    assert np.abs(far.unclamped.y).min() >= figure_4.RELEASED_AT * far.air_gap
+    assert np.abs(far.unclamped.y).min() >= FAR * far.air_gap
 
 
 def test_released_far_out_the_clamped_law_brings_the_platform_back(far):
@@ -36,13 +53,13 @@ def test_released_far_out_the_clamped_law_brings_the_platform_back(far):
 
 def test_the_unclamped_law_loses_the_platform_within_the_gain_error_limit(far, machine):
     """|m_i| ≤ 1 holds for |i_c| ≤ I0 only, and the unclamped law asks for more."""
-    assert figure_5.RELEASED_AT < far.returns_from < UNIT_GAIN_ERROR_LIMIT
-    assert not figure_4.returns(machine.idealised().with_law("smc"), far.returns_from + 0.01)
+    assert NEAR < far.returns_from < UNIT_GAIN_ERROR_LIMIT
+    assert not returns(machine.idealised().with_law("smc"), far.returns_from + 0.01)
 
 
 @pytest.fixture(scope="module")
 def near(machine):
-    return figure_5.compute(machine)
+    return near_release(machine)
 
 
 def test_the_surface_is_reached_at_the_time_of_the_closed_form(near):
@@ -74,18 +91,115 @@ def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12(machi
 
 
 def test_with_friction_the_platform_sticks_once_at_each_reversal(machine):
-    data = figure_6.compute(machine)
+    data = stick_slip(machine)
     reversals = np.abs(data.run.reference[data.sticks[:, 0]])
     assert len(data.sticks) == 4
     assert reversals.min() > 0.95 * AMPLITUDE
 
 
-def test_the_idealised_machine_is_not_limited(machine):
-    ideal = machine.idealised()
-    assert ideal.stage.actuator.current_limit == UNCLAMPED
-    assert ideal.plant.drive.converted(-5.0) == pytest.approx(-5.0, abs=1e-4)
+@pytest.fixture(scope="module")
+def limited(machine):
+    return machine.with_limit(machine.plant.actuator.bias_current)
 
 
-def test_at_rest_at_the_centre_nothing_happens(machine):
-    response = release(machine.idealised().with_law("smc"), 0.0, hold_still(machine.idealised(), 0.01))
-    assert not response.y.any() and not response.command.any()
+@pytest.fixture(scope="module")
+def data(machine):
+    return recovery.recovery(machine, points=21)
+
+
+@pytest.mark.parametrize("a", [-0.7, -0.3, 0.0, 0.4, 0.7])
+def test_the_physical_limit_is_what_full_current_does_in_a_machine_without_lag_and_friction(machine, a):
+    """The closed form is an integral of (2); the simulation knows nothing of it."""
+    drive = dataclasses.replace(machine.plant.drive, bandwidth=1e6)
+    plant = dataclasses.replace(machine.plant, drive=drive)
+    stage = dataclasses.replace(machine.stage, rate=100_000, drive=dataclasses.replace(drive, delay=0.0))
+    ideal = dataclasses.replace(machine, plant=plant, stage=stage).without_friction()
+    y = a * ideal.plant.actuator.air_gap
+    limit = recovery.fastest_outward(ideal, y)
+    assert (
+        recovery.least_peak(ideal, y, 0.99 * limit)
+        < ideal.plant.platform.stop
+        < recovery.least_peak(ideal, y, 1.01 * limit)
+    )
+    assert recovery.possible(ideal, y, 0.99 * limit) and not recovery.possible(ideal, y, 1.01 * limit)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_recovers_from_the_centre_and_from_fig_4_but_not_from_beyond_the_stop(limited, law):
+    one = limited.with_law(law)
+    assert recovery.peak(one, 0.0) < 1e-6
+    assert recovery.recovers(one, FAR * one.plant.actuator.air_gap)
+    assert not recovery.recovers(one, 1.05 * one.plant.platform.stop)
+
+
+def test_more_current_recovers_from_further_out(limited):
+    one = limited.with_law("smc")
+    full = one.plant.actuator.bias_current
+    reached = [recovery.largest_release(one.with_limit(part * full)) for part in (0.4, 0.7, 1.0)]
+    assert reached == sorted(reached) and reached[0] < 0.9 * reached[-1] < one.plant.platform.stop
+
+
+def test_no_law_reaches_beyond_what_the_amplifier_leaves_and_that_not_beyond_physics(data):
+    leaves = data.least_peaks < data.machine.plant.platform.stop
+    assert 0 < leaves.sum() < data.possible.sum()
+    assert not (leaves & ~data.possible).any()
+    for law in LAWS:
+        assert data.region(law).any()
+        assert not (data.region(law) & ~leaves).any()
+
+
+def test_what_is_mirrored_is_what_is_computed(data):
+    one = data.machine.with_law("smc_observer")
+    row, column = 7, 12
+    assert data.grid.velocities[row] < 0.0
+    computed = recovery.peak(one, data.grid.positions[column], data.grid.velocities[row])
+    assert np.isfinite(computed)
+    assert data.peaks["smc_observer"][row, column] == pytest.approx(computed, abs=1e-6)
+
+
+RATE, MASS, MAGNETS = 2000.0, 3.0, ActuatorParameters()
+inner = slice(100, -100)
+
+
+def test_the_moving_cubic_leaves_a_cubic_and_its_derivatives_as_they_are():
+    t = np.arange(400) / RATE
+    y = 1e-6 * (1.0 + 2.0 * t - 3.0 * t**2 + 4.0 * t**3)
+    np.testing.assert_allclose(smoothed(y, RATE), y, rtol=1e-9)
+    np.testing.assert_allclose(smoothed(y, RATE, 1), 1e-6 * (2.0 - 6.0 * t + 12.0 * t**2), rtol=1e-6)
+    np.testing.assert_allclose(smoothed(y, RATE, 2), 1e-6 * (-6.0 + 24.0 * t), rtol=1e-4, atol=1e-10)
+
+
+def test_a_known_friction_is_found_again_through_equations_1_and_2():
+    t = np.arange(4000) / RATE
+    omega, amplitude = 2.0 * np.pi * 0.8, 50e-6
+    y = amplitude * np.sin(omega * t)
+    friction = 0.6 * np.tanh(y / 20e-6)
+    force = friction - MASS * omega**2 * y
+    current = np.array([control_current(MAGNETS.constants(), *pair) for pair in zip(y, force, strict=True)])
+    estimate = estimate_friction(y, current, rate=RATE, mass=MASS, actuator=MAGNETS)
+    np.testing.assert_allclose(estimate.friction[inner], friction[inner], atol=1e-4)
+    np.testing.assert_allclose(estimate.velocity[inner], amplitude * omega * np.cos(omega * t)[inner], atol=1e-8)
+
+
+def test_the_encoders_quantum_becomes_a_millinewton_of_inertial_force():
+    noise = 1e-7 * np.random.default_rng(1).uniform(-0.5, 0.5, 20_000)
+    assert MASS * smoothed(noise, RATE, 2)[inner].std() == pytest.approx(1e-3, rel=0.5)
+    assert WINDOW == 0.02
+
+
+def test_a_closed_curve_has_a_width_and_a_single_line_has_none():
+    phase = np.linspace(0.0, 2.0 * np.pi, 20_000, endpoint=False)
+    velocity = 250e-6 * np.cos(phase)
+    rising = np.sin(phase) < 0.0
+    assert hysteresis(velocity, np.sign(velocity), rising) < 0.2
+    assert hysteresis(velocity, np.where(rising, -0.3, 0.3), rising) == pytest.approx(0.6)
+
+
+def test_the_estimate_follows_the_simulated_friction_within_a_hundredth_of_a_newton(machine):
+    data = friction_curve(machine)
+    deviation = data.estimate.friction - data.friction
+    assert np.sqrt(np.mean(deviation**2)) < 0.01
+    assert np.abs(deviation).max() < 0.1
+    # Friction holds on while the velocity has already turned: the loop is open by nearly twice Coulomb's.
+    coulomb = machine.plant.friction.coulomb
+    assert coulomb < data.width < 2.5 * coulomb

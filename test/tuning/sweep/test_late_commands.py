@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.commissioning.acceptance import stalled
 
@@ -29,18 +29,6 @@ def shipped():
     values["stage"]["motion.stroke"] = 0.1
     values["stage"]["drive.delay"] = 1.0
     return values
-
-
-def test_delays_are_those_of_the_first_commands_and_the_rest_have_the_constant_one(shipped):
-    constant, _ = run_stroke(shipped)
-    n = constant.time.size
-    same, _ = run_stroke(shipped, np.full(100, PERIOD))
-    np.testing.assert_array_equal(same.true_y, constant.true_y)
-    # In a stroke: at rest all commands are the same.
-    one = n // 3
-    late, _ = run_stroke(shipped, np.where(np.arange(2 * n) == one, 3 * PERIOD, PERIOD))
-    np.testing.assert_array_equal(late.true_y[:one], constant.true_y[:one])
-    assert (late.true_y[one:] != constant.true_y[one:]).any()
 
 
 def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(script, shipped):

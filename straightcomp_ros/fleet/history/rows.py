@@ -1,0 +1,199 @@
+"""The rows of a store: a table's columns are the fields of a dataclass, each declared once.
+
+Figures have the names and units of `straightcomp evaluate --json`. A figure that the bag does not hold is null.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
+from urllib.parse import quote
+
+if TYPE_CHECKING:
+    import pyarrow
+
+BIN_MM = 10
+"""Width of the bins over x. Bin k of a stroke begins at ``bins_from_mm`` + 10 k."""
+PARTITIONS = ("stage", "month")
+"""Columns that the folders of the store name, so that a file does not repeat them: name of the stage, and month
+YYYY-MM in which the bag's first stroke began, UTC."""
+_DESCRIPTION = "description"
+_LONGEST_NAME = 240
+"""Bytes; file systems allow 255, of which `stage=` or `.html.part` take some."""
+
+
+class Column(NamedTuple):
+    """A column: its name, the type of its values as in the dataclass, and what it means."""
+
+    name: str
+    kind: str
+    description: str
+
+    @property
+    def nullable(self) -> bool:
+        """Whether it may be null."""
+        return self.kind.endswith("| None")
+
+
+def column(description: str, default: Any = dataclasses.MISSING) -> Any:
+    """Declare a field of a row; the unit is at the end of the field's name."""
+    return dataclasses.field(
+        default=default, kw_only=default is not dataclasses.MISSING, metadata={_DESCRIPTION: description}
+    )
+
+
+@dataclass(frozen=True)
+class BagRow:
+    """The row. A copy of a bag at another place is another row with the same checksum, and no more strokes."""
+
+    location: str = column("full path or URL of the bag")
+    size: int = column("bytes of its files")
+    modified: datetime | None = column("when the newest of its files was changed, UTC")
+    checksum: str | None = column("BLAKE2b of its files; null if they could not be read", None)
+    stage: str | None = column("name of the stage; null for a refused bag", None)
+    month: str | None = column("month of its strokes, YYYY-MM; null for a refused bag", None)
+    strokes: int = column("number of its strokes in the table strokes", 0)
+    reason: str | None = column("why its strokes are not in the store; null if they are", None)
+    evaluated_by: str = column("version of the package that evaluated it", "")
+
+
+@dataclass(frozen=True)
+class StrokeRow:
+    """The row; its partition is (stage, month)."""
+
+    checksum: str = column("BLAKE2b of the bag's files: the bag's key, the same wherever the bag lies")
+    bag: str = column("name under which the bag was recorded")
+    stroke: int = column("number of the stroke in its bag, from 1")
+    start: datetime = column("when the stroke began, UTC, by the stamps of the samples")
+    identity: str | None = column("name and checksum of the stage's description")
+    law: str = column("control law")
+    direction: str = column("forward or backward")
+    duration_s: float = column("duration of the stroke")
+    travel_mm: float = column("its travel in x")
+    encoder_pp_um: float = column("compensation error r − y as the encoder sees it, p-p")
+    encoder_rms_um: float = column("the same, RMS about zero")
+    true_pp_um: float | None = column("true compensation error, p-p; simulated machines only")
+    true_rms_um: float | None = column("the same, RMS about zero")
+    before_least_squares_um: float = column("straightness of the guide about the least squares line (ISO 230-1)")
+    before_end_points_um: float = column("the same about the line through the end points")
+    after_least_squares_um: float = column("straightness of the workpiece about the least squares line")
+    after_end_points_um: float = column("the same about the line through the end points")
+    control_activity_A: float = column("Σ |Δi_c| of the commands")
+    coil_work_A2s: float = column("∫ i_c² dt of the commands: heat in the coils for each ohm")
+    friction_A: float | None = column("friction as current: half the hysteresis of the coil current over y")
+    stiffness_A_per_m: float | None = column("slope of the coil current over y: K̄_y / K̄_i")
+    amplifier_bandwidth_Hz: float | None = column("bandwidth of the amplifier")
+    latency_p50_us: float | None = column("time from a sample to the arrival of its command, median")
+    latency_p99_us: float | None = column("the same, 99th percentile")
+    expected_samples: int = column("samples that the clock took during the stroke")
+    lost_samples: int = column("of these, samples that the bag lacks")
+    unanswered_samples: int = column("samples in the bag without reference or command")
+    saturated_samples: int = column("samples with the command at the current limit")
+    amplifier_off_samples: int = column("samples with the amplifier off")
+    stick_slip_events: int = column("how often the platform stuck and slipped")
+    faults: list[str] = column("faults of the driver latched in the stroke or before the next one, see docs/safety.md")
+    verdict: str = column("verdict on the stroke, see docs/accuracy.md")
+    reason: str = column("the verdict's reason, with numbers")
+    bins_from_mm: int = column("x at which the first bin begins, a multiple of the bins' width of 10 mm")
+    error_bins_um: list[float | None] = column("mean error r − y in each bin; null without a sample there")
+    residual_bins_um: list[float | None] = column(
+        "mean deviation of the workpiece in each bin, about the least squares line: true positions where they are "
+        "known, else the map's and the encoder's"
+    )
+    current_bins_A: list[float | None] = column("mean command i_c in each bin")
+    guide_change_um: list[float | None] | None = column(
+        "deviation of the guide by the displacement sensor, minus the map's, in each bin; null without a sensor"
+    )
+    parameters_checksum: str | None = column("BLAKE2b of the parameters of driver, feedforward and controller")
+    map_checksum: str | None = column("BLAKE2b of the attached map")
+    software_version: str | None = column("version of the package that recorded the bag")
+    software_revision: str | None = column("its git revision")
+    host: str | None = column("computer that recorded the bag")
+
+
+class EvaluatedBag(NamedTuple):
+    """The row of a bag, and its strokes as a Parquet file; None for a refused bag."""
+
+    row: BagRow
+    strokes: bytes | None
+
+
+@functools.cache
+def columns_of(row: type) -> tuple[Column, ...]:
+    """The columns of a row's class, in their order."""
+    return tuple(Column(one.name, str(one.type), one.metadata[_DESCRIPTION]) for one in dataclasses.fields(row))
+
+
+@functools.cache
+def schema_of(row: type) -> pyarrow.Schema:
+    """The Arrow schema of a row's class. A column whose type allows None is nullable."""
+    import pyarrow as pa
+
+    types = {
+        str: pa.string(),
+        int: pa.int64(),
+        float: pa.float64(),
+        list[str]: pa.list_(pa.string()),
+        # Bins are many, and a µm needs no more than seven digits.
+        list[float | None]: pa.list_(pa.float32()),
+    }
+    hints = get_type_hints(row)
+    fields = []
+    for one in columns_of(row):
+        kinds = [kind for kind in getattr(hints[one.name], "__args__", ()) if kind is not type(None)]
+        kind = kinds[0] if one.nullable else hints[one.name]
+        values = types.get(kind) or pa.timestamp("us", tz="UTC")
+        fields.append(pa.field(one.name, values, nullable=one.nullable))
+    return pa.schema(fields)
+
+
+def table_of(row: type, rows: Sequence[Any]) -> pyarrow.Table:
+    """The rows, instances of the class ``row``, as an Arrow table."""
+    import pyarrow
+
+    schema = schema_of(row)
+    columns = {name: [_in_utf8(getattr(one, name)) for one in rows] for name in schema.names}
+    return pyarrow.Table.from_pydict(columns, schema)
+
+
+def parquet(row: type, rows: Sequence[Any]) -> bytes:
+    """Rows of the class ``row`` as a Parquet file."""
+    import pyarrow.parquet
+
+    file = io.BytesIO()
+    # Columns are short: what describes them would be three times as long as they are.
+    pyarrow.parquet.write_table(
+        table_of(row, rows), file, compression="zstd", use_dictionary=False, store_schema=False, write_statistics=False
+    )
+    return file.getvalue()
+
+
+def checksum_of(parts: Iterable[bytes]) -> str:
+    """BLAKE2b of these bytes, one after the other, 128 bits in hexadecimal."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def stored_name(stage: str) -> str:
+    """The name of a stage in a store, where it names a folder and files: the name itself, or where that is too long for
+    a file system once it is quoted, its beginning with a checksum of all of it."""
+    if len(quote(stage, safe="")) <= _LONGEST_NAME:
+        return stage
+    end = f"~{checksum_of([stage.encode('utf-8', 'backslashreplace')])[:12]}"
+    kept = stage
+    while len(quote(kept + end, safe="")) > _LONGEST_NAME:
+        kept = kept[:-1]
+    return kept + end
+
+
+def _in_utf8(value: Any) -> Any:
+    """A text that Parquet can hold: names of files need not be UTF-8."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value

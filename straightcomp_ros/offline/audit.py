@@ -1,0 +1,169 @@
+"""Computes every recorded command again from the recorded samples and references, and compares the bits.
+
+The law's state depends on its samples, their order, and the reference of each. The recorded `controller_state` has
+all three: it has one message for each step of the law, with the age of its reference.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.recorded_nodes import parameters_of
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.pairing import extrapolated
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
+
+_AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
+_COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])
+"""Columns of the law's answer, in its order."""
+_PACK = struct.Struct(f"<{len(_COLUMNS)}d").pack
+_GAP_NS = 20_000_000
+"""Gap between two samples beyond which the servo restarts the law."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A number that differs: in the recorded step ``step``, for the sample of ``stamp_ns``."""
+
+    step: int
+    stamp_ns: int
+    column: str
+    recorded: float
+    computed: float
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Result of an audit.
+
+    Attributes:
+        commands: commands that were computed again and compared.
+        different: those of them that differ, in the command or in the law's inner variables.
+        unverified: recorded commands that cannot be computed: an input of the law is not in the bag, and the law has
+            not restarted since.
+        missing: samples or references of those steps that are not in the bag.
+        began_running: whether the recording began while the law was running.
+    """
+
+    law: str
+    commands: int
+    different: int
+    unverified: int
+    missing: int
+    began_running: bool
+    first: Difference | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether commands were compared and none differed."""
+        return self.commands > 0 and not self.different
+
+
+def audit(
+    bag: Path,
+    remap: Mapping[str, str] | None = None,
+    given: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Audit:
+    """Audit a bag.
+
+    ``remap`` has the bag's topic for each of our topics that has another name there, ``given`` the parameters, by node
+    and dotted name, of a bag that has none attached.
+
+    Raises:
+        BagError: the bag is refused, or lacks a stream or the controller's parameters.
+        ParameterError: a recorded parameter is refused.
+    """
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in _AUDITED}, remap)
+    for stream in _AUDITED:
+        if stream.topic not in streams:
+            raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; an audit needs all four of the loop")
+    values = parameters_of(bag, read_attachments(bag), given)
+    if "controller" not in values:
+        raise BagError(f"bag {bag}: the controller's parameters are not attached; give them with --params-file")
+    try:
+        parameters: ControllerNodeParameters = node_parameters("controller", values)
+    except ParameterError as error:
+        raise ParameterError(f"bag {bag}: {error}") from error
+    if parameters.learning.learn:
+        raise BagError(f"bag {bag}: the controller learned while it ran; what it knew before is not in the bag")
+    return _audited(parameters, *(streams[stream.topic] for stream in _AUDITED))
+
+
+def _audited(
+    parameters: ControllerNodeParameters,
+    encoder: StreamColumns,
+    reference: StreamColumns,
+    command: StreamColumns,
+    state: StreamColumns,
+) -> Audit:
+    servo = Servo(make_law(parameters.control, parameters.stage))
+    samples = _rows(encoder, "y", "coil_current")
+    references = _rows(reference, *REFERENCE.layout.columns)
+    currents = _rows(command, *COMMAND.layout.columns)
+    recorded = zip(*(state.columns[name].tolist() for name in CONTROLLER_STATE.layout.columns), strict=True)
+    # Commands are published one by one, states in batches: a command without a state means that the state was lost.
+    stateless = sorted(set(currents).difference(state.stamp.tolist()), reverse=True)
+    steps, missing = len(state) + len(stateless), 0
+    compared = different = 0
+    followed, began_running = True, False
+    last_ns: int | None = None
+    first: Difference | None = None
+    for step, (stamp_ns, numbers) in enumerate(zip(state.stamp.tolist(), recorded, strict=True)):
+        while stateless and stateless[-1] < stamp_ns:
+            followed = False
+            missing += 1
+            stateless.pop()
+        sample = samples.get(stamp_ns)
+        age_ns = round(numbers[-1] * 1e9) if math.isfinite(numbers[-1]) else -1
+        given = references.get(stamp_ns - age_ns) if age_ns >= 0 else None
+        if sample is None or given is None:
+            followed, last_ns = False, stamp_ns
+            missing += 1
+            continue
+        y, coil_current = sample
+        starts_anew = math.isnan(coil_current) or (last_ns is not None and abs(stamp_ns - last_ns) > _GAP_NS)
+        last_ns = stamp_ns
+        answer = servo.step(stamp_ns, y, coil_current, extrapolated(*given, age_ns * 1e-9))
+        followed = followed or starts_anew
+        current = currents.get(stamp_ns)
+        if not followed or current is None:
+            continue
+        found = _first_difference(step, stamp_ns, (*current, *numbers[:-1]), answer)
+        if found and not compared and not starts_anew:
+            # The first step of the bag: the law may have been running.
+            followed, began_running = False, True
+            continue
+        compared += 1
+        if found:
+            different += 1
+            first = first or found
+    missing += len(stateless)
+    return Audit(parameters.control.law, compared, different, steps - compared, missing, began_running, first)
+
+
+def _rows(stream: StreamColumns, *columns: str) -> dict[int, tuple[float, ...]]:
+    """Numbers by stamp; a repeated message has the same numbers."""
+    numbers = zip(*(stream.columns[name].tolist() for name in columns), strict=True)
+    return dict(zip(stream.stamp.tolist(), numbers, strict=True))
+
+
+def _first_difference(
+    step: int, stamp_ns: int, recorded: tuple[float, ...], computed: tuple[float, ...] | None
+) -> Difference | None:
+    if computed is None:
+        return Difference(step, stamp_ns, _COLUMNS[0], recorded[0], math.nan)
+    if _PACK(*recorded) == _PACK(*computed):
+        return None
+    for name, one, other in zip(_COLUMNS, recorded, computed, strict=True):
+        # NaN means "none", whatever its bits.
+        if struct.pack("<d", one) != struct.pack("<d", other) and not (math.isnan(one) and math.isnan(other)):
+            return Difference(step, stamp_ns, name, one, other)
+    return None

@@ -1,1 +1,0 @@
-"""Runs a recorded run again: to the bit, or with other laws and parameters."""

@@ -1,0 +1,131 @@
+"""Simulates the loop over a recorded motion of the stage, with the recorded law or another."""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
+from straightcomp_ros.analysis.run_verdict import judged_bag, judged_run
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
+from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import find_survey
+from straightcomp_ros.straightness.survey import SurveyError
+
+_WAYPOINT_EVERY = 0.01
+"""Time in s between waypoints: at a corner of the speed profile, 0.2 m/s², x errs by up to 3 µm, r by 1 nm."""
+_APPROACH_NS = 1_000_000_000
+"""Time for the simulated stage to go from 0 to the recorded start, before the first sample."""
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """Figures of a recorded run, and of two simulations with its motion and its map.
+
+    Attributes:
+        again: with the recorded parameters: its difference from ``recorded`` is the error of the simulation.
+        changed: with the changes; None without any.
+        laws: names of the laws of the three, in this order.
+        verdicts: on those that there are, in this order.
+    """
+
+    recorded: Metrics
+    again: Metrics
+    changed: Metrics | None
+    laws: tuple[str, str, str | None]
+    verdicts: tuple[Verdict, ...]
+
+
+def what_if(
+    bag: Path,
+    changes: Mapping[str, Mapping[str, Any]],
+    remap: Mapping[str, str] | None = None,
+    given: Mapping[str, Mapping[str, Any]] | None = None,
+) -> WhatIf:
+    """Simulate a recorded run.
+
+    The plant is that of the bag's parameters; the loop's delay is the recorded median. If no truth was recorded, the
+    guide is that of the map.
+
+    ``changes`` are values by node and dotted name, over those of the bag; ``remap`` and ``given`` as of
+    :func:`~straightcomp_ros.offline.audit.audit`.
+
+    Raises:
+        BagError, MetricsError: the bag is refused, or its stage does not move.
+        ParameterError: a parameter is refused.
+        SurveyError: the map is neither attached nor found, or is refused.
+    """
+    evaluation = evaluate_bag(bag, remap)
+    attachments = read_attachments(bag)
+    record = evaluation.record
+    parameters = parameters_of(bag, attachments, given)
+    with tempfile.TemporaryDirectory() as folder:
+        survey = unpacked_map(attachments, Path(folder))
+        values = _recorded_values(parameters, evaluation, survey)
+        motion = _recorded_motion(record)
+        again, law, verdict = _simulated(values, motion)
+        changed, changed_law = None, None
+        reference = RecordedReference(record)
+        found = judged_bag(evaluation, record, reference, parameters, evaluation.map)
+        verdicts = [found, verdict]
+        if any(changes.values()):
+            for node, section in changes.items():
+                if node == STAGE:
+                    # Each recorded node has its own copy of the description.
+                    for of_node in values.values():
+                        of_node.update({f"{STAGE}.{name}": value for name, value in section.items()})
+                else:
+                    values.setdefault(node, {}).update(section)
+            changed, changed_law, verdict = _simulated(values, motion)
+            verdicts.append(verdict)
+    return WhatIf(evaluate(record, reference), again, changed, (record.law, law, changed_law), tuple(verdicts))
+
+
+def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:
+    values = {node: dict(parameters.get(node, {})) for node in NODE_PARAMETERS}
+    if survey is not None:
+        values["feedforward"]["stage.guide.file"] = str(survey)
+    driver, record = values["driver"], evaluation.record
+    try:
+        if record.guide is None:
+            raise SurveyError("no truth")
+        find_survey(str(driver.get("simulated.truth.guide", "")))
+    except SurveyError:
+        driver["simulated.truth.guide"] = values["feedforward"].get("stage.guide.file", StageParameters().guide.file)
+    period = float(np.median(np.diff(evaluation.stamps))) * 1e-9
+    if len(evaluation.latency):
+        driver["stage.drive.delay"] = float(np.clip(np.median(evaluation.latency) / period, 0.0, 10.0))
+    driver["simulated.initial_y"] = float(record.y[0])
+    # A delay of some samples must not end the run.
+    driver["simulated.command_timeout"] = 1.0
+    return values
+
+
+def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
+    """The recorded motion of the stage, and the time in ns at which its trajectory starts."""
+    x = record.x if record.true_x is None else record.true_x
+    step, last = max(round(_WAYPOINT_EVERY / float(np.median(np.diff(record.time)))), 1), len(x) - 1
+    places = np.unique(np.append(np.arange(0, len(x), step), last))
+    before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, last)
+    speed = (x[after] - x[before]) / np.maximum(record.time[after] - record.time[before], 1e-9)
+    speed[0] = speed[-1] = 0.0
+    corners = zip(record.time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True)
+    waypoints = [Waypoint(_APPROACH_NS + round(time * 1e9), position, speed) for time, position, speed in corners]
+    return Trajectory([Waypoint(0, 0.0, 0.0), *waypoints]), -_APPROACH_NS
+
+
+def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str, Verdict]:
+    simulation = Simulation(values, motion=motion)
+    record = simulation.run()
+    verdict = judged_run(record, simulation.map, values, simulation.map)
+    return evaluate(record, simulation.map), record.law, verdict

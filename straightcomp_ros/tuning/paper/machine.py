@@ -1,0 +1,187 @@
+"""The loop that the figures are computed with: as a parameter file says, or idealised; its release, and its sine.
+
+The loop runs on its own: any initial position, any reference over time, no guide and no map.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.model.converters import EncoderParameters
+from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.offline.scenario import node_set
+from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.stage.description import StageParameters
+
+DELAY = 0.5
+"""Command delay of the paper's loop, in samples; the shipped friction was fitted with it."""
+IDEAL_RATE = 20_000
+"""Samples per second of the idealised loop: ten times the machine's, so that σ chatters a tenth as wide."""
+UNCLAMPED = 100.0
+"""Limit of |i_c| in A that no law here comes near before the platform is at its stop."""
+FREQUENCY = 0.8
+"""Of the sine of Fig. 6 and 7, Hz."""
+AMPLITUDE = 50e-6
+"""m."""
+SETTLING_PERIODS = 2
+PERIODS = 2
+"""Periods that are evaluated, after those in which the loop settles."""
+OMEGA = 2.0 * math.pi * FREQUENCY
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Plant and control law of one sampled loop.
+
+    Attributes:
+        plant: platform, magnets, friction, drive and encoders.
+        control: law and design.
+        stage: the description that the law has; its rate and delay are the loop's.
+        values: parameters by node and dotted name that the machine was made from.
+    """
+
+    plant: PlantParameters
+    control: ControlParameters
+    stage: StageParameters
+    values: Values
+
+    def with_law(self, law: str) -> Machine:
+        """The same machine under another law."""
+        return dataclasses.replace(self, control=dataclasses.replace(self.control, law=law))
+
+    def with_limit(self, current: float) -> Machine:
+        """The same machine with |i_c| limited to ``current`` in A."""
+        return dataclasses.replace(self, stage=_limited(self.stage, current))
+
+    def without_friction(self) -> Machine:
+        """The same machine on bristles too weak to matter (a friction of zero is no LuGre friction)."""
+        friction = dataclasses.replace(self.plant.friction, coulomb=1e-9, static=1e-9, bristle_damping=0.0, viscous=0.0)
+        return dataclasses.replace(self, plant=dataclasses.replace(self.plant, friction=friction))
+
+    def idealised(self) -> Machine:
+        """The loop that the paper's equations speak of: fast, without delay, quanta and limits; sgn σ as written.
+
+        Magnets, mass and friction stay as they are.
+        """
+        drive = dataclasses.replace(
+            self.plant.drive, dac_bits=24, dac_range=UNCLAMPED / self.plant.drive.gain, bandwidth=1e6
+        )
+        plant = dataclasses.replace(self.plant, drive=drive, encoder=EncoderParameters(1e-12, 1e-12))
+        ideal_drive = dataclasses.replace(self.stage.drive, delay=0.0)
+        stage = dataclasses.replace(_limited(self.stage, UNCLAMPED), rate=IDEAL_RATE, drive=ideal_drive)
+        control = dataclasses.replace(
+            self.control,
+            smc=dataclasses.replace(
+                self.control.smc, boundary_layer=0.0, velocity_bandwidth=1e5, enforce_reaching=False
+            ),
+        )
+        return dataclasses.replace(self, plant=plant, control=control, stage=stage)
+
+
+def machine_from(values: Values) -> Machine:
+    """The machine of a parameter file, values as `read_parameter_file` gives them; ParameterError if one is refused."""
+    driver, _, controller, _ = node_set(values)
+    return Machine(plant=driver.plant, control=controller.control, stage=controller.stage, values=values)
+
+
+def _limited(stage: StageParameters, current: float) -> StageParameters:
+    return dataclasses.replace(stage, actuator=dataclasses.replace(stage.actuator, current_limit=current))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What the loop did; all arrays (n,), sample k of each at the same time.
+
+    Attributes:
+        time: s from the release.
+        reference: r, m.
+        reading: y as the encoder sees it, m.
+        y: true position, m.
+        velocity: true ẏ, m/s.
+        coil_current: control current in the coils, A.
+        friction: force of friction, N, positive where it resists a positive velocity.
+        command: i_c asked by the law, A.
+        sigma: sliding variable as the law computes it, m/s.
+    """
+
+    time: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    reading: NDArray[np.float64]
+    y: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    coil_current: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    command: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+
+def hold_still(machine: Machine, duration: float) -> NDArray[np.float64]:
+    """A reference of zero for ``duration`` in s, (n,) in m."""
+    return np.zeros(round(duration * machine.stage.rate))
+
+
+def largest(returns: Callable[[float], bool], low: float, high: float, steps: int) -> float:
+    """Largest value between ``low`` and ``high`` that ``returns``, by bisection to 1 / 2^steps of the interval."""
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        if returns(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) -> Response:
+    """Release the platform at rest at ``initial_y``, bias current on, control current zero, and run the loop.
+
+    The law is given r and no rates of it, as the paper's is.
+
+    Args:
+        machine: plant, law and sampling.
+        initial_y: m, inside the stops.
+        reference: (n,) in m, one value for each sample.
+    """
+    period_ns = round(1e9 / machine.stage.rate)
+    delay_ns = round(machine.stage.drive.delay * period_ns)
+    constants = as_array(machine.plant.constants())
+    bias = machine.plant.actuator.bias_current
+    state = np.array(PlantState(y=initial_y, bias=bias))
+    reading, converted = machine.plant.encoder.y_reading, machine.plant.drive.converted
+    law = make_law(machine.control, machine.stage)
+    law.reset(reading(initial_y))
+    applied = 0.0
+    rows = np.empty((len(reference), 7))
+    for index, r in enumerate(reference.tolist()):
+        y, velocity, _, control, _, friction, *_ = state.tolist()
+        seen = reading(y)
+        command = law.step(seen, r, 0.0, 0.0)
+        rows[index] = seen, y, velocity, control, friction, command.current, command.sliding_variable
+        asked = converted(command.current)
+        advance(constants, state, bias, applied, delay_ns, asked, period_ns - delay_ns)
+        applied = asked
+    time = np.arange(len(reference), dtype=np.float64) * (period_ns * 1e-9)
+    return Response(time, reference, *rows.T.copy())
+
+
+def follow_sine(machine: Machine) -> Response:
+    """Run the loop from rest; the platform's friction is whatever the machine has."""
+    count = round((SETTLING_PERIODS + PERIODS) / FREQUENCY * machine.stage.rate)
+    reference = AMPLITUDE * np.sin(OMEGA * np.arange(count) / machine.stage.rate)
+    return release(machine, 0.0, reference)
+
+
+def evaluated(response: Response) -> NDArray[np.bool_]:
+    """(n,) whether a sample lies in the periods that are evaluated."""
+    return np.asarray(response.time >= SETTLING_PERIODS / FREQUENCY - 1e-9)
+
+
+def fundamental(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+    """Amplitude of the part of ``values`` at the sine's frequency, over whole periods."""
+    return 2.0 * abs(complex(np.mean(values * np.exp(-1j * OMEGA * time))))

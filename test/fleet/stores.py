@@ -1,0 +1,35 @@
+"""Makes stores, and compares them."""
+
+import hashlib
+from pathlib import Path
+
+from straightcomp_ros.fleet.history.adding import Tally, add
+from straightcomp_ros.fleet.history.bag_places import bags_in
+from straightcomp_ros.fleet.history.queries import query
+from straightcomp_ros.fleet.history.store import Store
+
+SAMPLES = Path(__file__).resolve().parents[2] / "bags"
+COUNT, STAGES = 6, 2
+"""Good bags of the fixture ``months``, and their stages."""
+
+
+def files_of(store):
+    """Checksums of all files of a store by their names, without what was left half-written."""
+    return {
+        str(path.relative_to(store)): hashlib.blake2b(path.read_bytes()).hexdigest()
+        for path in sorted(Path(store).rglob("*.parquet"))
+    }
+
+
+def added(store, *sources, **options):
+    """The tally of adding bags to a store in this process."""
+    tally = Tally()
+    places = (place for source in sources for place in bags_in(str(source)))
+    add(Store(str(store)), places, tally, **{"jobs": 1, **options})
+    return tally
+
+
+def strokes_of(store):
+    """The strokes of a store as rows, each with its stage, in one order."""
+    columns = "stage, checksum, stroke, start, encoder_pp_um, error_bins_um"
+    return query(Store(str(store)), f"SELECT {columns} FROM strokes ORDER BY checksum, stroke").to_pylist()

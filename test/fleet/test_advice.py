@@ -1,0 +1,264 @@
+"""From changed figures to a cause and a remedy; the file of advice; what a person would have been alarmed of."""
+
+import json
+import os
+from datetime import date, datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
+from straightcomp_ros.fleet.maintenance.day_levels import levels_of
+from straightcomp_ros.fleet.maintenance.history_plots import faults_over_time
+from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
+from trials import wear as wear_found
+from trials.wear import Alarm, alarms_of
+from trials.worn_stage import BAGS_A_DAY, SOUND, WEARS, levels_of_months, months
+
+DAYS, BEGIN = 120, 60
+SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)
+PLACES = np.arange(DAYS)
+STEP = (PLACES >= BEGIN).astype(float)
+
+
+@pytest.mark.parametrize(
+    ("figure", "factors", "cause", "words"),
+    [
+        ("friction_A", 1.0 + 0.005 * SINCE, "friction_up", "regrease"),
+        ("friction_A", 1.0 - 0.005 * SINCE, "friction_down", "greased"),
+        ("stiffness_A_per_m", 1.0 + 0.003 * SINCE, "stiffness", "encoder of y"),
+        ("amplifier_bandwidth_Hz", 1.0 - 0.005 * SINCE, "amplifier", "amplifier and its supply"),
+        ("latency_p50_us", 1.0 + 0.3 * STEP, "host", "straightcomp doctor"),
+        ("encoder_rms_um", 1.0 + 0.005 * SINCE, "unknown", "evaluate"),
+    ],
+)
+def test_each_figure_has_its_cause_and_remedy(make_levels, figure, factors, cause, words):
+    (found,) = advice_of(make_levels(**{figure: factors}))
+    assert found.cause == cause and words in found.remedy and found.due
+    assert found.since >= date(2026, 2, 20) and found.changes[0].figure == figure
+
+
+def test_a_sound_stage_gets_no_advice(make_levels):
+    assert advice_of(make_levels()) == []
+
+
+def bump(low, high):
+    middles = (np.arange(100) + 0.5) * 10.0
+    return ((middles > low) & (middles < high)).astype(float)
+
+
+def test_a_guide_that_moved_is_told_with_its_place(make_levels):
+    (found,) = advice_of(make_levels(guide=np.outer(0.005 * SINCE, bump(300, 420))))
+    assert found.cause == "guide" and found.place is not None
+    assert abs(found.place.first - 300) <= 20 and abs(found.place.last - 420) <= 20
+    assert f"x = {found.place.first} to {found.place.last} mm" in found.text and "survey" in found.remedy
+
+
+def test_a_guide_that_moved_at_once_is_a_matter_of_bolts(make_levels):
+    (found,) = advice_of(make_levels(guide=np.outer(0.5 * STEP, bump(600, 700))))
+    assert found.cause == "bolt" and "bolts" in found.remedy and found.since == date(2026, 3, 2)
+
+
+def test_a_guide_that_bows_or_a_straight_edge_put_down_anew_is_no_change(make_levels):
+    x = np.linspace(-1.0, 1.0, 100)
+    assert advice_of(make_levels(guide=np.outer(STEP, 3.0 * x + 0.5 * x * x))) == []
+
+
+def of_two_strokes_a_day(make_levels, guide, maps):
+    """Months whose days have a stroke forward, then one backward, with these profiles (2 n, m) and maps."""
+    sound = make_levels()
+    twice = {name: np.repeat(values, 2) for name, values in sound.figures.items()}
+    forward = np.tile([True, False], DAYS)
+    noise = 0.005 * np.random.default_rng(4).standard_normal(guide.shape)
+    profiles = {"guide_change_um": guide + noise, "error_bins_um": np.zeros(guide.shape)}
+    constant = ["1"] * len(maps)
+    return levels_of(np.repeat(sound.day, 2), forward, twice, sound.x, profiles, [constant, maps, constant])
+
+
+def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels):
+    # From the second stroke of that day on.
+    renewed = 2 * BEGIN + 1
+    guide = np.outer(0.5 * (np.arange(2 * DAYS) >= renewed), bump(600, 700))
+    maps = [*["a"] * renewed, *["c"] * (2 * DAYS - renewed)]
+    levels = of_two_strokes_a_day(make_levels, guide, maps)
+    profiles = levels.profiles["guide_change_um"]
+    assert not np.isfinite(profiles[:BEGIN]).any() and np.isfinite(profiles[BEGIN:]).all()
+    assert profiles[BEGIN].max() == pytest.approx(0.5, abs=0.05), "a mean of both maps"
+    assert advice_of(levels) == []
+
+
+def test_a_stroke_without_map_and_sensor_leaves_the_guide_s_history_as_it_is(make_levels):
+    guide = np.outer(0.5 * np.repeat(STEP, 2), bump(600, 700))
+    guide[-3] = np.nan
+    maps = ["a"] * (2 * DAYS)
+    maps[-3] = ""
+    (found,) = advice_of(of_two_strokes_a_day(make_levels, guide, maps))
+    assert found.cause == "bolt"
+
+
+def test_what_changed_with_an_update_names_it(make_levels):
+    software = [*["1.1"] * BEGIN, *["1.2"] * (DAYS - BEGIN)]
+    (found,) = advice_of(make_levels(latency_p50_us=1.0 + 0.3 * STEP, software=software))
+    assert "software changed from 1.1 to 1.2 on 2026-03-02" in found.text and "compare" in found.remedy
+
+
+def test_what_follows_from_a_cause_is_no_matter_of_its_own(make_levels):
+    more = 1.0 + 0.005 * SINCE
+    levels = make_levels(friction_A=more, coil_work_A2s=more**2, encoder_rms_um=more, stiffness_A_per_m=more**0.3)
+    (found,) = advice_of(levels)
+    assert found.cause == "friction_up" and len(found.changes) == 4
+
+
+def test_two_causes_are_two_matters(make_levels):
+    levels = make_levels(friction_A=1.0 + 0.005 * SINCE, latency_p50_us=1.0 + 0.3 * STEP)
+    assert {one.cause for one in advice_of(levels)} == {"friction_up", "host"}
+
+
+def test_advice_lapses_when_the_figure_is_back(make_levels):
+    (found,) = advice_of(make_levels(friction_A=1.0 + 0.3 * STEP * (np.arange(DAYS) < 90)))
+    assert not found.due
+
+
+def test_what_went_back_does_not_hide_what_lasts(make_levels):
+    """Lost samples of a week long ago are no explanation of a latency of today."""
+    days = np.arange(DAYS)
+    levels = make_levels(latency_p50_us=1.0 + 0.3 * (days >= 80), encoder_rms_um=1.0 + 0.3 * (days >= 100))
+    levels.figures["lost_samples"][40:50] = 500.0
+    due, lapsed = advice_of(levels)
+    assert due.due and due.changes[0].figure == "latency_p50_us"
+    assert [change.figure for change in due.changes[1:]] == ["encoder_rms_um"]
+    assert not lapsed.due and [change.figure for change in lapsed.changes] == ["lost_samples"]
+
+
+@pytest.mark.parametrize("wear", WEARS, ids=lambda wear: wear.name)
+def test_simulated_wear_is_found_with_its_cause(pool, wear):
+    strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4)
+    found = [one for one in advice_of(levels_of_months(strokes, pool.x)) if one.cause in wear.causes]
+    assert found and found[0].found >= date(2026, 3, 2)
+
+
+@pytest.mark.parametrize("wear", [wear for wear in WEARS if wear.name in ("guide", "bolt")], ids=lambda wear: wear.name)
+def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear):
+    strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
+    assert not {"guide", "bolt"} & {one.cause for one in advice_of(levels_of_months(strokes, pool.x))}
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def worn_levels(make_levels):
+    return make_levels(friction_A=1.0 + 0.005 * np.maximum(np.arange(120) - 60.0, 0.0))
+
+
+def test_what_is_written_is_read(worn_levels, tmp_path):
+    advice = advice_of(worn_levels)
+    path = tmp_path / "stage.json"
+    write_advice(path, advice_json("gantry", date(2026, 5, 1), advice))
+    due = read_advice(path)
+    assert (due.stage, due.as_of) == ("gantry", "2026-05-01")
+    assert due.text.startswith("as of 2026-05-01: friction rose by") and "regrease" in due.text
+    entry = json.loads(path.read_text("utf-8"))["advice"][0]
+    assert entry["figures"]["friction_A"]["after"] > entry["figures"]["friction_A"]["before"] > 0.0
+
+
+def test_advice_that_lapsed_is_not_due(make_levels):
+    days = np.arange(120)
+    advice = advice_of(make_levels(friction_A=1.0 + 0.3 * ((days >= 60) & (days < 90))))
+    assert advice and advice_json("gantry", date(2026, 5, 1), advice)["advice"] == []
+
+
+def test_a_file_is_read_again_when_it_changes_and_not_more_often_than_once_a_second(tmp_path):
+    path, clock = tmp_path / "stage.json", Clock()
+    watched = WatchedAdvice(str(path), clock)
+    assert watched.due().text == ""
+    write_advice(path, {"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]})
+    clock.now = 0.5
+    assert watched.due().text == ""
+    clock.now = 1.0
+    assert watched.due().text == "as of 2026-05-01: worn; mend"
+    write_advice(path, {"stage": "a", "as_of": "2026-05-02", "advice": []})
+    clock.now = 2.0
+    assert watched.due().text == ""
+    os.remove(path)
+    clock.now = 3.0
+    assert watched.due().text == ""
+    assert WatchedAdvice("", clock).due().text == ""
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"stage": "a", "as_of": "b", "advice": [1]}', "\xff"])
+def test_a_damaged_file_says_so_in_place_of_advice(tmp_path, content):
+    path = tmp_path / "stage.json"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(MaintenanceError, match=r"stage\.json: is no file of advice .*history advise"):
+        read_advice(path)
+    assert "stage.json" in WatchedAdvice(str(path)).due().text
+
+
+def test_a_folder_in_place_of_the_file_says_so(tmp_path):
+    assert "cannot be read" in WatchedAdvice(str(tmp_path)).due().text
+
+
+def test_an_alarm_that_comes_again_counts_again(make_levels):
+    spells = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
+    alarms = alarms_of(make_levels(friction_A=1.0 + 0.3 * spells))
+    assert [alarm.cause for alarm in alarms] == ["friction_up", "friction_up"]
+    assert [alarm.place // 40 for alarm in alarms] == [1, 2]
+
+
+def test_a_cause_that_was_told_and_then_corrected_counts(make_levels):
+    """First the error alone is worse, then the friction that explains it is seen."""
+    levels = make_levels(encoder_rms_um=1.0 + 0.5 * (PLACES >= 40), friction_A=1.0 + 0.5 * (PLACES >= 60))
+    assert [alarm.cause for alarm in alarms_of(levels)] == ["unknown", "friction_up"]
+
+
+def test_a_cause_that_comes_to_be_told_while_no_figure_s_alarm_begins_or_ends_counts(make_levels):
+    """Stiffness first follows friction, then it has changed so much that it is a matter of its own."""
+    stiffness = 1.0 + 0.1 * (PLACES >= 40) + 0.4 * (PLACES >= 80)
+    first, second = alarms_of(make_levels(friction_A=1.0 + 0.5 * (PLACES >= 40), stiffness_A_per_m=stiffness))
+    assert first == Alarm("friction_up", 40)
+    assert second.cause == "stiffness" and second.place >= 80
+
+
+def test_a_stage_that_only_scatters_raises_none(make_levels):
+    assert alarms_of(make_levels()) == []
+
+
+@pytest.mark.nightly
+def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
+    years = [levels_of_months(months(pool, SOUND, 0, 365, 900 + seed, bags=4), pool.x) for seed in range(5)]
+    assert sum(len(alarms_of(year)) for year in years) <= 5
+
+
+def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning(monkeypatch, pool):
+    wear = next(one for one in wear_found.WEARS if one.name == "friction")
+    alarms = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
+    monkeypatch.setattr(wear_found, "_levels", lambda *_: None)
+    monkeypatch.setattr(wear_found, "alarms_of", lambda _: alarms)
+    assert wear_found.found(pool, wear, 0, True) == (50, 2)
+
+
+STARTS = [datetime(2026, 1, 1, tzinfo=timezone.utc) + timedelta(days=day) for day in range(30)]
+
+
+def test_each_fault_has_a_mark_in_the_line_of_its_kind():
+    faults = [[] for _ in STARTS]
+    faults[3], faults[7], faults[20] = ["x_jump"], ["x_jump", "y_frozen"], ["x_jump"]
+    figure = faults_over_time(STARTS, faults)
+    assert figure is not None
+    marks = {line.y[0]: list(line.x) for line in figure.data}
+    assert marks == {
+        "x_jump: 3": [STARTS[place].isoformat() for place in (3, 7, 20)],
+        "y_frozen: 1": [STARTS[7].isoformat()],
+    }
+    # The most frequent one is drawn last, on top; quiet days belong to the picture.
+    assert list(marks)[-1] == "x_jump: 3"
+    assert figure.layout.xaxis.range == (STARTS[0].isoformat(), STARTS[-1].isoformat())
+
+
+def test_without_faults_there_is_no_picture():
+    assert faults_over_time(STARTS, [[] for _ in STARTS]) is None

@@ -1,0 +1,107 @@
+"""Which bags a folder has, and when those that are being recorded enter the store: when they are whole, not before."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+from stores import SAMPLES
+
+from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
+
+
+def given(growing, folder):
+    return [os.path.basename(place.location) for place in growing.whole(bags_in(str(folder)))]
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds of a clock that the test sets."""
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    return now
+
+
+def half_written(folder, name, size=1_000_000):
+    (folder / name).mkdir()
+    (folder / name / f"{name}_0.mcap").write_bytes((SAMPLES / "smc" / "smc_0.mcap").read_bytes()[:size])
+
+
+def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
+    growing = GrowingFolders(settled_s=60.0)
+    half_written(tmp_path, "run")
+    for size in (1_100_000, 1_200_000, 1_300_000):
+        assert given(growing, tmp_path) == []
+        clock[0] += 59.0
+        shutil.rmtree(tmp_path / "run")
+        half_written(tmp_path, "run", size)
+    shutil.rmtree(tmp_path / "run")
+    shutil.copytree(SAMPLES / "smc", tmp_path / "run")
+    assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
+
+
+def test_a_bag_whose_metadata_were_copied_before_its_messages_waits_too(tmp_path, clock):
+    growing = GrowingFolders(settled_s=60.0)
+    half_written(tmp_path, "run")
+    shutil.copy(SAMPLES / "smc" / "metadata.yaml", tmp_path / "run")
+    assert given(growing, tmp_path) == []
+
+
+def test_an_unfinished_bag_that_rests_is_given_out_to_be_refused(tmp_path, clock):
+    growing = GrowingFolders(settled_s=60.0)
+    half_written(tmp_path, "run")
+    assert given(growing, tmp_path) == []
+    clock[0] += 61.0
+    assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
+
+
+def test_a_finished_bag_is_given_out_once_and_again_when_it_changed_or_could_not_be_read(tmp_path):
+    shutil.copytree(SAMPLES / "smc", tmp_path / "smc")
+    growing = GrowingFolders()
+    assert given(growing, tmp_path) == ["smc"] and given(growing, tmp_path) == []
+    os.utime(tmp_path / "smc" / "smc_0.mcap", (0.0, time.time() + 3600.0))
+    assert given(growing, tmp_path) == ["smc"]
+    growing.retry(next(bags_in(str(tmp_path))))
+    assert given(growing, tmp_path) == ["smc"]
+
+
+def test_a_file_that_vanishes_while_its_folder_is_listed_hides_no_other(tmp_path, monkeypatch):
+    for name in ("gone", "there"):
+        (tmp_path / f"{name}.mcap").write_bytes(b"")
+    scandir = os.scandir
+
+    @contextmanager
+    def listed(folder):
+        with scandir(folder) as found:
+            entries = list(found)
+        (tmp_path / "gone.mcap").unlink()
+        yield entries
+
+    monkeypatch.setattr(os, "scandir", listed)
+    assert [place.location for place in bags_in(str(tmp_path))] == [str(tmp_path / "there.mcap")]
+
+
+def test_following_adds_bags_as_they_are_finished_until_it_is_interrupted(tmp_path):
+    bags, store = tmp_path / "bags", tmp_path / "store"
+    bags.mkdir()
+    words = ["history", "add", str(bags), "-o", str(store), "--follow", "--every", "0.1", "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "straightcomp_ros.cli.main", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    try:
+        for number, name in enumerate(("smc", "uncompensated"), 1):
+            shutil.copytree(SAMPLES / name, bags / name)
+            deadline = time.monotonic() + 120.0
+            while len(list(store.glob("bags/*"))) < number:
+                assert process.poll() is None and time.monotonic() < deadline, process.communicate()
+                time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0 and b'"added": 2' in out and b"Traceback" not in err

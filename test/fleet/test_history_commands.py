@@ -1,0 +1,255 @@
+"""`straightcomp history`: what it prints and writes, how it refuses, and bags with any names and parameters."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from stores import COUNT, SAMPLES, added
+
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.fleet.history.rows import stored_name
+from straightcomp_ros.fleet.history.store import Store
+from straightcomp_ros.parameters.output_files import MARK
+from straightcomp_ros.stage.due_maintenance import read_advice
+from trials.generated_bags import template_of, write_bag
+
+
+def test_add_tells_what_it_added_and_fails_while_it_refuses(months, tmp_path, capsys):
+    store = str(tmp_path / "store")
+    assert main(["history", "add", str(months), "-o", store, "--jobs", "1", "--json"]) == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out) == {"store": store, "added": COUNT, "known": 0, "refused": 2, "strokes": 2 * COUNT}
+    assert printed.err.count("refused: bag ") == 2 and "SELECT * FROM refused" in printed.err
+    assert main(["history", "add", str(months), "-o", store]) == 0
+    assert f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes added 0" in capsys.readouterr().out
+
+
+def test_a_query_prints_one_json_object_with_times_as_iso(alone, capsys):
+    sql = "SELECT min(start) AS first, count(*) AS strokes, 0.0 / 0.0 AS none FROM strokes"
+    assert main(["history", "query", str(alone[0]), sql, "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row == {"first": "2025-10-09T08:53:20.203500+00:00", "strokes": 2 * COUNT, "none": None}
+
+
+def test_a_query_without_a_store_asks_the_default_one(alone, capsys, tmp_path, monkeypatch):
+    (tmp_path / "history").symlink_to(alone[0])
+    monkeypatch.chdir(tmp_path)
+    assert main(["history", "query", "SELECT DISTINCT stage FROM strokes ORDER BY stage"]) == 0
+    assert "stage_0" in capsys.readouterr().out
+
+
+def test_the_bins_are_a_table_of_their_own(alone, capsys):
+    sql = "SELECT count(*) AS n, min(x_mm) AS first, max(x_mm) AS last, count(error_um) AS known FROM bins"
+    assert main(["history", "query", str(alone[0]), sql, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == [
+        {"n": 40 * COUNT, "first": 0, "last": 190, "known": 40 * COUNT}
+    ]
+
+
+def test_rows_with_many_columns_are_printed_one_below_the_other(alone, capsys):
+    assert main(["history", "query", str(alone[0]), "SELECT * FROM strokes LIMIT 2"]) == 0
+    printed = capsys.readouterr().out
+    assert "row 1 of 2" in printed and "row 2 of 2" in printed and "control_activity_A" in printed
+
+
+def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
+    file = tmp_path / "figures.csv"
+    assert main(["history", "query", str(alone[0]), f"COPY (SELECT stroke FROM strokes) TO '{file}'"]) == 0
+    assert len(file.read_text().split()) == 1 + 2 * COUNT
+    file.write_text("mine")
+    inside = next(alone[0].rglob("*.parquet"))
+    for name, *more in ((file,), (inside, "--force")):
+        before = name.read_bytes()
+        copy = f"SELECT 1; copy (SELECT stroke FROM strokes)\nto  '{name}'"
+        assert main(["history", "query", str(alone[0]), copy, *more]) == 2
+        assert name.read_bytes() == before
+    assert main(["history", "query", str(alone[0]), "CREATE TABLE mine (a INTEGER)"]) == 0
+
+
+def test_a_store_of_refused_bags_alone_has_a_table_of_strokes_without_rows(tmp_path, capsys):
+    store = str(tmp_path / "store")
+    assert main(["history", "add", str(SAMPLES / "cut_off"), "-o", store]) == 1
+    capsys.readouterr()
+    assert main(["history", "query", store, "SELECT stage, start FROM strokes", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"rows": []}
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "sentence"),
+    [
+        ("add none", 2, "none does not exist; give a bag, a folder of bags"),
+        ("add empty", 2, "empty: no bag is there; allowed: a bag, or a folder with bags below it"),
+        ("add {bag} -o file", 2, "store file: is a file; name a folder"),
+        ("add {bag} -o nonsense://x", 2, "nonsense://x: Protocol not known"),
+        ("add {bag} --jobs 0", 2, "'0'; allowed: a whole number >= 1"),
+        ("add {bag} --dask here", 2, "'here'; allowed: HOST:PORT"),
+        ("add {bag} --every 0", 2, "--every 0; allowed: 0.1 to"),
+        ("query none SELECT", 2, "store none: no bag was added there; make it: straightcomp history add BAG -o none"),
+        ("query {store} SELEC", 2, "query: Parser Error"),
+        ("query {store} FROM_nowhere", 2, "query: Parser Error"),
+        ("query", 2, "required: SQL"),
+        ("advise {worn} --stage none", 2, "its stages are: amplifier, bolt"),
+        ("advise {worn} --since soon", 2, "allowed: a date as"),
+        ("advise {worn} --since 2030-01-01", 1, "no strokes since 2030-01-01"),
+        ("advise empty", 1, "has no strokes"),
+        ("report {worn} -o file", 2, "is a file"),
+        ("map {worn} sound --map none.csv", 2, "there is no such file"),
+        ("map {worn} sound --map config/survey_synthetic.csv", 1, "with another map"),
+        ("map {worn} sound --map config/survey_synthetic.csv --days 0", 2, "allowed"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(words, code, sentence, alone, worn, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("")
+    given = words.format(bag=SAMPLES / "smc", store=alone[0], worn=worn).split()
+    try:
+        found = main(["history", *given])
+    except SystemExit as refused:
+        found = refused.code
+    said = capsys.readouterr().err
+    assert found == code and sentence in said and "Traceback" not in said
+
+
+def test_a_store_that_cannot_be_written_is_an_error_and_no_refused_bag(tmp_path, capsys):
+    store = tmp_path / "store"
+    shutil.copytree(SAMPLES / "smc", tmp_path / "run")
+    store.mkdir()
+    (store / "strokes").write_text("in the way")
+    assert main(["history", "add", str(tmp_path / "run"), "-o", str(store)]) == 1
+    printed = capsys.readouterr().err
+    assert "strokes" in printed and "Traceback" not in printed and not list(store.rglob("*.parquet"))
+
+
+def test_advise_writes_a_file_for_each_stage(worn, tmp_path, capsys):
+    assert main(["history", "advise", str(worn), "-o", str(tmp_path / "advice")]) == 0
+    printed = capsys.readouterr().out
+    assert "regrease" in printed and "the guide moved from x = " in printed
+    files = sorted(path.name for path in (tmp_path / "advice").glob("[!.]*"))
+    assert files == [f"{name}.json" for name in ("amplifier", "bolt", "friction", "guide", "latency", "scale", "sound")]
+    assert "bolts" in read_advice(tmp_path / "advice" / "bolt.json").text
+
+
+def test_advise_prints_one_json_object(worn, capsys):
+    assert main(["history", "advise", str(worn), "--stage", "latency", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)["stages"]
+    assert list(printed) == ["latency"] and printed["latency"]["advice"][0]["cause"] == "host"
+
+
+def test_since_begins_a_new_baseline(worn, capsys):
+    assert main(["history", "advise", str(worn), "--stage", "latency", "--since", "2026-03-05", "--json"]) == 0
+    causes = [one["cause"] for one in json.loads(capsys.readouterr().out)["stages"]["latency"]["advice"]]
+    assert "host" not in causes
+
+
+def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, capsys):
+    words = ["history", "report", str(worn), "--stage", "guide", "-o", str(tmp_path), "--json"]
+    assert main(words) == 0
+    (file,) = json.loads(capsys.readouterr().out)["reports"].values()
+    page = Path(file).read_text("utf-8")
+    own = page.replace(page[page.index("<script>") : page.index("</script>")], "")
+    assert "src=" not in own and "href=" not in own and "@import" not in own
+    for words in ("the guide moved", "Change of the guide over x", "Trends", "Bags to look at"):
+        assert words in own
+
+
+def test_names_of_stages_cannot_leave_the_folder_or_the_page(worn, tmp_path, capsys):
+    store = tmp_path / "store"
+    shutil.copytree(worn / "strokes" / "stage=sound", store / "strokes" / "stage=..%2F%3Cb%3E")
+    assert main(["history", "report", str(store), "-o", str(tmp_path / "report")]) == 0
+    assert main(["history", "advise", str(store), "-o", str(tmp_path / "report")]) == 0
+    assert len([path for path in (tmp_path / "report").iterdir() if path.name != MARK]) == 2
+    (page,) = (tmp_path / "report").glob("*.html")
+    assert "Stage “../&lt;b&gt;”" in page.read_text("utf-8")
+
+
+def test_a_present_map_is_never_replaced(worn, tmp_path, capsys):
+    survey = tmp_path / "survey.csv"
+    survey.write_text("kept")
+    words = ["history", "map", str(worn), "sound", "--map", str(survey), "-o", str(survey), "--force"]
+    assert main(words) == 2 and "name another file" in capsys.readouterr().err
+    assert survey.read_text() == "kept"
+
+
+BOMB = "a0: &a0 {x: 1}\n" + "".join(
+    f"a{i}: &a{i} {{{', '.join(f'k{j}: *a{i - 1}' for j in range(10))}}}\n" for i in range(1, 10)
+)
+NAMES = ["ä" * 42, "轴" * 28, "ü" * 300 + "1", "ü" * 300 + "2", "[/x]", "gantry[left]", "gantry[right]", "a/../b", ".."]
+NAMES += ["a$b$", r"\frac{$", "<b>bold</b>", "%41", "A", "\x1b[2Jx", "5e-8", "2026-99-99"]
+
+
+def write(template, folder, number, parameters):
+    attachments = {**template.attachments, PARAMETERS_ATTACHMENT: parameters.encode()}
+    write_bag(template._replace(attachments=attachments), folder, number)
+
+
+@pytest.fixture(scope="module")
+def template():
+    return template_of(SAMPLES / "smc")
+
+
+@pytest.fixture(scope="module")
+def named(template, tmp_path_factory):
+    """A store with a bag of each of NAMES, and its tally."""
+    folder = tmp_path_factory.mktemp("named")
+    text = template.attachments[PARAMETERS_ATTACHMENT].decode()
+    for number, name in enumerate(NAMES):
+        parameters = text.replace("stage.name: synthetic", f"stage.name: {json.dumps(name)}")
+        write(template, folder / "bags" / f"{number:02}", number, parameters)
+    return folder / "store", added(folder / "store", folder / "bags")
+
+
+def test_each_stage_has_a_folder_of_its_own_whatever_it_is_called(named):
+    store, tally = named
+    assert (tally.added, tally.refused) == (len(NAMES), 0)
+    stages = Store(str(store)).stages()
+    assert stages == sorted(map(stored_name, NAMES)) and len(set(stages)) == len(NAMES)
+    for name in NAMES:
+        assert Store(str(store)).strokes(name, ["stroke"]).num_rows == 2
+    folders = list((store / "strokes").iterdir())
+    assert len(folders) == len(NAMES) and max(len(os.fsencode(folder.name)) for folder in folders) < 255
+
+
+def test_reports_and_tables_show_each_name_as_it_is(named, tmp_path, capsys):
+    store, _ = named
+    assert main(["history", "report", str(store), "-o", str(tmp_path / "report")]) == 0
+    files = list((tmp_path / "report").glob("*.html"))
+    assert len(files) == len(NAMES)
+    pages = [file.read_text(encoding="utf-8") for file in files]
+    assert sum("&lt;b&gt;bold" in page for page in pages) == 1 and not any("<b>bold" in page for page in pages)
+    assert main(["history", "report", str(store), "-o", str(tmp_path / "one"), "--stage", NAMES[2]]) == 0
+    assert next(file.name for file in (tmp_path / "one").glob("*.html")) in [file.name for file in files]
+    printed = capsys.readouterr().out
+    assert (
+        all(name in printed for name in ("gantry[left]", "gantry[right]", "[/x]", "\\x1b[2Jx"))
+        and "\x1b" not in printed
+    )
+    sql = "SELECT stage, count(*) AS n FROM strokes GROUP BY stage"
+    assert main(["history", "query", str(store), sql]) == 0
+    printed = capsys.readouterr().out
+    assert (
+        all(name in printed for name in ("gantry[left]", "gantry[right]", "[/x]", "<b>bold</b>"))
+        and "\x1b" not in printed
+    )
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(template, tmp_path, capsys, jobs):
+    good = template.attachments[PARAMETERS_ATTACHMENT].decode()
+    cases = {"a": good, "b": BOMB, "c": good, "d": "x: " + "[" * 400, "e[/x]": "[/x]: 1", "f": good}
+    for number, (name, parameters) in enumerate(cases.items()):
+        write(template, tmp_path / "bags" / name, number, parameters)
+    write(template, tmp_path / "bags" / os.fsdecode(b"g\xff"), 9, good)
+    store = str(tmp_path / "store")
+    command = ["history", "add", str(tmp_path / "bags"), "-o", store, "--jobs", str(jobs), "--json"]
+    assert main(command) == 1
+    printed = capsys.readouterr()
+    figures = json.loads(printed.out)
+    assert (figures["added"], figures["refused"]) == (4, 3)
+    assert printed.err.count("refused: bag ") == 3 and "e[/x]" in printed.err
+    assert main(command) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert (figures["added"], figures["known"], figures["refused"]) == (0, 7, 0)

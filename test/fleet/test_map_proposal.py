@@ -1,0 +1,57 @@
+"""A map from strokes: as good as a fresh survey, with its provenance, and refused where nothing was seen."""
+
+from dataclasses import replace
+
+import pyarrow
+import pytest
+
+from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, schema_of, table_of
+from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
+from straightcomp_ros.stage.due_maintenance import MaintenanceError
+from straightcomp_ros.straightness.guide_map import find_survey
+from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.survey import read_survey
+from trials.wear import followed_map
+
+
+@pytest.mark.nightly
+def test_on_a_guide_that_moved_a_proposed_map_is_as_good_as_a_fresh_survey(tmp_path):
+    figures = followed_map(tmp_path, 0.5, cycles=8)
+    assert figures["proposed_to_fresh"] <= 1.1
+    assert figures["old_um"]["median"] > 2.0 * figures["fresh_um"]["median"]
+    head = (tmp_path / "proposed_map.csv").read_text("utf-8").splitlines()[:12]
+    text = "\n".join(head)
+    assert "made by: straightcomp history map" in text and "proposed from: 16 strokes" in text
+    assert "changes: map survey_synthetic.csv, BLAKE2b" in text
+    assert len(read_survey(tmp_path / "proposed_map.csv").runs) == 10
+
+
+def rows(pool, **changes):
+    sound = pool.rows["friction", 1.0]
+    guide = [0.0] * len(sound[0].error_bins_um)
+    return table_of(StrokeRow, [replace(row, guide_change_um=guide, **changes) for row in sound * 10])
+
+
+def test_strokes_without_a_sensor_say_what_is_missing(pool):
+    table = table_of(StrokeRow, pool.rows["friction", 1.0])
+    with pytest.raises(MaintenanceError, match="displacement sensor: record 'displacement'"):
+        proposed_map(table, find_survey("config/survey_synthetic.csv"), 7.0)
+
+
+def test_strokes_with_another_map_are_refused(pool):
+    old = find_survey("config/survey_synthetic.csv")
+    with pytest.raises(MaintenanceError, match=r"0 strokes forward .* 20 with another map"):
+        proposed_map(rows(pool, map_checksum="another"), old, 7.0)
+
+
+def test_only_strokes_with_that_map_make_the_proposal(pool):
+    """The zero of the guide's change is the map's: strokes with another one say nothing together with these."""
+    old = find_survey("config/survey_synthetic.csv")
+    ours, others = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist(), rows(pool).to_pylist()
+    for row in others:
+        row["guide_change_um"] = [5.0 * (place > 40) for place in range(len(row["guide_change_um"]))]
+    mixed = pyarrow.Table.from_pylist([*ours, *others], schema_of(StrokeRow))
+    proposal = proposed_map(mixed, old, 7.0)
+    assert proposal.strokes == len(ours) and peak_to_peak(proposal.change) < 0.1e-6
+    assert proposal.built.provenance["made by"].startswith("straightcomp history map")
+    assert proposal.built.provenance["proposed from"].startswith(f"{len(ours)} strokes")

@@ -1,0 +1,86 @@
+"""Bags and stores in S3, on moto's server, which speaks S3 over HTTP."""
+
+import json
+import logging
+
+import fsspec
+import pytest
+from stores import COUNT, added, files_of, strokes_of
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.fleet.history.bag_places import bags_in, is_finished
+from straightcomp_ros.fleet.history.store import Store
+
+
+@pytest.fixture(scope="module")
+def bucket(months):
+    """URL of a bucket with the bags of ``months`` below /bags."""
+    from moto.server import ThreadedMotoServer
+
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
+    server = ThreadedMotoServer("127.0.0.1", 0)
+    server.start()
+    host, port = server.get_host_and_port()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        patch.setenv("AWS_ACCESS_KEY_ID", "test")
+        patch.setenv("AWS_SECRET_ACCESS_KEY", "test")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        s3 = fsspec.filesystem("s3")
+        s3.mkdir("plant")
+        s3.put(str(months), "plant/bags", recursive=True)
+        yield "s3://plant"
+    server.stop()
+
+
+def test_bags_in_s3_give_the_same_strokes_to_the_last_bit(bucket, alone, tmp_path):
+    found = list(bags_in(f"{bucket}/bags"))
+    assert len(found) == COUNT + 2 and [is_finished(place) for place in found].count(False) == 1
+    tally = added(tmp_path, f"{bucket}/bags")
+    assert (tally.added, tally.refused) == (COUNT, 2)
+    assert strokes_of(tmp_path) == strokes_of(alone[0])
+    assert added(tmp_path, f"{bucket}/bags").known == COUNT + 2
+
+
+def test_a_store_in_s3_has_the_same_strokes_and_rows_in_a_file_for_each_bag(bucket, months, alone, tmp_path):
+    added(f"{bucket}/store", months)
+    store, local = Store(f"{bucket}/store"), Store(str(alone[0]))
+    assert store.stages() == local.stages() == ["stage_0", "stage_1"]
+    assert all(store.strokes(stage).equals(local.strokes(stage)) for stage in store.stages())
+    store.files.get("plant/store", str(tmp_path / "copy"), recursive=True)
+    here, there = files_of(tmp_path / "copy"), alone[1]
+    assert {name: here[name] for name in here if name.startswith("bags/")}.items() <= there.items()
+    assert len(here) == 2 * COUNT + 2
+
+
+def test_a_store_in_s3_answers_queries_and_names_where_its_bags_are(bucket, capsys):
+    assert main(["history", "add", f"{bucket}/bags", "-o", f"{bucket}/answers", "--jobs", "1"]) == 1
+    capsys.readouterr()
+    sql = "SELECT stage, count(*) AS n FROM strokes GROUP BY stage ORDER BY stage"
+    assert main(["history", "query", f"{bucket}/answers", sql, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert rows == [{"stage": "stage_0", "n": COUNT}, {"stage": "stage_1", "n": COUNT}]
+    assert main(["history", "query", f"{bucket}/answers", "SELECT location, reason FROM refused", "--json"]) == 0
+    refused = json.loads(capsys.readouterr().out)["rows"]
+    assert {row["location"] for row in refused} == {f"{bucket}/bags/cut_off", f"{bucket}/bags/damaged"}
+    assert all("/tmp" not in row["reason"] for row in refused)
+
+
+def test_a_bucket_that_is_not_there_is_named(bucket, months, capsys):
+    assert main(["history", "add", "s3://nowhere/bags", "-o", f"{bucket}/store"]) == 2
+    assert "s3://nowhere/bags does not exist" in capsys.readouterr().err
+    assert main(["history", "add", str(months / "stage_0"), "-o", "s3://nowhere/store", "--jobs", "1"]) == 1
+    assert "store s3://nowhere/store cannot be written" in capsys.readouterr().err
+
+
+def test_a_server_that_does_not_answer_is_named(monkeypatch, capsys, bucket, tmp_path):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    # Clients keep the address that they began with.
+    fsspec.filesystem("s3").clear_instance_cache()
+    try:
+        assert main(["history", "add", f"{bucket}/bags", "-o", str(tmp_path)]) == 1
+    finally:
+        fsspec.filesystem("s3").clear_instance_cache()
+    printed = capsys.readouterr().err
+    assert f"{bucket}/bags: Could not connect" in printed and "Traceback" not in printed

@@ -1,0 +1,228 @@
+"""A row says of a stroke what `straightcomp evaluate` says of it, and what it needs to be found again."""
+
+import dataclasses
+import itertools
+import math
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+from stores import SAMPLES
+
+from straightcomp_ros.analysis.assessment import assess
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.interruption import latched_faults
+from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
+from straightcomp_ros.contract import DISPLACEMENT
+from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, bins_over, recorded_facts, recorded_name, rows_of
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.safety.faults import LABELLED
+from straightcomp_ros.timing.node_timing import Report
+
+BAG = SAMPLES / "smc"
+
+
+@pytest.fixture(scope="module")
+def evaluation():
+    return evaluate_bag(BAG)
+
+
+@pytest.fixture(scope="module")
+def rows(evaluation):
+    return rows_of(evaluation, recorded_facts(BAG, "key", evaluation))
+
+
+def test_a_row_has_the_figures_that_evaluate_prints(evaluation, rows):
+    strokes = assess(BAG, evaluation).strokes
+    assert len(rows) == len(strokes) == 2
+    for row, stroke in zip(rows, strokes, strict=True):
+        figures = stroke.to_display()
+        del figures["start_s"]
+        assert {name: getattr(row, name) for name in figures} == figures
+
+
+def test_a_row_names_bag_stage_parameters_and_map(rows):
+    first = rows[0]
+    assert (first.checksum, first.bag, [row.stroke for row in rows]) == ("key", "smc", [1, 2])
+    assert first.identity.startswith("synthetic ") and first.law == "smc_observer"
+    assert len(first.parameters_checksum) == len(first.map_checksum) == 32
+    assert first.parameters_checksum != first.map_checksum
+    # The stamps of a simulated run begin one second after the epoch.
+    assert first.start == datetime(1970, 1, 1, 0, 0, 1, 203_500, tzinfo=timezone.utc)
+
+
+def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum(evaluation):
+    def checksum(node, name, value):
+        parameters = {**evaluation.parameters, node: {**evaluation.parameters[node], name: value}}
+        return recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters=parameters)).parameters_checksum
+
+    same = recorded_facts(BAG, "key", evaluation).parameters_checksum
+    assert checksum("logger", "output", "another folder") == same
+    assert checksum("controller", "control.law", "linear") != same
+
+
+def test_a_recording_keeps_its_name_in_a_folder_of_another_name(tmp_path):
+    (tmp_path / "moved").mkdir()
+    (tmp_path / "moved" / "run_of_tuesday_0.mcap").write_bytes(b"")
+    assert recorded_name(tmp_path / "moved") == "run_of_tuesday"
+
+
+def test_a_description_that_this_version_cannot_read_has_no_identity(evaluation):
+    driver = {**evaluation.parameters["driver"], "stage.platform.colour": "blue"}
+    facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={"driver": driver}))
+    assert facts.identity is None and facts.stage == "synthetic"
+    assert recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={})).stage == "unknown"
+
+
+def test_the_latency_of_a_stroke_is_that_of_its_own_samples(evaluation):
+    stamps, latency = evaluation.latency_stamps, evaluation.latency
+    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
+    slow = dataclasses.replace(evaluation, latency=np.where(stamps < middle, latency, 3e-4))
+    assert [row.latency_p50_us for row in rows_of(slow, Recorded())] == pytest.approx([250.0, 300.0])
+    without = dataclasses.replace(evaluation, latency=latency[:0], latency_stamps=stamps[:0])
+    assert [row.latency_p99_us for row in rows_of(without, Recorded())] == [None, None]
+
+
+def without(evaluation, lost, unanswered):
+    """The run without these samples, and without the answers to those."""
+    record = evaluation.record
+    kept = ~np.isin(np.arange(record.time.size), [*lost, *unanswered])
+    columns = {name: values[kept] for name, values in record.columns().items()}
+    there = ~np.isin(np.arange(evaluation.stamps.size), lost)
+    assert record.time.size == evaluation.stamps.size
+    return dataclasses.replace(
+        evaluation,
+        record=dataclasses.replace(record, **columns),
+        stamps=evaluation.stamps[there],
+        amplifier_on=evaluation.amplifier_on[there],
+        coil_current=evaluation.coil_current[kept],
+    )
+
+
+def test_lost_and_unanswered_samples_count_in_the_stroke_in_which_they_are_missing(evaluation):
+    rows = rows_of(without(evaluation, lost=(1000, 1001, 1002), unanswered=(5000, 5001)), Recorded())
+    assert [row.lost_samples for row in rows] == [3, 0]
+    assert [row.unanswered_samples for row in rows] == [0, 2]
+    assert [row.expected_samples for row in rows] == [3987, 3987]
+
+
+def test_samples_with_the_amplifier_off_or_the_current_at_its_limit_are_counted(evaluation):
+    on, current = evaluation.amplifier_on.copy(), evaluation.record.current.copy()
+    on[1000:1010] = False
+    current[6000:6004] = -0.9
+    record = dataclasses.replace(evaluation.record, current=current)
+    run = evaluation.encoder._replace(off=~on)
+    rows = rows_of(dataclasses.replace(evaluation, amplifier_on=on, record=record, encoder=run), Recorded())
+    assert [row.amplifier_off_samples for row in rows] == [10, 0]
+    assert [row.verdict for row in rows] == ["interrupted", "in_order"]
+    assert [row.saturated_samples for row in rows] == [0, 4]
+
+
+def test_a_fault_belongs_to_the_stroke_in_which_it_was_latched_or_after_which(evaluation):
+    begin = evaluation.begin_ns
+    labels = sorted(LABELLED)[:2]
+    reports = [
+        Report(begin + 1_000_000_000, {"error": f"{labels[0]}: the first"}),
+        Report(begin + 2_250_000_000, {"error": f"{labels[1]}: between the strokes"}),
+        Report(begin + 2_260_000_000, {"error": f"{labels[1]}: still"}),
+        Report(begin + 3_000_000_000, {}),
+    ]
+    faults = latched_faults({"driver": reports}, begin)
+    rows = rows_of(dataclasses.replace(evaluation, faults=faults), Recorded())
+    assert [row.faults for row in rows] == [labels, []]
+    assert [row.verdict for row in rows] == ["interrupted", "in_order"]
+
+
+def test_the_verdict_is_that_on_the_stroke_alone(evaluation):
+    y, true_y = evaluation.record.y.copy(), evaluation.record.true_y.copy()
+    wave = 5e-6 * np.sin(2.0 * math.pi * 100.0 * evaluation.record.time)
+    second = evaluation.record.time > 2.25
+    y[second] += wave[second]
+    true_y[second] += wave[second]
+    record = dataclasses.replace(evaluation.record, y=y, true_y=true_y)
+    rows = rows_of(dataclasses.replace(evaluation, record=record), Recorded())
+    assert [row.verdict for row in rows] == ["in_order", "oscillates"]
+    assert "100 Hz" in rows[1].reason
+
+
+def test_the_bins_of_all_strokes_have_the_same_edges(rows):
+    assert [row.bins_from_mm for row in rows] == [0, 0]
+    assert all(len(row.error_bins_um) == len(row.residual_bins_um) == len(row.current_bins_A) == 20 for row in rows)
+
+
+def test_a_bin_has_the_mean_of_the_samples_within_it(evaluation, rows):
+    record, row = evaluation.record, rows[0]
+    forward = (record.time > 0.2) & (record.time < 2.2)
+    inside = forward & (record.x >= 0.05) & (record.x < 0.06)
+    assert row.error_bins_um[5] == pytest.approx(float((record.r - record.y)[inside].mean()) * 1e6)
+    assert row.current_bins_A[5] == pytest.approx(float(record.current[inside].mean()))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "first", "count"),
+    [(0.0, 0.2, 0, 20), (-1e-7, 0.2, 0, 20), (0.0, 0.2001, 0, 20), (-0.02, 0.016, -20, 4), (0.006, 0.031, 10, 2)],
+)
+def test_only_bins_that_a_stroke_covers_by_half_count(low, high, first, count):
+    bins = bins_over(np.linspace(low, high, 10_001))
+    assert (bins.from_mm, bins.count) == (first, count)
+    means = bins.means(np.linspace(low, high, 10_001))
+    assert len(means) == count and all(
+        first * 1e-3 + 0.01 * k <= mean <= first * 1e-3 + 0.01 * (k + 1) for k, mean in enumerate(means)
+    )
+
+
+def test_a_bin_without_a_sample_is_null_and_not_zero():
+    x = np.concatenate([np.linspace(0.0, 0.01, 50, endpoint=False), np.linspace(0.02, 0.03, 50)])
+    assert bins_over(x).means(np.ones(100)) == [1.0, None, 1.0]
+
+
+def test_a_stroke_shorter_than_half_a_bin_has_none():
+    assert bins_over(np.linspace(0.001, 0.004, 10)).means(np.ones(10)) == []
+
+
+BUMP_UM = 0.8
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory):
+    """A run through a coarse converter, steps of 8 mA, with a displacement sensor over a bump of the guide."""
+    values = shipped_parameters()
+    values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1, "drive.dac_bits": 8}
+    simulation = Simulation(values)
+    folder, count = tmp_path_factory.mktemp("run") / "bag", itertools.count()
+    with SimulatedRun(folder, by_node(values), simulation.delay) as run:
+        run._bag.add_topic("/displacement", DISPLACEMENT.layout.type_name)
+
+        def observe(sample, truth, *rest):
+            run.add(sample, truth, *rest)
+            if next(count) % 10 == 0:
+                stamp = START_NS + sample.stamp_ns
+                # The zero of the sensor is arbitrary.
+                reading = 5e-6 + simulation.map.deviation(truth.x) + BUMP_UM * 1e-6 * (0.05 < truth.x < 0.07)
+                run._bag.write("/displacement", DISPLACEMENT.layout.pack(stamp, reading), stamp, stamp)
+
+        simulation.run(observe=observe)
+    return evaluate_bag(folder)
+
+
+def test_the_bandwidth_comes_from_commands_as_the_converter_of_that_bag_rounded_them(coarse):
+    def bandwidths(evaluation):
+        return [row.amplifier_bandwidth_Hz for row in rows_of(evaluation, Recorded())]
+
+    assert bandwidths(coarse) == pytest.approx([500.0, 500.0], rel=0.02)
+    driver = {**coarse.parameters["driver"], "stage.drive.dac_bits": 12}
+    another = dataclasses.replace(coarse, parameters={**coarse.parameters, "driver": driver})
+    assert bandwidths(another) != pytest.approx([500.0, 500.0], rel=0.02)
+
+
+def test_the_guide_has_changed_where_the_sensor_saw_it(coarse):
+    rows = rows_of(coarse, Recorded())
+    assert [row.direction for row in rows] == ["forward", "backward"]
+    for row in rows:
+        middles = row.bins_from_mm + 10.0 * (np.arange(len(row.guide_change_um)) + 0.5)
+        change = np.array(row.guide_change_um, np.float64)
+        inside = (middles > 50) & (middles < 70)
+        assert np.allclose(change[inside] - np.median(change), BUMP_UM, atol=0.05)
+        assert np.abs(change[~inside] - np.median(change)).max() < 0.05

@@ -1,0 +1,267 @@
+"""A store is the same whoever makes it, in whatever order, however often, and whatever interrupts."""
+
+import dataclasses
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pandas
+import polars
+import pyarrow.dataset
+import pyarrow.parquet
+import pytest
+from stores import COUNT, SAMPLES, added, files_of, strokes_of
+
+from straightcomp_ros.fleet.history import HistoryError, adding
+from straightcomp_ros.fleet.history.bag_places import bags_in
+from straightcomp_ros.fleet.history.queries import query
+from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, columns_of, schema_of, table_of
+from straightcomp_ros.fleet.history.store import Store
+
+
+def command(months, store):
+    words = ["history", "add", str(months), "-o", str(store), "--jobs", "1"]
+    return [sys.executable, "-m", "straightcomp_ros.cli.main", *words]
+
+
+def test_each_month_of_a_stage_is_a_file_and_each_bag_a_row(alone):
+    store, files = alone
+    months = [f"strokes/stage=stage_{number}/month=2025-10/strokes.parquet" for number in (0, 1)]
+    assert [name for name in files if name.startswith("strokes/")] == months
+    assert len(files) == 2 + COUNT + 2
+    assert Store(str(store)).stages() == ["stage_0", "stage_1"]
+
+
+def test_adding_the_same_bags_again_changes_nothing(months, alone):
+    store, files = alone
+    again = added(store, months)
+    assert (again.added, again.refused, again.known) == (0, 0, COUNT + 2) and files_of(store) == files
+    evaluated_again = added(store, months, again=True)
+    assert (evaluated_again.added, evaluated_again.refused) == (COUNT, 2) and files_of(store) == files
+
+
+def test_refused_bags_are_listed_with_the_reason(months, alone):
+    rows = query(Store(str(alone[0])), "SELECT location, reason FROM refused ORDER BY location").to_pylist()
+    assert [row["location"] for row in rows] == [str(months / "cut_off"), str(months / "damaged")]
+    assert "was not finished" in rows[0]["reason"] and "straightcomp recover" in rows[0]["reason"]
+    assert "is damaged at byte" in rows[1]["reason"]
+
+
+@pytest.mark.parametrize("workers", ["two processes", "dask"])
+def test_workers_make_the_store_that_one_process_makes_to_the_last_bit(months, alone, tmp_path, request, workers):
+    where = {"dask": request.getfixturevalue("scheduler")} if workers == "dask" else {"jobs": 2}
+    assert added(tmp_path, months, **where).added == COUNT
+    assert files_of(tmp_path) == alone[1]
+
+
+def test_several_processes_may_add_to_one_store_at_once(months, alone, tmp_path):
+    """Each would add all bags: they meet at every file."""
+    processes = [subprocess.Popen(command(months, tmp_path), stderr=subprocess.PIPE) for _ in range(3)]
+    errors = [process.communicate()[1].decode() for process in processes]
+    # A process that found all bags known has refused none.
+    assert {process.returncode for process in processes} <= {0, 1}, errors
+    assert not any("Traceback" in text for text in errors), errors
+    assert files_of(tmp_path) == alone[1]
+
+
+@pytest.mark.nightly
+def test_a_store_survives_kills_at_any_moment(months, alone, tmp_path):
+    chance, expected = random.Random(5), strokes_of(alone[0])
+    bags = tmp_path / "bags"
+    for _ in range(6):
+        process = subprocess.Popen(command(months, tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        before = len(list(bags.glob("*")))
+        # The start of the program takes longer than all bags: begin to count when it writes.
+        while len(list(bags.glob("*"))) == before and process.poll() is None:
+            time.sleep(0.002)
+        time.sleep(chance.uniform(0.0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert right(tmp_path, expected)
+        # As if the kill had come before the last rows: what is left for the next process.
+        for file in sorted(bags.glob("*"))[:2]:
+            file.unlink()
+    added(tmp_path, months)
+    assert files_of(tmp_path) == alone[1]
+
+
+def right(store, expected):
+    """Whether each stroke is there once and as it should be, with those of each bag that has a row."""
+    found = strokes_of(store)
+    known = query(Store(str(store)), "SELECT checksum FROM bags WHERE reason IS NULL").to_pylist()
+    stored = [row["checksum"] for row in found]
+    return all(row in expected for row in found) and all(stored.count(row["checksum"]) == 2 for row in known)
+
+
+@pytest.mark.parametrize("moment", ["before", "after"])
+@pytest.mark.parametrize("nth", [1, 2])
+def test_a_kill_at_a_rename_leaves_a_store_that_is_right(months, alone, tmp_path, moment, nth):
+    """The moments at which a store could be wrong: a whole file is there, but not under its name, and the reverse."""
+    program = f"""
+import os, signal
+from stores import added
+rename, count = os.replace, 0
+def killed(one, other):
+    global count
+    count += 1
+    if {moment == "after"} or count < {nth}:
+        rename(one, other)
+    if count == {nth}:
+        os.kill(os.getpid(), signal.SIGKILL)
+os.replace = killed
+added({str(tmp_path)!r}, {str(months / "stage_0")!r})
+"""
+    here = os.path.dirname(__file__)
+    done = subprocess.run([sys.executable, "-c", program], cwd=here, check=False)
+    assert done.returncode == -signal.SIGKILL
+    if list((tmp_path / "bags").glob("*")):
+        assert right(tmp_path, strokes_of(alone[0]))
+    added(tmp_path, months)
+    assert files_of(tmp_path) == alone[1]
+
+
+def test_what_a_killed_process_left_half_written_is_removed_by_a_later_one(tmp_path):
+    parts = tmp_path / ".parts"
+    abandoned, folder, fresh = parts / "1-a", parts / "1-b", parts / "2-b"
+    folder.mkdir(parents=True)
+    for part in (abandoned, fresh):
+        part.write_bytes(b"half a fi")
+    for part in (abandoned, folder):
+        os.utime(part, (time.time() - 3600.0,) * 2)
+    Store(str(tmp_path)).clear_abandoned()
+    assert list(parts.iterdir()) == [fresh]
+
+
+def of_an_earlier_version(alone, store, layout):
+    """The store as earlier versions made it: a file for each bag, or a compacted file for each month."""
+    shutil.copytree(alone[0], store)
+    for file in store.glob("strokes/*/*/strokes.parquet"):
+        table = pyarrow.parquet.read_table(file, partitioning=None)
+        if layout == "compacted":
+            file.rename(file.with_name("compacted-0123.parquet"))
+            continue
+        file.unlink()
+        for checksum in set(table["checksum"].to_pylist()):
+            own = table.filter(pyarrow.compute.equal(table["checksum"], checksum))
+            pyarrow.parquet.write_table(own, file.with_name(f"{checksum}.parquet"))
+
+
+@pytest.mark.parametrize("layout", ["a file for each bag", "compacted"])
+def test_a_store_of_an_earlier_version_is_read_and_added_to_without_doubling_a_stroke(alone, months, tmp_path, layout):
+    store = tmp_path / "store"
+    of_an_earlier_version(alone, store, layout)
+    names = set(files_of(store))
+    assert strokes_of(store) == strokes_of(alone[0])
+    assert added(store, months, again=True).added == COUNT
+    assert strokes_of(store) == strokes_of(alone[0]) and set(files_of(store)) == names
+    added(store, SAMPLES / "smc")
+    assert len(strokes_of(store)) == 2 * COUNT + 2
+
+
+def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(alone, months, tmp_path, monkeypatch):
+    shutil.copytree(alone[0], tmp_path / "store")
+    rows_of = adding.rows_of
+    monkeypatch.setattr(adding, "rows_of", lambda *run: rows_of(*run)[:1])
+    added(tmp_path / "store", months / "stage_0" / "run_0", again=True)
+    found, before = strokes_of(tmp_path / "store"), strokes_of(alone[0])
+    (gone,) = (row for row in before if row not in found)
+    assert len(found) == 2 * COUNT - 1 and gone["stroke"] == 2
+
+
+def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(alone[0], store)
+    (file, *_) = sorted(store.rglob("strokes.parquet"))
+    file.write_bytes(b"damaged")
+    with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):
+        added(store, months, again=True)
+    file.unlink()
+    added(store, months, again=True)
+    assert files_of(store) == alone[1]
+
+
+def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
+    for name in ("first", "second"):
+        shutil.copytree(SAMPLES / "smc", tmp_path / "bags" / name)
+    tally = added(tmp_path / "store", tmp_path / "bags")
+    assert tally.added == 2 and len(strokes_of(tmp_path / "store")) == 2
+    sql = "SELECT count(*) AS n, count(DISTINCT checksum) AS k FROM bags"
+    assert query(Store(str(tmp_path / "store")), sql).to_pylist() == [{"n": 2, "k": 1}]
+
+
+def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tmp_path):
+    bag, store = tmp_path / "run", tmp_path / "store"
+    shutil.copytree(SAMPLES / "cut_off", bag)
+    assert added(store, bag).refused == 1
+    shutil.rmtree(bag)
+    shutil.copytree(SAMPLES / "smc", bag)
+    assert added(store, bag).added == 1
+    assert query(Store(str(store)), "SELECT * FROM refused").num_rows == 0
+
+
+def test_a_bag_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch):
+    def unplugged(*_):
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(adding, "checksum_of", unplugged)
+        assert added(tmp_path, SAMPLES / "smc").refused == 1
+    store, place = Store(str(tmp_path)), next(bags_in(str(SAMPLES / "smc")))
+    assert query(store, "SELECT reason FROM refused").to_pylist() == [{"reason": "cannot be read: Input/output error"}]
+    assert not store.has(place)
+    assert added(tmp_path, SAMPLES / "smc").added == 1 and store.has(place)
+
+
+def test_an_error_of_our_own_refuses_one_bag_and_not_all(tmp_path, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(adding, "rows_of", broken)
+    assert added(tmp_path, SAMPLES / "smc").refused == 1
+    reason = query(Store(str(tmp_path)), "SELECT reason FROM refused").to_pylist()[0]["reason"]
+    assert "ZeroDivisionError: division by zero; please report" in reason
+
+
+def test_duckdb_polars_pandas_and_arrow_read_the_same_strokes(alone):
+    strokes = alone[0] / "strokes"
+    wanted = list(strokes_of(alone[0])[0])
+    by_polars = polars.read_parquet(strokes, hive_partitioning=True).select(wanted).to_arrow()
+    by_pandas = pyarrow.Table.from_pandas(pandas.read_parquet(strokes)[wanted], preserve_index=False)
+    by_arrow = pyarrow.dataset.dataset(strokes, partitioning="hive").to_table(columns=wanted)
+    order = [(name, "ascending") for name in ("checksum", "stroke")]
+    rows = strokes_of(alone[0])
+    assert len(rows) == 2 * COUNT and rows[0]["encoder_pp_um"] > 0.0 and len(rows[0]["error_bins_um"]) == 20
+    assert all(table.sort_by(order).to_pylist() == rows for table in (by_polars, by_pandas, by_arrow))
+
+
+def test_the_strokes_of_a_stage_come_in_the_order_of_time_with_the_columns_that_were_asked_for(alone):
+    store = Store(str(alone[0]))
+    table = store.strokes("stage_1", ["start", "direction"])
+    assert table.column_names == ["start", "direction"] and table.num_rows == COUNT
+    assert table["start"].to_pylist() == sorted(table["start"].to_pylist())
+    assert store.strokes("stage_0").column_names == schema_of(StrokeRow).names
+    with pytest.raises(HistoryError, match="has no stage 'stage_7'; its stages are: stage_0, stage_1"):
+        store.strokes("stage_7")
+
+
+@pytest.mark.parametrize("name", ["A/B 1", "ständer=ä%2F", "007", ".."])
+def test_any_name_of_a_stage_comes_back(tmp_path, name, monkeypatch):
+    facts = adding.recorded_facts
+    monkeypatch.setattr(adding, "recorded_facts", lambda *given: dataclasses.replace(facts(*given), stage=name))
+    added(tmp_path / "store", SAMPLES / "smc")
+    store = Store(str(tmp_path / "store"))
+    assert store.stages() == [name] and store.strokes(name, ["stroke"]).num_rows == 2
+    found = query(store, "SELECT DISTINCT stage FROM strokes").to_pylist()
+    assert found == [{"stage": name}] and query(store, "SELECT stage FROM bags").to_pylist() == found
+
+
+@pytest.mark.parametrize("row", [StrokeRow, BagRow])
+def test_every_column_says_what_it_is_and_keeps_its_type(row):
+    assert all(one.description for one in columns_of(row))
+    assert table_of(row, []).schema == schema_of(row)
+    for one, field in zip(columns_of(row), schema_of(row), strict=True):
+        assert field.nullable == one.nullable

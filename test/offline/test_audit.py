@@ -1,0 +1,220 @@
+"""A recorded run computed again."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, STREAMS
+from straightcomp_ros.control.laws import LAWS, make_law
+from straightcomp_ros.control.pairing import Pairing
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.offline.audit import audit
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.what_if import what_if
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, by_node, node_parameters
+
+CYCLE = {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.05}
+LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
+
+
+def simulated(path: Path, law: str = "smc") -> Path:
+    values = {"controller": {"control.law": law}, "stage": CYCLE}
+    simulation = Simulation(values)
+    with SimulatedRun(path, by_node(values), simulation.delay) as run:
+        simulation.run(observe=run.add)
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    return simulated(tmp_path_factory.mktemp("bags") / "run")
+
+
+def rewritten(bag: Path, new: Path, change=lambda topic, stamp, numbers, index: numbers, law: bytes = b"smc") -> Path:
+    """The bag with each message as ``change`` gives it, numbers or None to lose it, and another law's parameters."""
+    with BagWriter(new) as writer:
+        for name, data in read_attachments(bag).items():
+            writer.attach(name, "", data.replace(b"control.law: smc", b"control.law: " + law))
+        for topic, stream in read_streams(bag, LAYOUTS).items():
+            writer.add_topic(f"/{topic}", LAYOUTS[topic].type_name)
+            rows = zip(*(column.tolist() for column in stream.columns.values()), strict=True)
+            for index, (stamp, numbers) in enumerate(zip(stream.stamp.tolist(), rows, strict=True)):
+                changed = change(topic, stamp, list(numbers), index)
+                if changed is not None:
+                    writer.write(f"/{topic}", LAYOUTS[topic].pack(stamp, *changed), stamp, stamp)
+    return new
+
+
+def one_bit_more(changed, at, place):
+    def change(topic, stamp, numbers, index):
+        if (topic, index) == (changed, at):
+            numbers[place] = float(np.nextafter(numbers[place], 1.0))
+        return numbers
+
+    return change
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_command_comes_out_the_same_to_the_bit(tmp_path, law):
+    path = simulated(tmp_path / "run", law)
+    found = audit(path)
+    assert found.commands == len(read_streams(path, LAYOUTS)["command"]) > 1000
+    assert (found.law, found.different, found.unverified, found.missing) == (law, 0, 0, 0)
+
+
+def test_one_bit_in_one_command_is_found(bag, tmp_path):
+    found = audit(rewritten(bag, tmp_path / "new", one_bit_more("command", 700, 0)))
+    assert (found.different, found.unverified) == (1, 0)
+    assert (found.first.step, found.first.column) == (700, "control_current")
+    assert found.first.recorded != found.first.computed == pytest.approx(found.first.recorded)
+
+
+def test_one_bit_in_one_sample_shows_from_there_on(bag, tmp_path):
+    found = audit(rewritten(bag, tmp_path / "new", one_bit_more("encoder", 500, 1)))
+    assert found.different >= 1 and found.first.step == 500
+
+
+def test_other_parameters_than_recorded_are_found(bag, tmp_path):
+    assert not audit(rewritten(bag, tmp_path / "new", law=b"linear")).passed
+
+
+@pytest.mark.parametrize("topic", ["encoder", "reference", "controller_state"])
+def test_what_is_lost_makes_the_rest_unverifiable_not_different(bag, tmp_path, topic):
+    def lose(name, stamp, numbers, index):
+        return None if name == topic and index == 600 else numbers
+
+    found = audit(rewritten(bag, tmp_path / "new", lose))
+    assert found.different == 0 and found.missing == 1
+    parameters = ControllerNodeParameters()
+    lead = round(parameters.reference_lead * parameters.stage.rate)
+    assert found.commands == {"encoder": 600, "reference": 600 + lead, "controller_state": 600}[topic]
+    assert found.commands + found.unverified == len(read_streams(bag, LAYOUTS)["command"])
+
+
+def test_a_lost_command_costs_its_own_verification_only(bag, tmp_path):
+    def lose(name, stamp, numbers, index):
+        return None if name == "command" and index == 600 else numbers
+
+    found = audit(rewritten(bag, tmp_path / "new", lose))
+    assert (found.different, found.unverified) == (0, 1)
+
+
+def test_a_recording_that_begins_in_mid_run_is_not_called_different(bag, tmp_path):
+    def late(name, stamp, numbers, index):
+        return numbers if index >= 400 else None
+
+    found = audit(rewritten(bag, tmp_path / "new", late))
+    assert found.different == 0 and not found.passed
+
+
+def live(path: Path, seed: int) -> Path:
+    """A loop in real time as the controller node runs it: references come late, samples get lost or come twice, some
+    are not finite, the amplifier goes off and on; all is recorded."""
+    source = np.random.default_rng(seed)
+    values = {"controller": {"control.law": "smc_observer"}}
+    controller = node_parameters("controller", values)
+    servo = Servo(make_law(controller.control, controller.stage))
+    pairing = Pairing(8 * 500_000, wait=False)
+    with BagWriter(path) as writer:
+        writer.attach(
+            "parameters.yaml", "application/yaml", b"controller:\n  ros__parameters: {control.law: smc_observer}\n"
+        )
+        for stream in STREAMS:
+            writer.add_topic(f"/{stream.topic}", stream.layout.type_name)
+
+        def record(topic, stamp, *numbers):
+            writer.write(f"/{topic}", LAYOUTS[topic].pack(stamp, *numbers), stamp, stamp)
+
+        late = []
+        for k in range(3000):
+            stamp = 1_700_000_000_000_000_000 + k * 500_000 + (30_000_000 if k > 2000 else 0)
+            on = not 900 <= k < 1000
+            y = 1e-6 * np.sin(k / 300) + 1e-8 * source.integers(-5, 5)
+            numbers = (k * 1e-4, float("nan") if k % 777 == 5 else float(y), float("nan"), 0.01 if on else float("nan"))
+            record("encoder", stamp, *numbers)
+            reference = (1e-6 * np.sin(k / 300), 6.7e-6 * np.cos(k / 300), 0.0)
+            record("reference", stamp, *reference)
+            late.append((stamp, reference))
+            if source.random() < 0.7:
+                for one in late:
+                    pairing.add_reference(*one)
+                late.clear()
+            if source.random() < 0.02:
+                continue  # lost on its way to the controller, not on its way to the logger
+            for _ in range(2 if source.random() < 0.02 else 1):
+                pairing.add_sample(stamp, numbers)
+            for taken, sample, given, age_ns in pairing.take():
+                command = servo.step(taken, sample[1], sample[3], given)
+                if command is not None:
+                    record("command", taken, command.current)
+                    record("controller_state", taken, *command[1:], age_ns * 1e-9)
+    return path
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_run_with_late_references_and_lost_samples_is_verified_whole(tmp_path, seed):
+    path = live(tmp_path / "live", seed)
+    ages = read_streams(path, LAYOUTS)["controller_state"].columns["reference_age"]
+    assert len(np.unique(ages)) > 3
+    found = audit(path)
+    assert (found.different, found.unverified, found.missing) == (0, 0, 0)
+    assert found.commands > 2500
+
+
+def test_with_the_recorded_parameters_the_simulation_gives_the_recorded_figures(bag):
+    result = what_if(bag, {})
+    assert result.changed is None and result.laws[:2] == ("smc", "smc")
+    # The recorded motion is known to an encoder count; the peaks of friction reversals depend on less.
+    assert result.again.true_rms == pytest.approx(result.recorded.true_rms, rel=0.05)
+    assert result.again.true_pp == pytest.approx(result.recorded.true_pp, rel=0.2)
+    assert result.again.uncompensated_pp == pytest.approx(result.recorded.uncompensated_pp, rel=1e-3)
+
+
+def test_another_law_changes_the_figures_and_not_the_motion(bag):
+    result = what_if(bag, {"controller": {"control.law": "linear"}})
+    assert result.laws == ("smc", "smc", "linear")
+    assert result.changed.true_rms > 1.5 * result.recorded.true_rms
+    assert result.changed.uncompensated_pp == pytest.approx(result.recorded.uncompensated_pp, rel=1e-3)
+
+
+def test_the_map_is_taken_from_the_bag(bag):
+    assert read_attachments(bag)["map.csv"].startswith(b"#")
+    assert recorded_parameters(bag, read_attachments(bag))["controller"]["control.law"] == "smc"
+
+
+def test_the_command_audits_and_asks_what_if(bag, tmp_path, capsys):
+    assert main(["replay", str(bag), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["different"] == 0
+    assert main(["replay", str(bag), "--set", "driver.simulated.truth.mass=1.3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["what_if"]["true_rms_um"] != found["simulated_as_recorded"]["true_rms_um"]
+    assert main(["replay", str(bag), "--set", "controller.control.lwa=smc"]) == 2
+    assert "did you mean 'control.law'" in capsys.readouterr().err
+    assert main(["replay", str(bag), "--law", "magic"]) == 2
+
+    def flip(topic, stamp, numbers, index):
+        return [numbers[0] + 1e-9] if topic == "command" and index == 7 else numbers
+
+    assert main(["replay", str(rewritten(bag, tmp_path / "new", flip))]) == 1
+    assert "the first difference is in step 7" in capsys.readouterr().err
+
+
+def test_a_bag_without_the_controller_s_state_or_parameters_is_refused(bag, tmp_path, capsys):
+    new = rewritten(bag, tmp_path / "a", lambda topic, s, numbers, i: None if topic == "controller_state" else numbers)
+    assert main(["replay", str(new)]) == 1
+    assert "no messages on 'controller_state'" in capsys.readouterr().err
+    shutil.rmtree(new)
+    with BagWriter(tmp_path / "b") as writer:
+        for stream in (ENCODER, COMMAND, CONTROLLER_STATE, STREAMS[1]):
+            writer.add_topic(f"/{stream.topic}", stream.layout.type_name)
+            writer.write(f"/{stream.topic}", stream.layout.pack(5, *(0.0 for _ in stream.layout.columns)), 5, 5)
+    assert main(["replay", str(tmp_path / "b")]) == 1
+    assert "parameters are not attached" in capsys.readouterr().err

@@ -1,0 +1,171 @@
+"""The compiled loop is the simulation, to the last bit."""
+
+import math
+from dataclasses import fields
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.offline.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.scenario import readings, references
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import can_run, run_stroke
+from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+
+STAGE = StageParameters()
+
+PERIOD = 500_000
+MAP = load_map(MapParameters())
+
+
+def steady(count: int, **changes) -> Conditions:
+    """A platform at rest on a reference of 1 µm."""
+    conditions = {
+        "stamps": np.arange(count) * PERIOD,
+        "delays": np.full(count, PERIOD // 2),
+        "references": np.tile([1e-6, 0.0, 0.0], (count, 1)),
+        "noise": np.zeros(count),
+    }
+    return Conditions(**{**conditions, **changes})
+
+
+CYCLE = {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1}
+BEYOND_LUGRE = {"bands.fraction": 0.3, "rest.growth": 0.2, "step.factor": 1.5, "step.time": 0.8}
+
+
+def simulated(values):
+    return Simulation(values).run()
+
+
+def assert_same(record, expected):
+    for field in fields(expected):
+        np.testing.assert_array_equal(getattr(record, field.name), getattr(expected, field.name), field.name)
+
+
+@pytest.mark.parametrize("delay", [0.2, 0.5, 1.0, 1.5, 2.7])
+@pytest.mark.parametrize("law", LAWS)
+def test_a_compiled_cycle_is_the_simulation_in_every_column(law, delay):
+    values = {
+        "driver": {"simulated.initial_y": 2e-6, "simulated.truth.mass": 0.97},
+        "controller": {"control.law": law},
+        "stage": {**CYCLE, "drive.delay": delay},
+    }
+    assert can_run(values)
+    record, straightness = run_stroke(values)
+    assert record.time.size > 3000 and straightness.span == Simulation(values).map.span
+    assert_same(record, simulated(values))
+
+
+@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
+def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(model):
+    contact = {f"simulated.truth.contact.{name}": value for name, value in {"model": model, **BEYOND_LUGRE}.items()}
+    values = {"driver": contact, "controller": {"control.law": "smc"}, "stage": CYCLE}
+    record, _ = run_stroke(values)
+    assert_same(record, simulated(values))
+    plain, _ = run_stroke({**values, "driver": {}})
+    assert not np.array_equal(record.true_y, plain.true_y)
+
+
+def test_a_stroke_that_begins_elsewhere_on_another_feedforward_is_the_simulation():
+    stage = {**CYCLE, "motion.start": 0.4}
+    values = {"driver": {}, "controller": {}, "stage": stage, "feedforward": {"stage.motion.speed": 0.01}}
+    assert_same(run_stroke(values)[0], simulated(values))
+
+
+def test_what_the_compiled_cycle_does_not_model_is_left_to_the_simulation():
+    values = {"driver": {}, "controller": {}, "stage": {**CYCLE, "drive.delay": 4.0}}
+    assert can_run(values)
+    values["driver"]["simulated.command_timeout"] = 0.002
+    assert not can_run(values)
+    values["stage"]["drive.delay"] = 0.5
+    assert can_run(values)
+    values["controller"]["learning.learn"] = True
+    assert not can_run(values)
+
+
+def test_delays_are_those_of_the_first_commands_and_the_rest_have_the_constant_one():
+    values = {"driver": {}, "controller": {}, "stage": {**CYCLE, "motion.stroke": 0.1, "drive.delay": 1.0}}
+    constant, _ = run_stroke(values)
+    n = constant.time.size
+    same, _ = run_stroke(values, np.full(100, PERIOD))
+    np.testing.assert_array_equal(same.true_y, constant.true_y)
+    # In a stroke: at rest all commands are the same.
+    one = n // 3
+    late, _ = run_stroke(values, np.where(np.arange(2 * n) == one, 3 * PERIOD, PERIOD))
+    np.testing.assert_array_equal(late.true_y[:one], constant.true_y[:one])
+    assert (late.true_y[one:] != constant.true_y[one:]).any()
+
+
+def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_board():
+    delays = np.random.default_rng(5).integers(0, 4 * PERIOD, 400)
+    hardware = SimulatedHardware(SimulatedParameters(), from_mapping(StageParameters, {"drive.delay": 0.0}), MAP)
+    servo = Servo(make_law(ControlParameters(), STAGE))
+    hardware.enable()
+    hardware.start(0)
+    positions = []
+    for k, delay in enumerate(delays.tolist()):
+        sample, truth = hardware.read(k * PERIOD)[-1]
+        positions.append(truth.y)
+        command = servo.step(sample.stamp_ns, sample.y, sample.current, (1e-6, 0.0, 0.0))
+        hardware.write(command.current, sample.stamp_ns + delay)
+    cycle = run_cycle(make_law(ControlParameters(), STAGE), PlantParameters(), steady(400, delays=delays))
+    np.testing.assert_array_equal(cycle.true_y, positions)
+
+
+def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
+    random = np.random.default_rng(6)
+    stamps = np.arange(3000) * PERIOD + random.integers(-20_000, 20_001, 3000)
+    x = 0.3 + 0.1 * np.cumsum(np.diff(stamps, prepend=0)) * 1e-9
+    stamps[1000:] += 80_000_000  # a gap longer than restart_gap
+    x[2000:] += 0.05  # a jump that no stage makes
+    feedforward = Feedforward(MAP)
+    expected = [feedforward.step(stamp, at) for stamp, at in zip(stamps.tolist(), x.tolist(), strict=True)]
+    np.testing.assert_array_equal(
+        references(MAP, FeedforwardParameters(), STAGE.motion.highest_speed, stamps, x), expected
+    )
+
+
+def test_readings_of_a_cycle_are_those_of_the_encoder_to_the_last_bit():
+    encoder = PlantParameters().encoder
+    positions = np.random.default_rng(7).uniform(-2.0, 2.0, 1000)
+    expected = [encoder.x_reading(position) for position in positions.tolist()]
+    np.testing.assert_array_equal(readings(encoder.x_resolution, positions), expected)
+
+
+def test_noise_reaches_the_encoder_and_not_the_platform():
+    noise = np.zeros(50)
+    noise[49] = 3e-6
+    quiet, disturbed = (run_cycle(make_law(ControlParameters(), STAGE), PlantParameters(), c) for c in (
+        steady(50), steady(50, noise=noise)))  # fmt: skip
+    np.testing.assert_array_equal(quiet.true_y, disturbed.true_y)
+    assert disturbed.y[49] - quiet.y[49] == pytest.approx(3e-6, abs=1e-7)
+
+
+def test_a_law_starts_anew_in_each_cycle():
+    law = make_law(ControlParameters(), STAGE)
+    first, second = (run_cycle(law, PlantParameters(), steady(200)) for _ in range(2))
+    np.testing.assert_array_equal(first.current, second.current)
+
+
+def test_a_current_that_is_no_number_ends_the_cycle():
+    class Count(NamedTuple):
+        samples: float
+
+    @compilable
+    def step(gains, state, y, r, r_dot, r_ddot, measured):
+        current = math.nan if state.samples > 6.5 else 0.0
+        return Count(state.samples + 1.0), Command(current, r - y, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    cycle = run_cycle(Law(Count(0.0), lambda y: Count(0.0), step), PlantParameters(), steady(20))
+    assert cycle.true_y.size == cycle.y.size == cycle.current.size == 7
+    assert np.isfinite(cycle.current).all()
