@@ -53,6 +53,7 @@ setup(
         "cantools>=39",
         "fastcrc>=0.3.4",
         "jinja2>=3.1",
+        "markupsafe",
         "joblib>=1.4",
         "lz4",
         "matplotlib",

@@ -105,7 +105,7 @@ def designed(design: Design) -> str:
     """The cells of a design: closed form, design, its sweep."""
     sweep = design.verification
     at = [str(Figures(one.pp.median, one.work.median)) for one in (design.start_figures, design.figures)]
-    swept = " / ".join(f"{sweep.pp[name] * 1e6:.2f}" for name in ("p50", "p95", "max"))
+    swept = " / ".join(f"{sweep.percentiles('pp')[name] * 1e6:.2f}" for name in ("p50", "p95", "max"))
     return " | ".join([*at, swept, str(len(sweep.not_in_order)), str(design.rounds)])
 
 

@@ -23,7 +23,7 @@ from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
-SERVES = {"excitation_service": "controller", "recorder_services": "logger", "safety_panel": "driver"}
+SERVES = {"safety_panel": "driver"}
 """Modules with services of one node, and that node."""
 ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime", "tuning/graph")]
 HEAD = """\
@@ -157,13 +157,13 @@ def _offered(tree: ast.AST) -> Iterator[tuple[list[tuple[str, str]], str, str]]:
         if isinstance(name, ast.Constant):
             yield [(name.value.removeprefix("~/"), "")], ast.unparse(kind), _method(callback)
             continue
-        # A loop over ((name, callback), …) or over the names of steps, and the name in an f-string.
+        # A loop over callbacks or over the names of steps, and the name in an f-string.
         items = loops[id(call)].iter  # type: ignore[attr-defined]
         if isinstance(items, ast.Name):
             yield [("STEP", callback.args[0].attr)], ast.unparse(kind), ""  # type: ignore[attr-defined]
             continue
-        entries = items.elts
-        yield [(entry.elts[0].value, _method(entry.elts[1])) for entry in entries], ast.unparse(kind), ""
+        callbacks = [_method(entry) for entry in items.elts]
+        yield [(callback.strip("_"), callback) for callback in callbacks], ast.unparse(kind), ""
 
 
 def _method(callback: ast.expr) -> str:

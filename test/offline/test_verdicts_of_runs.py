@@ -271,4 +271,4 @@ def test_a_report_begins_with_the_verdict_on_its_run(tmp_path):
     bag = recorded(tmp_path / "spoilt", (1.0, 1.2), 3e-6)
     report = tmp_path / "report.html"
     assert main(["evaluate", str(bag), "--report", str(report)]) == 1
-    assert "<p class=fail>Verdict: starved: stalls of the host (" in report.read_text(encoding="utf-8")
+    assert '<p class="fail">Verdict: starved: stalls of the host (' in report.read_text(encoding="utf-8")

@@ -18,7 +18,6 @@ from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
-from straightcomp_ros.tuning.sweep.many_trials import PERCENTILES
 
 SUMMARY = "design the gains of a law for a stage"
 PURPOSE = "tune"
@@ -152,5 +151,5 @@ def _print(design: Design, name: str) -> None:
             highlight=False,
         )
     sweep = design.verification
-    shown = ", ".join(f"{key} {sweep.pp[key] * 1e6:.2f}" for key in PERCENTILES)
+    shown = ", ".join(f"{key} {value * 1e6:.2f}" for key, value in sweep.percentiles("pp").items())
     console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)
