@@ -21,7 +21,7 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(items):
     for item in items:
         # Whoever asks for a graph of nodes runs one.
-        if "graph" in getattr(item, "fixturenames", ()):
+        if {"graph", "shared_graph"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.live)
         if item.get_closest_marker("live"):
             item.add_marker(pytest.mark.flaky(reruns=REPEATS_OF_A_TEST))

@@ -132,7 +132,7 @@ def test_a_fault_at_some_writes_spoils_nothing(tmp_path, case, monkeypatch):
     judge(*outcomes(tmp_path, case, 4, monkeypatch))
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, monkeypatch):
     first, facts = outcomes(tmp_path, case, LONG.get(case, 0), monkeypatch)
