@@ -71,15 +71,6 @@ def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
     assert [stamp for stamp, *_ in pairing.take()][-1] == at(199)
 
 
-def test_after_a_gap_old_references_are_used_no_more():
-    pairing = Pairing(2 * PERIOD, wait=False)
-    pairing.add_sample(at(0), (0,))
-    pairing.add_reference(at(0), (1.0, 0.0, 0.0))
-    assert len(list(pairing.take())) == 1
-    pairing.add_sample(at(1000), (1000,))
-    assert not list(pairing.take())
-    pairing.add_reference(at(1000), (2.0, 0.0, 0.0))
-    assert list(pairing.take()) == [(at(1000), (1000,), (2.0, 0.0, 0.0), 0)]
 
 
 def test_a_machine_whose_clock_was_set_back_is_answered_again():

@@ -110,17 +110,16 @@ def test_the_held_command_is_the_mean_of_the_last_ones():
 
 
 @pytest.mark.parametrize("reading", [0.3e-6, -0.3e-6])
-def test_a_reading_outside_the_band_ends_the_hold(reading):
+def test_a_reading_outside_the_band_and_a_moving_reference_end_the_hold(reading):
     servo, commands = held()
     answers = [servo.step(reading, 0.0, 0.0, 0.0).current for _ in range(3)]
     assert answers[-1] != commands[-1]
     # The law acts against the error.
     assert math.copysign(1.0, answers[0] - commands[-1]) == -math.copysign(1.0, reading)
-
-
-def test_a_moving_reference_ends_the_hold():
     servo, commands = held()
     assert servo.step(0.0, 0.0, 2e-7, 0.0).current != commands[-1]
+
+
 
 
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
@@ -137,14 +136,13 @@ def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observ
     assert answer.disturbance_estimate == pytest.approx(others - friction * design.gain_allowance / 3.0, rel=1e-9)
 
 
-def test_friction_starts_at_its_first_size_within_the_largest():
-    assert law().start(0.0).fit.size == 0.15
+
+
+def test_friction_starts_at_its_first_size_within_the_largest_and_may_be_none():
     assert law(first_size=3.0, largest_size=2.0).start(0.0).fit.size == 2.0
-
-
-def test_without_friction_the_law_has_none_of_its_own():
     one = law()
     state = one.start(1e-6)
+    assert state.fit.size == 0.15
     state = state._replace(fit=state.fit._replace(size=0.0), bristle=1e-7)
     after, answer = one.function(one.gains, state, 1e-6, 1e-6, 0.0, 0.0, math.nan)
     assert after.bristle == 1e-7 and answer.disturbance_estimate == 0.0
@@ -167,7 +165,6 @@ def test_what_friction_takes_over_the_disturbance_gives():
     assert state.fit.size > 0.2 == bound.fit.size
 
 
-OBSERVER_LAWS = ("smc_observer",)
 
 
 def run(**controller):
@@ -253,20 +250,18 @@ def test_the_lags_are_those_of_the_observers_estimate_of_an_acceleration():
         estimate, plant = step @ estimate, step @ plant
 
 
-@pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
-def test_the_size_of_friction_is_found_together_with_a_constant_and_an_error_of_stiffness(size):
+@pytest.mark.parametrize(("size", "found"), [(0.3, 0.3), (1.0, 1.0), (3.0, 3.0), (-1.0, 0.1), (9.0, 4.0)])
+def test_the_size_of_friction_is_found_within_its_bounds_with_a_constant_and_an_error_of_stiffness(size, found):
     fit = fit_after(2000, size, constant=0.05, slope=-0.08)
-    assert fit.size == pytest.approx(size, rel=0.02)
-    assert fit.constant == pytest.approx(0.05, abs=0.005) and fit.slope == pytest.approx(-0.08, abs=0.01)
+    assert fit.size == pytest.approx(found, rel=0.02)
+    if found == size:
+        assert fit.constant == pytest.approx(0.05, abs=0.005) and fit.slope == pytest.approx(-0.08, abs=0.01)
 
 
 def test_noise_as_large_as_friction_moves_the_size_by_less_than_a_fifth():
     assert fit_after(6000, 1.0, noise=0.25).size == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize(("size", "bound"), [(-1.0, 0.1), (9.0, 4.0)])
-def test_the_size_stays_within_its_bounds(size, bound):
-    assert fit_after(2000, size).size == bound
 
 
 def test_the_misfit_is_what_friction_of_any_size_does_not_explain():

@@ -44,14 +44,13 @@ def run(
 
 
 def energy(plant: Plant, state: PlantState) -> float:
-    """Kinetic energy plus the magnets' potential at the present currents and the bristles', in J.
+    """Kinetic energy plus the magnets' potential at the present currents, in J.
 
     The potential of (2) at constant currents is −(μ0N²A/4) [i₁²/(y0−y) + i₂²/(y0+y)].
     """
     near = (state.bias + state.control) ** 2 / (plant.actuator.air_gap - state.y)
     far = (state.bias - state.control) ** 2 / (plant.actuator.air_gap + state.y)
-    bristles = 0.5 * plant.lugre.bristle_stiffness * state.bristle**2
-    return 0.5 * plant.mass * state.velocity**2 - plant.actuator.force_coefficient * (near + far) + bristles
+    return 0.5 * plant.mass * state.velocity**2 - plant.actuator.force_coefficient * (near + far)
 
 
 def test_energy_is_conserved_where_there_is_no_friction():
@@ -114,16 +113,6 @@ def test_a_force_beyond_break_away_moves_the_platform():
     assert run(STICKY, PlantState(bias=1.0), current, 0.1).y > 1e-5
 
 
-def test_friction_takes_energy_away():
-    constants = STICKY.constants()
-    state = PlantState(velocity=1e-2, bias=0.0)
-    last = energy(constants, state)
-    for _ in range(100):
-        state = run(STICKY, state, 0.0, 1e-3, bias=0.0)
-        now = energy(constants, state)
-        assert now <= last * (1 + 1e-9)
-        last = now
-    assert abs(state.velocity) < 1e-4
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -161,14 +150,7 @@ def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     )
     plant = odd.constants()
     flat = as_array(plant)
-    assert flat.tolist() == [
-        plant.mass,
-        plant.stop,
-        plant.amplifier_rate,
-        *plant.actuator,
-        *plant.lugre,
-        *plant.extension,
-    ]
+    assert flat.tolist() == [*plant[:3], *plant.actuator, *plant.lugre, *plant.extension]
     assert dataclasses.astuple(odd.friction) == tuple(plant.lugre)
     assert _from_array(flat) == plant[:5] and len(set(flat[:12].tolist())) == 12
 
@@ -191,7 +173,7 @@ def sample(plant, until, commands=(), noise=0.0):
     return advance_to_sample(*plant, effective, asked, len(commands), until, noise)
 
 
-def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice():
+def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice_and_noise_moves_the_reading_alone():
     plant, state = machine(), np.array(PlantState(y=2e-6))
     bias = COUNTED.actuator.bias_current
     assert sample(plant, PERIOD, [(200_000, 0.1), (600_000, 0.2)]) == 1
@@ -199,15 +181,13 @@ def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice():
     advance(as_array(COUNTED.constants()), state, bias, 0.0, 200_000, current, 300_000)
     np.testing.assert_array_equal(plant.state[: state.size], state)
     assert plant.state[COMMAND] == current
-    assert plant.state[READING] == COUNTED.encoder.y_reading(float(state[0]))
+    noisy = machine()
+    sample(noisy, PERIOD, [(200_000, 0.1), (600_000, 0.2)], noise=3e-6)
+    np.testing.assert_array_equal(noisy.state[:READING], plant.state[:READING])
+    for found, noise in ((plant, 0.0), (noisy, 3e-6)):
+        assert found.state[READING] == COUNTED.encoder.y_reading(float(state[0]) + noise)
 
 
-def test_noise_moves_the_reading_and_not_the_platform():
-    quiet, noisy = machine(), machine()
-    sample(quiet, PERIOD)
-    sample(noisy, PERIOD, noise=3e-6)
-    np.testing.assert_array_equal(quiet.state[:READING], noisy.state[:READING])
-    assert noisy.state[READING] - quiet.state[READING] == pytest.approx(3e-6, abs=1e-7)
 
 
 def test_without_a_command_the_board_holds_from_its_time_on_and_a_command_ends_that():
@@ -260,11 +240,10 @@ def test_an_encoder_reading_is_a_whole_count_within_half_a_count(position):
         assert reading / count == pytest.approx(round(reading / count), abs=1e-6)
 
 
-@given(st.floats(-0.99, 0.99))
-def test_a_converted_current_is_within_half_a_step(current):
-    assert abs(DRIVE.converted(current) - current) <= 0.5000001 * DRIVE.current_step
+@given(st.floats(-5.0, 5.0))
+def test_a_converted_current_is_within_half_a_step_or_at_the_end_of_the_range(current):
+    held = min(max(current, -DRIVE.current_range), DRIVE.current_range - DRIVE.current_step)
+    assert abs(DRIVE.converted(current) - held) <= 0.5000001 * DRIVE.current_step
+    assert -DRIVE.current_range <= DRIVE.converted(current) <= DRIVE.current_range - DRIVE.current_step
 
 
-def test_the_converter_stops_at_its_range():
-    assert DRIVE.converted(5.0) == DRIVE.current_range - DRIVE.current_step
-    assert DRIVE.converted(-5.0) == -DRIVE.current_range
