@@ -63,8 +63,6 @@ def test_beyond_its_margins_the_loop_is_unstable(name):
     assert max(abs(in_time)) < 1.0 < max(abs(late))
 
 
-
-
 @pytest.mark.parametrize("delayed", [False, True])
 def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
     """L = k/(z − 1), or k/(z (z − 1)): |L| = 1 where 2 sin(ωT/2) = k."""

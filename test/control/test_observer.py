@@ -41,8 +41,6 @@ def test_the_prediction_is_the_plant_without_friction():
     assert ahead.y == pytest.approx(state[0], abs=1e-8)
 
 
-
-
 def test_a_constant_disturbance_is_found_exactly():
     # The platform is held at y by a current that balances the magnets and a disturbance of 0.2 m/s².
     y, disturbance = 5e-6, 0.2
@@ -81,8 +79,6 @@ def test_the_force_is_that_of_the_place_reached_halfway():
     assert moving.velocity - 0.4 == pytest.approx(at_halfway.velocity, rel=1e-9)
 
 
-
-
 def test_the_mean_of_an_interval_is_the_integral_of_the_coils_decay():
     for duration in (1e-6, PERIOD, 0.02):
         times = np.linspace(0.0, duration, 20_001)
@@ -115,8 +111,6 @@ def test_the_share_of_a_current_step_is_its_mean_over_the_period_relative_to_its
     risen = [1.0 - math.exp(-rate * acting * (k + 0.5) / steps) for k in range(steps)]
     mean = sum(risen) / steps * acting / PERIOD
     assert nominal(delay).current_share == pytest.approx(mean / (1.0 - math.exp(-rate * acting)), rel=1e-6)
-
-
 
 
 def test_a_larger_current_than_predicted_has_made_the_platform_faster_by_its_share():
@@ -152,9 +146,3 @@ def test_the_current_for_an_acceleration_gives_it_by_the_magnets_law_up_to_the_e
     assert current_for(g, 2.0 * gap, 0.0) == current_for(g, 50.0 * gap, 0.0) == -current_for(g, -2.0 * gap, 0.0) != 0.0
     for current in (-2.0, -0.9, -0.3, 0.0, 0.3, 0.9, 2.0):
         assert limited(g, current) == np.clip(current, -0.9, 0.9)
-
-
-
-
-
-

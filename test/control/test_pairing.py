@@ -71,8 +71,6 @@ def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
     assert [stamp for stamp, *_ in pairing.take()][-1] == at(199)
 
 
-
-
 def test_a_machine_whose_clock_was_set_back_is_answered_again():
     pairing = Pairing(2 * PERIOD, wait=False)
     for first in (10_000, 0):

@@ -35,8 +35,6 @@ def test_a_repeated_sample_gets_the_same_answer_and_changes_nothing():
         assert same(other.step(step * T, 1e-7 * step, 0.0, HELD), first)
 
 
-
-
 def test_an_older_sample_and_non_finite_samples_and_references_are_refused():
     loop = servo()
     loop.step(10 * T, 0.0, 0.0, HELD)
@@ -245,8 +243,6 @@ def test_a_fade_that_does_not_fit_and_a_signal_that_is_not_finite_are_refused(cu
         made(currents, fade=fade)
 
 
-
-
 def still(gains: tuple[float], state: tuple[float], *numbers: float) -> tuple[tuple[float], Command]:
     return state, Command(0.1, numbers[1] - numbers[0], 0.0, 0.1, 0.0, 0.0, math.nan)
 
@@ -259,8 +255,6 @@ def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_f
     assert command.equivalent_current + command.switching_current == pytest.approx(0.1)
     assert servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0)) == command
     assert servo.step(500_000, 0.0, 0.0, (0.0, 0.0, 0.0)).current == pytest.approx(0.3 + 1e-4)
-
-
 
 
 def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so() -> None:

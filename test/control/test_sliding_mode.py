@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.control import sliding_mode
-from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.sliding_mode import (
     SlidingDesign,
     closed_loop_poles,
@@ -55,8 +55,6 @@ def test_a_step_is_equation_9(y0, y1, r):
         x = np.array([T * (y0 - r), y1, smoothing * (y1 - y0) / T])
         assert answer.current == pytest.approx(by_equation_9(x, r, rho, DESIGN.boundary_layer), rel=1e-9, abs=1e-12)
         assert answer.error == r - y1
-
-
 
 
 @pytest.mark.parametrize("law", ["linear", "smc"])
@@ -153,8 +151,6 @@ def test_the_reaching_bound_is_that_of_equation_11_where_the_stiffness_errors_co
     assert reaching_bound(DESIGN, stage_with(travel=0.6 * actuator.air_gap)) == math.inf  # no ρ for |m_i| = 1
     # Each part is one that shows.
     assert min(m_i * position, m_y * position, friction, DESIGN.gamma) > 0.01 * expected
-
-
 
 
 def test_a_rho_below_the_reaching_bound_is_refused_unless_it_is_wanted():

@@ -14,7 +14,6 @@ from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, LagWeights, SizeGains, _stiffness, fit_at_start, fitted, lagged
 from straightcomp_ros.model.friction import bristle_after, friction_force
 from straightcomp_ros.offline.compiled_stroke import run_stroke
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
@@ -24,10 +23,10 @@ T = 5e-4
 SETTLE = 0.5
 
 
-def stroke(delay=0.5, friction=1.0, model="lugre", **design):
+def stroke(delay=0.5, friction=1.0, model="lugre", **control):
     """Record and metrics of a stroke whose plant has ``friction`` times the nominal friction."""
     values = shipped_parameters()
-    values["controller"].update({f"control.smc_observer.{name}": value for name, value in design.items()})
+    values["controller"].update({f"control.{name}": value for name, value in control.items()})
     for name in ("friction.coulomb", "friction.static"):
         # The machine's alone: the law believes the description.
         values["driver"][f"stage.{name}"] = friction * values["stage"][name]
@@ -62,13 +61,13 @@ def test_a_stroke_with_unknown_friction_leaves_little_error_at_small_steps_of_th
 @pytest.mark.no_cover
 def test_where_the_friction_model_explains_little_the_law_is_stiffer_and_leaves_less_error():
     def changed(stiffening):
-        return stroke(model="maxwell_slip", stiffening=stiffening)[1]
+        return stroke(model="maxwell_slip", **{"smc_observer.stiffening": stiffening})[1]
 
     quiet, stiff = changed(1.0), changed(1.4)
     assert stiff.true_rms < 0.8 * quiet.true_rms
     assert stiff.control_rms_step > 2.0 * quiet.control_rms_step
     # With the model's friction the same stiffening is not used.
-    assert stroke()[1].control_rms_step < 1.1 * stroke(stiffening=1.0)[1].control_rms_step
+    assert stroke()[1].control_rms_step < 1.1 * stroke(**{"smc_observer.stiffening": 1.0})[1].control_rms_step
 
 
 @pytest.mark.parametrize(("misfit", "share"), [(0.0, 0.0), (1.0, 0.0), (1.25, 0.25), (2.0, 1.0), (50.0, 1.0)])
@@ -120,8 +119,6 @@ def test_a_reading_outside_the_band_and_a_moving_reference_end_the_hold(reading)
     assert servo.step(0.0, 0.0, 2e-7, 0.0).current != commands[-1]
 
 
-
-
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
     design = ObserverDesign(first_size=1.0, velocity_share=0.25)
     one = make_law(ControlParameters(smc_observer=design), STAGE)
@@ -134,8 +131,6 @@ def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observ
     friction = friction_force(lugre, state.bristle, velocity)
     others = state.prior.disturbance
     assert answer.disturbance_estimate == pytest.approx(others - friction * design.gain_allowance / 3.0, rel=1e-9)
-
-
 
 
 def test_friction_starts_at_its_first_size_within_the_largest_and_may_be_none():
@@ -165,24 +160,9 @@ def test_what_friction_takes_over_the_disturbance_gives():
     assert state.fit.size > 0.2 == bound.fit.size
 
 
-
-
-def run(**controller):
-    values = shipped_parameters()
-    values["controller"].update({key.replace("__", "."): value for key, value in controller.items()})
-    delay = controller.get("control__smc_observer__delay", 0.5)
-    values["stage"].update(
-        {"drive.delay": delay, "motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1},
-    )
-    simulation = Simulation(values)
-    record = simulation.run()
-    return record, evaluate(record, simulation.map)
-
-
-@pytest.mark.parametrize("law", OBSERVER_LAWS)
 @given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
-def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(law, y, r, rate):
-    servo = make_law(ControlParameters(law=law), from_mapping(StageParameters, {"actuator.current_limit": 0.4}))
+def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(y, r, rate):
+    servo = make_law(ControlParameters(), from_mapping(StageParameters, {"actuator.current_limit": 0.4}))
     servo.reset(y)
     for reading in (y, -y, 0.0, y):
         command = servo.step(reading, r, rate, 0.0)
@@ -190,28 +170,15 @@ def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(l
         assert command.error == r - reading
 
 
-@pytest.mark.no_cover  # whole strokes, which take three times as long under it
+@pytest.mark.no_cover
 def test_the_laws_rank_as_their_designs_promise():
-    errors = {law: run(control__law=law)[1].true_pp for law in LAWS}
-    assert errors["smc_observer"] < errors["smc"] < errors["linear"]
-    assert errors["smc_observer"] < 0.17e-6
-
-
-@pytest.mark.no_cover  # whole strokes, which take three times as long under it
-def test_the_observer_law_works_with_a_sample_of_delay_that_it_knows():
-    assert run(control__law="smc_observer", control__smc_observer__delay=1.0)[1].true_pp < 0.25e-6
-
-
-@pytest.mark.no_cover  # whole strokes, which take three times as long under it
-def test_the_printed_law_lags_and_its_feedforward_removes_the_lag():
-    lagging, following = (run(control__law="smc", control__smc__feedforward=on)[1] for on in (False, True))
-    assert following.true_pp < 0.8 * lagging.true_pp
-
-
-@pytest.mark.no_cover  # whole strokes, which take three times as long under it
-def test_the_observer_law_switches_less_than_a_quarter_of_literal_sgn():
-    sgn = run(control__law="smc", control__smc__boundary_layer=0.0, control__smc__feedforward=False)[1]
-    assert run(control__law="smc_observer")[1].control_activity < 0.25 * sgn.control_activity
+    linear, smc, observer = (stroke(law=law)[1] for law in LAWS)
+    assert observer.true_pp < smc.true_pp < linear.true_pp and observer.true_pp < 0.17e-6
+    # With a sample of delay that it knows; the printed law lags; literal sgn switches four times as much.
+    assert stroke(delay=1.0, **{"smc_observer.delay": 1.0})[1].true_pp < 0.25e-6
+    printed = {"law": "smc", "smc.feedforward": False}
+    assert smc.true_pp < 0.8 * stroke(**printed)[1].true_pp
+    assert observer.control_activity < 0.25 * stroke(**printed, **{"smc.boundary_layer": 0.0})[1].control_activity
 
 
 PERIOD, BANDWIDTH, THIRD = 5e-4, 199.0, 1.28
@@ -260,8 +227,6 @@ def test_the_size_of_friction_is_found_within_its_bounds_with_a_constant_and_an_
 
 def test_noise_as_large_as_friction_moves_the_size_by_less_than_a_fifth():
     assert fit_after(6000, 1.0, noise=0.25).size == pytest.approx(1.0, abs=0.2)
-
-
 
 
 def test_the_misfit_is_what_friction_of_any_size_does_not_explain():

@@ -56,7 +56,7 @@ CHANGES = {
 }
 SLIP = {"contact.model": "maxwell_slip"}
 UNDAMPED = {"friction.bristle_damping": 0.0, "friction.viscous": 0.0}
-KINDS = [{}, SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "contact.maxwell_slip.attraction": 1e9}]
+KINDS = [SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "contact.maxwell_slip.attraction": 1e9}]
 
 
 def plant_with(values) -> PlantParameters:
@@ -131,8 +131,6 @@ def test_the_stribeck_curve_falls_from_static_to_coulomb_friction():
     assert stribeck_force(LUGRE, 1.0) == pytest.approx(PARAMETERS.coulomb)
     curve = [stribeck_force(LUGRE, v) for v in np.linspace(0, 1e-4, 50)]
     assert all(later <= earlier for earlier, later in itertools.pairwise(curve))
-
-
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0, 1.0))
@@ -240,9 +238,7 @@ def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fiel
     assert not state[TIME:].any() and state[:7].tolist() == short.tolist()
 
 
-
-
-@pytest.mark.parametrize("values", KINDS)
+@pytest.mark.parametrize("values", [{}, *KINDS])
 def test_a_platform_that_slides_to_rest_only_loses_energy(values):
     plant = plant_with(values)
     states = run(values, PlantState(velocity=1e-2), 0.0, 400, bias=0.0)
@@ -290,8 +286,6 @@ def test_sliding_long_enough_gives_the_stribeck_curve_plus_viscous_friction(velo
         force = contact.move(velocity, 0.1)
     lugre = contact.plant.lugre
     assert force == pytest.approx(math.copysign(stribeck_force(lugre, velocity), velocity) + lugre.viscous * velocity)
-
-
 
 
 def test_friction_lags_a_falling_speed():

@@ -113,8 +113,6 @@ def test_a_force_beyond_break_away_moves_the_platform():
     assert run(STICKY, PlantState(bias=1.0), current, 0.1).y > 1e-5
 
 
-
-
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_platform_stays_between_its_stops(side):
     after = run(FREE, PlantState(y=side * 1e-3, bias=1.0), 0.0, 1.0)
@@ -188,8 +186,6 @@ def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice_and_nois
         assert found.state[READING] == COUNTED.encoder.y_reading(float(state[0]) + noise)
 
 
-
-
 def test_without_a_command_the_board_holds_from_its_time_on_and_a_command_ends_that():
     plant = machine()
     sample(plant, PERIOD, [(0, 0.1)])
@@ -245,5 +241,3 @@ def test_a_converted_current_is_within_half_a_step_or_at_the_end_of_the_range(cu
     held = min(max(current, -DRIVE.current_range), DRIVE.current_range - DRIVE.current_step)
     assert abs(DRIVE.converted(current) - held) <= 0.5000001 * DRIVE.current_step
     assert -DRIVE.current_range <= DRIVE.converted(current) <= DRIVE.current_range - DRIVE.current_step
-
-
