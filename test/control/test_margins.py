@@ -24,7 +24,7 @@ STAGE = from_mapping(StageParameters, {"drive.delay": 0.5})
 PERIOD, DELAY = 5e-4, 2.5e-4
 
 
-def law(name: str, **parameters):
+def law(name, **parameters):
     return make_law(ControlParameters(law=name, **parameters), STAGE)
 
 

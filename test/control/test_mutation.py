@@ -5,17 +5,14 @@ This tests the tests. A criterion that a law with a wrong sign meets is none.
 
 import ast
 import math
-from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
 
 from straightcomp_ros.control import sliding_mode, smc_observer
-from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.model.plant import PlantParameters, advance, as_array
 from straightcomp_ros.stage.description import StageParameters
@@ -29,11 +26,11 @@ ALLOWED = {"a whole path": 1.3, "one sign in the source": 1.02}
 """A law is rejected when its error is more than so many times that of the law as it is; all is deterministic."""
 
 
-def law_named(name: str) -> Law:
+def law_named(name):
     return make_law(ControlParameters(law=name), STAGE)
 
 
-def closed_loop_error(law: Law) -> float:
+def closed_loop_error(law):
     """RMS of r − y in m on the simulated plant, following 10 µm at 2 Hz through friction, encoder and delay.
 
     Infinite for a law that fails, or that reports an error or a switching part that are not those of its answer.
@@ -61,13 +58,13 @@ def closed_loop_error(law: Law) -> float:
 
 
 @cache
-def error_as_it_is(name: str) -> float:
+def error_as_it_is(name):
     return closed_loop_error(law_named(name))
 
 
-def _answer(turn: Callable[[Command], float]) -> Callable[[Any], Any]:
-    def with_step(step: Any) -> Any:
-        def turned(*arguments: Any) -> Any:
+def _answer(turn):
+    def with_step(step):
+        def turned(*arguments):
             state, command = step(*arguments)
             current = turn(command)
             # The report follows the answer and the reading: only the motion shall give it away.
@@ -78,9 +75,9 @@ def _answer(turn: Callable[[Command], float]) -> Callable[[Any], Any]:
     return with_step
 
 
-def _argument(place: int) -> Callable[[Any], Any]:
-    def with_step(step: Any) -> Any:
-        def turned(*arguments: Any) -> Any:
+def _argument(place):
+    def with_step(step):
+        def turned(*arguments):
             state, command = step(*arguments[:place], -arguments[place], *arguments[place + 1 :])
             return state, command._replace(error=arguments[3] - arguments[2])
 
@@ -102,13 +99,13 @@ WITHOUT = {("linear", "the switching part"), ("linear", "its rate")}
 
 
 @pytest.mark.parametrize(("law", "path"), [(law, path) for law in LAWS for path in PATHS if (law, path) not in WITHOUT])
-def test_the_closed_loop_rejects_a_law_with_a_path_of_the_wrong_sign(law: str, path: str) -> None:
+def test_the_closed_loop_rejects_a_law_with_a_path_of_the_wrong_sign(law, path):
     right = law_named(law)
     wrong = Law(right.gains, right.start, PATHS[path](right.function))
     assert closed_loop_error(wrong) > ALLOWED["a whole path"] * error_as_it_is(law)
 
 
-def sign_mutants(module: ModuleType) -> Iterator[tuple[str, Any]]:
+def sign_mutants(module):
     """The place of each + and − in the module's ``step``, and ``step`` with that one turned over."""
     lines = Path(str(module.__file__)).read_text(encoding="utf-8")
     for number in range(len(_signs(_step_in(lines)))):
@@ -123,16 +120,16 @@ def sign_mutants(module: ModuleType) -> Iterator[tuple[str, Any]]:
         yield f"line {sign.lineno}: {ast.unparse(sign)}", namespace["step"]
 
 
-def _step_in(source: str) -> ast.FunctionDef:
+def _step_in(source):
     return next(node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef) and node.name == "step")
 
 
-def _signs(function: ast.FunctionDef) -> list[Any]:
+def _signs(function):
     return [node for node in ast.walk(function) if isinstance(getattr(node, "op", None), ast.Add | ast.Sub | ast.USub)]
 
 
 @pytest.mark.parametrize(("law", "module"), [("smc", sliding_mode), ("smc_observer", smc_observer)])
-def test_the_closed_loop_rejects_nearly_every_sign_turned_over_in_the_source(law: str, module: ModuleType) -> None:
+def test_the_closed_loop_rejects_nearly_every_sign_turned_over_in_the_source(law, module):
     """What may be left are signs that act only at the current's limit, which this motion does not reach."""
     right = law_named(law)
     unseen, count = [], 0

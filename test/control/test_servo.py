@@ -18,7 +18,7 @@ T = 500_000
 HELD = (1e-6, 0.0, 0.0)
 
 
-def servo() -> Servo:
+def servo():
     return Servo(make_law(ControlParameters(law="linear"), StageParameters()))
 
 
@@ -190,15 +190,15 @@ def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws():
 FLAT = np.full(1000, 0.2)
 
 
-def made(currents: np.ndarray = FLAT, **changed: float) -> Injection:
-    return Injection(currents, **{"fade": 100, "limit": 0.9, "travel": 1e-4, **changed})  # type: ignore[arg-type]
+def made(currents=FLAT, **changed):
+    return Injection(currents, **{"fade": 100, "limit": 0.9, "travel": 1e-4, **changed})
 
 
-def answers(injection: Injection, count: int, command: float = 0.0) -> np.ndarray:
+def answers(injection, count, command=0.0):
     return np.array([injection.step(command, 0.0) for _ in range(count)])
 
 
-def test_the_signal_rises_from_zero_and_ends_at_zero() -> None:
+def test_the_signal_rises_from_zero_and_ends_at_zero():
     injection = made()
     added = answers(injection, 1200)
     assert added[0] == pytest.approx(0.002) and added[998] == pytest.approx(0.002) and added[999] == 0.0
@@ -207,7 +207,7 @@ def test_the_signal_rises_from_zero_and_ends_at_zero() -> None:
     assert injection.finished and injection.stopped == ""
 
 
-def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why() -> None:
+def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why():
     injection = made()
     answers(injection, 500)
     injection.step(0.0, -1.1e-4)
@@ -218,7 +218,7 @@ def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why() -> None:
 
 
 @pytest.mark.parametrize("wrong", [False, True], ids=["too far", "no number"])
-def test_travel_counts_from_where_the_signal_began(wrong: bool) -> None:
+def test_travel_counts_from_where_the_signal_began(wrong):
     injection = made()
     for _ in range(100):
         injection.step(0.0, 5e-3)
@@ -227,7 +227,7 @@ def test_travel_counts_from_where_the_signal_began(wrong: bool) -> None:
     assert injection.stopped
 
 
-def test_command_and_signal_together_stay_within_the_limit() -> None:
+def test_command_and_signal_together_stay_within_the_limit():
     injection = made(limit=0.5)
     total = answers(injection, 1000, command=0.4)
     assert total.max() == 0.5 and injection.clipped > 800
@@ -243,7 +243,7 @@ def test_a_fade_that_does_not_fit_and_a_signal_that_is_not_finite_are_refused(cu
         made(currents, fade=fade)
 
 
-def still(gains: tuple[float], state: tuple[float], *numbers: float) -> tuple[tuple[float], Command]:
+def still(gains, state, *numbers):
     return state, Command(0.1, numbers[1] - numbers[0], 0.0, 0.1, 0.0, 0.0, math.nan)
 
 
@@ -257,7 +257,7 @@ def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_f
     assert servo.step(500_000, 0.0, 0.0, (0.0, 0.0, 0.0)).current == pytest.approx(0.3 + 1e-4)
 
 
-def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so() -> None:
+def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
     servo = Servo(Law((0.0,), lambda y: (0.0,), still))
     injection = made(fade=1)
     servo.inject(injection)

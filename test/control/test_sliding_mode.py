@@ -25,12 +25,12 @@ T = 5e-4
 DESIGN, STAGE = SlidingDesign(), StageParameters()
 
 
-def limited(current: float, rate: int = STAGE.rate) -> StageParameters:
+def limited(current, rate=STAGE.rate):
     """The stage with another limit of the current in A."""
     return dataclasses.replace(STAGE, rate=rate, actuator=ActuatorParameters(current_limit=current))
 
 
-def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) -> float:
+def by_equation_9(x, r, rho, boundary_layer):
     """i_c by (9), written with the matrices of the paper."""
     a, b = state_matrices(STAGE)
     s = np.array([DESIGN.omega_n**2, 2 * DESIGN.zeta * DESIGN.omega_n, 1.0])

@@ -59,7 +59,7 @@ UNDAMPED = {"friction.bristle_damping": 0.0, "friction.viscous": 0.0}
 KINDS = [SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "contact.maxwell_slip.attraction": 1e9}]
 
 
-def plant_with(values) -> PlantParameters:
+def plant_with(values):
     """The simulated machine with these values of ``contact.…``; all others are of its description."""
     contact = {name: value for name, value in values.items() if name.startswith("contact.")}
     described = {name: value for name, value in values.items() if name not in contact}
@@ -69,14 +69,14 @@ def plant_with(values) -> PlantParameters:
 class Contact:
     """Friction alone, moved as the test says; the functions that the plant calls, as plain Python."""
 
-    def __init__(self, values) -> None:
+    def __init__(self, values):
         self.parameters = plant_with(values)
         self.plant = self.parameters.constants()
         self.constants = as_array(self.plant)
         self.state = np.array(PlantState())
         self.place, self.force = 0.0, 0.0
 
-    def move(self, velocity: float, duration: float = STEP) -> float:
+    def move(self, velocity, duration=STEP):
         """Friction after a step at constant velocity."""
         self.place += velocity * duration
         lugre = lugre_now(self.constants, self.plant.lugre, self.state, self.place)
@@ -84,12 +84,12 @@ class Contact:
         self.force = extended_force(self.constants, lugre, self.state, velocity)
         return self.force
 
-    def go(self, distance: float, speed: float = 1e-5, steps: int = 200) -> list[float]:
+    def go(self, distance, speed=1e-5, steps=200):
         """Forces on a way of this length with this sign."""
         duration = abs(distance) / speed / steps
         return [self.move(math.copysign(speed, distance), duration) for _ in range(steps)]
 
-    def stored(self) -> float:
+    def stored(self):
         """Energy in the springs, J."""
         if self.parameters.contact.model == "lugre":
             return 0.5 * self.plant.lugre.bristle_stiffness * float(self.state[2]) ** 2
@@ -99,7 +99,7 @@ class Contact:
         return float(0.5 * np.sum(blocks**2 / springs))
 
 
-def run(values, start: PlantState, command: float, samples: int, bias: float = 1.0) -> np.ndarray:
+def run(values, start, command, samples, bias=1.0):
     """States after each half millisecond, (samples, fields)."""
     constants, state = as_array(plant_with(values).constants()), np.array(start)
     states = []
@@ -109,7 +109,7 @@ def run(values, start: PlantState, command: float, samples: int, bias: float = 1
     return np.array(states)
 
 
-def spring_force(contact: Contact) -> float:
+def spring_force(contact):
     if contact.parameters.contact.model == "lugre":
         return contact.plant.lugre.bristle_stiffness * float(contact.state[2])
     return float(contact.state[BLOCK : BLOCK + MOST_BLOCKS].sum())

@@ -17,7 +17,6 @@ from straightcomp_ros.model.plant import (
     READING,
     SUBSTEP_NS,
     Hold,
-    Plant,
     PlantParameters,
     PlantState,
     PlatformParameters,
@@ -35,15 +34,13 @@ FREE = PlantParameters(friction=NO_FRICTION)
 STICKY = PlantParameters()
 
 
-def run(
-    parameters: PlantParameters, state: PlantState, command: float, seconds: float, bias: float = 1.0
-) -> PlantState:
+def run(parameters, state, command, seconds, bias=1.0):
     array = np.array(state)
     advance(as_array(parameters.constants()), array, bias, command, round(seconds * 1e9))
     return PlantState(*array)
 
 
-def energy(plant: Plant, state: PlantState) -> float:
+def energy(plant, state):
     """Kinetic energy plus the magnets' potential at the present currents, in J.
 
     The potential of (2) at constant currents is −(μ0N²A/4) [i₁²/(y0−y) + i₂²/(y0+y)].
@@ -78,7 +75,7 @@ def test_the_integration_is_of_second_order():
     start = PlantState(y=3e-4, velocity=-0.02, bias=1.0)
     constants = as_array(FREE.constants())
 
-    def position(step_ns: int) -> float:
+    def position(step_ns):
         state = np.array(start)
         for _ in range(20_000_000 // step_ns):
             advance(constants, state, 1.0, 0.05, step_ns)

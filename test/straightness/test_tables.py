@@ -1,7 +1,6 @@
 """Files of instruments and controllers: their makers' values or a refusal; nothing is lost on the way."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,7 +50,7 @@ Gridpoints = {
 """In the words of the makers' documentation and of programs that write such files."""
 
 
-def _read(tmp_path: Path, name: str, text: str, conventions: Conventions = MM) -> ErrorTable:
+def _read(tmp_path, name, text, conventions=MM):
     path = tmp_path / f"table{FORMATS[name].ending}"
     path.write_text(text, encoding="utf-8")
     return format_of(path, None).read(path, conventions)
@@ -66,16 +65,14 @@ def _read(tmp_path: Path, name: str, text: str, conventions: Conventions = MM) -
         ("aerotech", [100, 110.5, 121], [-1.5, -2.5, 3]),
     ],
 )
-def test_an_example_is_read_in_metres_as_the_deviation(
-    tmp_path: Path, name: str, x_mm: list[float], forward_um: list[float]
-) -> None:
+def test_an_example_is_read_in_metres_as_the_deviation(tmp_path, name, x_mm, forward_um):
     table = _read(tmp_path, name, EXAMPLES[name])
     np.testing.assert_allclose(table.x, np.array(x_mm) * 1e-3, rtol=1e-12)
     np.testing.assert_allclose(table.forward, np.array(forward_um) * 1e-6, rtol=1e-9, atol=1e-15)
     assert (table.backward is not None) == (name == "linuxcnc")
 
 
-def test_linuxcnc_trims_are_the_negative_of_the_deviation(tmp_path: Path) -> None:
+def test_linuxcnc_trims_are_the_negative_of_the_deviation(tmp_path):
     """LinuxCNC: trim = nominal - position, so both types of the file say the same."""
     trims = _read(tmp_path, "linuxcnc", "0 0 0\n10 -0.004 -0.006\n20 0.002 0\n")
     positions = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"])
@@ -95,9 +92,7 @@ _micrometres = st.integers(-50_000, 50_000).map(lambda nanometres: nanometres * 
     unit=st.sampled_from(["mm", "inch"]),
     axes=st.permutations(range(1, 5)),
 )
-def test_what_is_written_is_read_again(
-    tmp_path: Path, name: str, start_um: int, step_um: int, values: list, unit: str, axes: list[int]
-) -> None:
+def test_what_is_written_is_read_again(tmp_path, name, start_um, step_um, values, unit, axes):
     x = (start_um + step_um * np.arange(len(values))) * 1e-6
     forward, backward = np.array(values).T
     conventions = Conventions(unit, axes[0], axes[1])
@@ -110,7 +105,7 @@ def test_what_is_written_is_read_again(
         np.testing.assert_allclose(table.backward, backward, rtol=0.0, atol=3e-9)
 
 
-def test_a_format_with_one_value_gets_the_mean_of_both_directions(tmp_path: Path) -> None:
+def test_a_format_with_one_value_gets_the_mean_of_both_directions(tmp_path):
     table = ErrorTable(np.array([0.0, 0.1]), np.array([1e-6, 2e-6]), np.array([3e-6, 6e-6]))
     for name in ("aerotech", "crosscomp", "etalon"):
         np.testing.assert_allclose(
@@ -143,7 +138,7 @@ def test_a_format_with_one_value_gets_the_mean_of_both_directions(tmp_path: Path
         ("aerotech", ":START2D    3", ":START    3", [":START2D"]),
     ],
 )
-def test_a_fault_is_named(tmp_path: Path, name: str, old: str, new: str, words: list[str]) -> None:
+def test_a_fault_is_named(tmp_path, name, old, new, words):
     assert EXAMPLES[name].count(old) == 1
     with pytest.raises(SurveyError) as caught:
         _read(tmp_path, name, EXAMPLES[name].replace(old, new))
@@ -152,7 +147,7 @@ def test_a_fault_is_named(tmp_path: Path, name: str, old: str, new: str, words: 
         assert word in str(caught.value)
 
 
-def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has() -> None:
+def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has():
     table = ErrorTable(np.linspace(0.0, 1.0, 30), np.sin(np.arange(30)) * 1e-6)
     assert [run.direction for run in table.to_survey("a").runs] == ["forward"]
     in_the_wrong_unit = ErrorTable(table.x * UNITS["mm"], table.forward)
@@ -160,7 +155,7 @@ def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has() -> None:
         in_the_wrong_unit.to_survey("a")
 
 
-def test_too_many_points_for_a_controller_are_refused() -> None:
+def test_too_many_points_for_a_controller_are_refused():
     table = ErrorTable(np.arange(2000) * 1e-3, np.zeros(2000))
     for name, most in (("linuxcnc", "256"), ("crosscomp", "1001")):
         with pytest.raises(SurveyError, match=most):
@@ -373,9 +368,7 @@ def test_another_kind_of_file_in_place_of_a_survey_names_the_command_that_conver
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_the_exported_map_comes_back_as_the_same_map(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_the_exported_map_comes_back_as_the_same_map(tmp_path, capsys, name):
     table, survey = tmp_path / f"table{FORMATS[name].ending}", tmp_path / "survey.csv"
     assert main(["map", "export", "-o", str(table), "--json"]) == 0
     exported = json.loads(capsys.readouterr().out)
@@ -388,7 +381,7 @@ def test_the_exported_map_comes_back_as_the_same_map(
     assert exported["interpolation_error_um"] < 0.1
 
 
-def test_negate_turns_the_sign_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_negate_turns_the_sign_over(tmp_path, capsys):
     for option in ([], ["--negate"]):
         assert main(["map", "export", "-o", str(tmp_path / f"{len(option)}.comp"), *option]) == 0
     plain, negated = (np.loadtxt(tmp_path / f"{count}.comp") for count in (0, 1))
@@ -408,9 +401,7 @@ def test_negate_turns_the_sign_over(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["convert", "no.comp", "-o", "o.csv"], ["no.comp", "cannot be read"]),
     ],
 )
-def test_a_refusal_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list, words: list
-) -> None:
+def test_a_refusal_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
     assert main(["map", *arguments]) in (1, 2)
     printed = capsys.readouterr().err
@@ -420,7 +411,7 @@ def test_a_refusal_is_one_sentence(
         assert word in printed
 
 
-def test_a_table_in_inches_is_read_in_metres(tmp_path: Path) -> None:
+def test_a_table_in_inches_is_read_in_metres(tmp_path):
     table = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"], Conventions("inch"))
     np.testing.assert_allclose(table.x, [0.0, 0.254, 0.508], rtol=1e-12)
     np.testing.assert_allclose(table.forward, np.array([0.0, 4.0, -2.0]) * 25.4e-6, rtol=1e-9, atol=1e-15)
