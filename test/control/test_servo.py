@@ -15,7 +15,7 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 T = 500_000
-HELD = (1e-6, 0.0, 0.0)
+HELD, REST = (1e-6, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
 def servo():
@@ -157,13 +157,6 @@ def test_while_no_law_acts_the_new_one_is_there_at_once():
     assert same(changed.step(0, 1e-7, 0.0, HELD), fresh.step(0, 1e-7, 0.0, HELD))
 
 
-def test_a_reset_ends_a_fade():
-    ended = []
-    fade = Crossfade(*(make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc")), 10, ended.append)
-    fade.reset(0.0)
-    assert ended == [fade]
-
-
 class Steady:
     """A law that always answers the same current."""
 
@@ -177,14 +170,17 @@ class Steady:
         return Command(self._current, *(math.nan,) * (len(Command._fields) - 1))
 
 
-def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws():
+def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_a_reset_ends_it():
     # The first fade is the second one's old law, and is stepped beyond its own end.
-    first = Crossfade(Steady(0.0), Steady(0.1), 10, lambda _: None)
+    ended = []
+    first = Crossfade(Steady(0.0), Steady(0.1), 10, ended.append)
     currents = [first.step(0.0).current for _ in range(5)]
-    second = Crossfade(first, Steady(0.1), 10, lambda _: None)
-    currents += [second.step(0.0).current for _ in range(10)]
-    assert max(currents) == pytest.approx(0.1) and currents == sorted(currents)
+    second = Crossfade(first, Steady(0.1), 20, ended.append)
+    currents += [second.step(0.0).current for _ in range(15)]
+    assert currents[-1] == pytest.approx(0.1) and currents == sorted(currents) and ended == [first] * len(ended)
     assert max(steps_of(currents)) <= 0.2 / 10 + 1e-12
+    second.reset(0.0)
+    assert ended[-1] is second
 
 
 FLAT = np.full(1000, 0.2)
@@ -207,24 +203,17 @@ def test_the_signal_rises_from_zero_and_ends_at_zero():
     assert injection.finished and injection.stopped == ""
 
 
-def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why():
+@pytest.mark.parametrize("beyond", [5e-3 - 1.1e-4, math.nan])
+def test_beyond_the_travel_from_where_it_began_the_signal_fades_out_at_once_and_says_why(beyond):
     injection = made()
-    answers(injection, 500)
-    injection.step(0.0, -1.1e-4)
-    fading = answers(injection, 200)
-    assert "y − r changed by 110 µm; allowed: 100 µm" in injection.stopped
-    assert np.abs(np.diff(fading)).max() <= 0.002 + 1e-12 and (fading[99:] == 0.0).all()
-    assert injection.finished
-
-
-@pytest.mark.parametrize("wrong", [False, True], ids=["too far", "no number"])
-def test_travel_counts_from_where_the_signal_began(wrong):
-    injection = made()
-    for _ in range(100):
+    for _ in range(500):
         injection.step(0.0, 5e-3)
     assert not injection.stopped
-    injection.step(0.0, math.nan if wrong else 5e-3 - 1.1e-4)
-    assert injection.stopped
+    injection.step(0.0, beyond)
+    fading = answers(injection, 200)
+    assert f"y − r changed by {abs(beyond - 5e-3) * 1e6:.3g} µm; allowed: 100 µm" in injection.stopped
+    assert np.abs(np.diff(fading)).max() <= 0.002 + 1e-12 and (fading[99:] == 0.0).all()
+    assert injection.finished
 
 
 def test_command_and_signal_together_stay_within_the_limit():
@@ -250,11 +239,11 @@ def still(gains, state, *numbers):
 def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_for():
     servo = Servo(Law((0.0,), lambda y: (0.0,), still))
     servo.inject(made(0.2 + np.arange(1000.0) / 1e4, fade=1))
-    command = servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0))
+    command = servo.step(0, 0.0, 0.0, REST)
     assert command.current == pytest.approx(0.3)
     assert command.equivalent_current + command.switching_current == pytest.approx(0.1)
-    assert servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0)) == command
-    assert servo.step(500_000, 0.0, 0.0, (0.0, 0.0, 0.0)).current == pytest.approx(0.3 + 1e-4)
+    assert servo.step(0, 0.0, 0.0, REST) == command
+    assert servo.step(500_000, 0.0, 0.0, REST).current == pytest.approx(0.3 + 1e-4)
 
 
 def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
@@ -262,6 +251,6 @@ def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
     injection = made(fade=1)
     servo.inject(injection)
     for stamp_ns, current in ((0, 0.0), (500_000, math.nan), (1_000_000, 0.0)):
-        command = servo.step(stamp_ns, 0.0, current, (0.0, 0.0, 0.0))
+        command = servo.step(stamp_ns, 0.0, current, REST)
     assert command is not None and command.current == pytest.approx(0.1)
     assert injection.stopped == "the amplifier was off, or samples were missing"
