@@ -98,10 +98,10 @@ def test_what_is_written_is_read_again_or_its_mean_where_the_format_has_one_valu
     conventions = Conventions(unit, axes[0], axes[1])
     table = read(tmp_path, name, FORMATS[name].write(ErrorTable(x, *directions), conventions), conventions)
     np.testing.assert_allclose(table.x, x, rtol=0.0, atol=3e-9)
-    found = [table.forward, table.backward] if name == "linuxcnc" else table.forward
-    np.testing.assert_allclose(
-        found, directions if name == "linuxcnc" else directions.mean(axis=0), rtol=0.0, atol=3e-9
-    )
+    found, expected = table.forward, directions.mean(axis=0)
+    if name == "linuxcnc":
+        found, expected = [table.forward, table.backward], directions
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-9)
 
 
 @pytest.mark.parametrize(
