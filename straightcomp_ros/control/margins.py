@@ -285,7 +285,8 @@ def friction_damping(friction: LuGreParameters, speed: float) -> float:
 
 def plant_response(stage: StageParameters, frequencies: Matrix, damping: float) -> Complex:
     """From command to reading, m/A: the plant of ``stage`` with ``damping`` in N·s/m at ``frequencies`` in Hz."""
-    return _response(_described_plant(stage, damping), _points(stage, frequencies))[:, 0, 0]
+    plant, z = _described(stage, frequencies, damping)
+    return _response(plant, z)[:, 0, 0]
 
 
 def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping: float = 0.0) -> LoopResponse:
@@ -297,17 +298,15 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    controller = linearised(law, with_current=True)
-    loop = _open_loop(_described_plant(stage, damping), controller, _points(stage, frequencies))
+    plant, z = _described(stage, frequencies, damping)
+    loop = _open_loop(plant, linearised(law, with_current=True), z)
     return LoopResponse(plant_response(stage, frequencies, damping), loop, 1.0 / (1.0 + loop))
 
 
-def _described_plant(stage: StageParameters, damping: float) -> StateSpace:
-    return sampled_plant(stage, stage.drive.delay * stage.period, damping)
-
-
-def _points(stage: StageParameters, frequencies: Matrix) -> Complex:
-    return np.asarray(np.exp(2j * math.pi * frequencies * stage.period))
+def _described(stage: StageParameters, frequencies: Matrix, damping: float) -> tuple[StateSpace, Complex]:
+    """The plant with its command delay, and the points of the z plane at ``frequencies``."""
+    plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
+    return plant, np.exp(2j * math.pi * frequencies * stage.period)
 
 
 def missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
