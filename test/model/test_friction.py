@@ -202,16 +202,13 @@ def test_age_is_the_time_at_rest_and_sliding_renews_the_contact():
     half = age_after(age_after(2.0, 1e-6, 0.5, 5e-6), 1e-6, 0.5, 5e-6)
     assert half == pytest.approx(age_after(2.0, 1e-6, 1.0, 5e-6))
     assert age_after(2.0, 1e-17, 3.0, 5e-6) == pytest.approx(age_after(2.0, 1e-14, 3.0, 5e-6), rel=1e-6)
-
-
-def test_static_friction_grows_with_the_logarithm_of_rest_up_to_its_bound():
-    assert rest_factor(0.1, 1.0, 2.0, 0.0) == 1.0
-    assert rest_factor(0.1, 1.0, 2.0, math.e - 1.0) == pytest.approx(1.1)
-    assert rest_factor(0.1, 1.0, 2.0, 1e9) == 2.0
+    # Static friction grows with the logarithm of that time, up to its bound.
+    for age, factor in ((0.0, 1.0), (math.e - 1.0, 1.1), (1e9, 2.0)):
+        assert rest_factor(0.1, 1.0, 2.0, age) == pytest.approx(factor)
 
 
 @pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
-def test_the_longer_the_rest_the_higher_the_break_away_force(model):
+def test_break_away_grows_with_rest_and_a_step_multiplies_the_sliding_force_from_its_time_on(model):
     peaks = []
     for rest in (0.0, 1.0, 10.0, 1e9):
         contact = Contact({**UNDAMPED, "contact.model": model, "contact.rest.growth": 0.2})
@@ -219,14 +216,9 @@ def test_the_longer_the_rest_the_higher_the_break_away_force(model):
         peaks.append(max(contact.go(1e-5, 2e-6, 2000)))
     assert peaks == sorted(peaks) and len(set(peaks)) == 4
     assert 0.75 < peaks[-1] <= 0.43 + 2.0 * (0.645 - 0.43)
-
-
-@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
-def test_a_step_multiplies_the_sliding_force_from_its_time_on(model):
     contact = Contact({**UNDAMPED, "contact.model": model, "contact.step.factor": 2.0, "contact.step.time": 0.1})
     forces = [contact.move(1e-2) for _ in range(8000)]
-    assert forces[3900] == pytest.approx(0.43, rel=1e-3)
-    assert forces[-1] == pytest.approx(0.86, rel=1e-3)
+    assert forces[3900] == pytest.approx(0.43, rel=1e-3) and forces[-1] == pytest.approx(0.86, rel=1e-3)
 
 
 def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fields_only():
@@ -366,11 +358,16 @@ def test_the_board_moves_the_same_plant(values):
     assert board.state[TIME] == pytest.approx(0.05) and board.state[AGE] > 0.0
 
 
-def test_the_plant_with_blocks_sticks_and_breaks_away():
-    stuck = run(SLIP, PlantState(y=1e-6, bias=1.0), 0.0, 1000)
-    assert abs(stuck[-1, 1]) < 1e-7 and abs(stuck[-1, 0] - 1e-6) < 1e-7
-    current = 1.5 * 0.645 / PlantParameters().actuator.current_stiffness
-    assert run(SLIP, PlantState(bias=1.0), current, 200)[-1, 0] > 1e-5
+@pytest.mark.parametrize("values", [{}, SLIP])
+def test_friction_holds_the_platform_against_the_negative_stiffness_until_it_breaks_away(values):
+    # 0.03 N of magnetic force, far below break-away: bristles or blocks deflect by F / (σ0 − K_y) and hold.
+    actuator, friction = PlantParameters().actuator, PlantParameters().friction
+    force = actuator.position_stiffness * 1e-6
+    stuck = run(values, PlantState(y=1e-6, bias=1.0), 0.0, 1000)[-1]
+    assert stuck[0] - 1e-6 == pytest.approx(force / (friction.bristle_stiffness - actuator.position_stiffness), rel=0.1)
+    assert abs(stuck[1]) < 1e-8
+    current = 1.5 * friction.static / actuator.current_stiffness
+    assert run(values, PlantState(bias=1.0), current, 200)[-1, 0] > 1e-5
 
 
 def test_places_in_the_constants_are_those_of_the_parameters():

@@ -96,18 +96,16 @@ def test_the_holding_current_is_an_equilibrium():
     assert current == pytest.approx(-FREE.actuator.position_stiffness / FREE.actuator.current_stiffness * y, rel=1e-3)
 
 
-def test_friction_holds_the_platform_against_the_negative_stiffness():
-    # 0.03 N of magnetic force, far below break-away: the bristles deflect by F / (σ0 − K_y) and hold.
-    after = run(STICKY, PlantState(y=1e-6, bias=1.0), 0.0, 0.5)
-    force = STICKY.actuator.position_stiffness * 1e-6
-    deflection = force / (STICKY.friction.bristle_stiffness - STICKY.actuator.position_stiffness)
-    assert after.y - 1e-6 == pytest.approx(deflection, rel=0.1)
-    assert abs(after.velocity) < 1e-8
-
-
-def test_a_force_beyond_break_away_moves_the_platform():
-    current = 1.5 * STICKY.friction.static / STICKY.actuator.current_stiffness
-    assert run(STICKY, PlantState(bias=1.0), current, 0.1).y > 1e-5
+def test_the_amplifier_is_of_first_order_and_the_forces_are_those_of_the_state():
+    tau = 1.0 / (2 * math.pi * STICKY.drive.bandwidth)
+    state = run(STICKY, PlantState(y=1e-5, bias=1.0), 0.1, tau)
+    assert state.control == pytest.approx(0.1 * (1 - math.exp(-1)), rel=1e-6)
+    acceleration = (state.magnetic_force - state.friction_force) / STICKY.platform.mass
+    later = run(STICKY, state, 0.1, 1e-6)
+    assert (later.velocity - state.velocity) / 1e-6 == pytest.approx(acceleration, rel=0.02)
+    # With the amplifier off the magnets pull to no side.
+    off = run(FREE, PlantState(y=1e-4, bias=1.0, control=0.3), 0.0, 0.05, bias=0.0)
+    assert off.magnetic_force == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -117,24 +115,6 @@ def test_the_platform_stays_between_its_stops(side):
     # With the bias off and a little push it comes back from there.
     pushed = run(FREE, after._replace(bias=0.0, velocity=-side * 0.01), 0.0, 0.02, bias=0.0)
     assert abs(pushed.y) < FREE.platform.stop - 1e-4
-
-
-def test_the_amplifier_is_of_first_order():
-    tau = 1.0 / (2 * math.pi * STICKY.drive.bandwidth)
-    after = run(STICKY, PlantState(bias=1.0), 0.1, tau)
-    assert after.control == pytest.approx(0.1 * (1 - math.exp(-1)), rel=1e-6)
-
-
-def test_with_the_amplifier_off_the_magnets_pull_to_no_side():
-    after = run(FREE, PlantState(y=1e-4, bias=1.0, control=0.3), 0.0, 0.05, bias=0.0)
-    assert after.magnetic_force == pytest.approx(0.0, abs=1e-6)
-
-
-def test_the_reported_forces_are_those_of_the_state():
-    state = run(STICKY, PlantState(y=1e-5, bias=1.0), 0.01, 0.0123)
-    acceleration = (state.magnetic_force - state.friction_force) / STICKY.platform.mass
-    later = run(STICKY, state, 0.01, 1e-6)
-    assert (later.velocity - state.velocity) / 1e-6 == pytest.approx(acceleration, rel=0.02)
 
 
 def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
@@ -205,21 +185,16 @@ def test_without_a_command_the_board_holds_from_its_time_on_and_a_command_ends_t
     assert plant.state[COMMAND] == pytest.approx(-0.1, abs=STEP) and not plant.times[2]
 
 
-def test_while_the_amplifier_is_off_commands_are_taken_and_have_no_effect():
+def test_while_the_amplifier_is_off_commands_have_no_effect_and_nothing_is_held():
     plant = machine(bias=0.0)
-    assert sample(plant, PERIOD, [(0, 0.5), (100_000, -0.5)]) == 2
-    assert plant.state[COMMAND] == 0.0 and plant.times[1] > 2**60
-    sample(plant, 10 * PERIOD)
-    assert not plant.times[2] and plant.state[COMMAND] == 0.0
-
-
-def test_after_the_currents_went_off_nothing_is_held_and_no_impulse_is_left():
-    plant = machine()
-    sample(plant, PERIOD, [(0, 0.1)])
-    plant.currents_off()
-    assert not plant.state[BIAS : COMMAND + 3].any()
-    sample(plant, 5 * PERIOD)
-    assert plant.state[COMMAND] == 0.0 and not plant.times[2]
+    assert sample(plant, PERIOD, [(0, 0.5), (100_000, -0.5)]) == 2 and plant.times[1] > 2**60
+    switched_off = machine()
+    sample(switched_off, PERIOD, [(0, 0.1)])
+    switched_off.currents_off()
+    assert not switched_off.state[BIAS : COMMAND + 3].any()
+    for one in (plant, switched_off):
+        sample(one, 10 * PERIOD)
+        assert one.state[COMMAND] == 0.0 and not one.times[2]
 
 
 ENCODER = EncoderParameters(x_resolution=1e-6, y_resolution=1e-7)

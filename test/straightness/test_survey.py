@@ -39,14 +39,6 @@ def test_the_unit_in_the_column_name_counts(tmp_path, header, x, deviation):
     np.testing.assert_allclose(run.deviation, 1e-6 * (np.arange(30) % 7), rtol=1e-15)
 
 
-@pytest.mark.parametrize("delimiter", ["\t", ";"])
-def test_a_spreadsheet_may_write_decimal_commas_between_other_delimiters(tmp_path, delimiter):
-    rows = [f"{x},5{delimiter}-0,{x // 10 % 7}" for x in POSITIONS_MM]
-    run = read_survey(_write(tmp_path, rows, f"Position [mm]{delimiter}Straightness [um]")).runs[0]
-    np.testing.assert_allclose(run.x, (np.array(POSITIONS_MM) + 0.5) * 1e-3, rtol=1e-15)
-    np.testing.assert_allclose(run.deviation, [-(x // 10 % 7) * 1e-7 for x in POSITIONS_MM], atol=1e-18)
-
-
 def test_two_points_are_enough_to_tell_a_direction():
     deviation = [1e-6, 2e-6]
     for x, direction in (([0.1, 0.2], "forward"), ([0.2, 0.1], "backward")):

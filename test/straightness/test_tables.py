@@ -280,6 +280,9 @@ READ = {
     "Excel's first line with a comma": "sep=,\n" + csv("x_mm,deviation_um", lambda v: f"{v}", ","),
     "lines before the header": "Operator;Müller, A.\nDate, 2026\n\nRun 3\n" + MM_UM,
     "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
+    "decimal commas between tabs": csv(
+        "Position [mm]\tStraightness [um]", lambda v: german(v), "\t", lambda v: german(v, 1)
+    ),
     "thousands in x": csv("x_um;deviation_um", lambda v: german(v), x=lambda v: german(v * 1e3, 0)),
     "English thousands": csv("x_mm\tdeviation_nm", lambda v: f"{v * 1e3:,.0f}", "\t", lambda v: f"{v:.1f}"),
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
