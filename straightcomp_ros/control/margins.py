@@ -23,6 +23,7 @@ is missed.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -205,11 +206,8 @@ class _Loop:
         """A of the closed loop."""
         return closed_loop(self.plant if late is None else sampled_plant(self.stage, late), self.law, gain)
 
-    def stable(self, gain: float = 1.0) -> bool:
-        return spectral_radius(self.closed(gain)) < 1.0
-
-    def stable_late(self, late: float) -> bool:
-        return spectral_radius(self.closed(late=late)) < 1.0
+    def stable(self, gain: float = 1.0, late: float | None = None) -> bool:
+        return spectral_radius(self.closed(gain, late)) < 1.0
 
 
 def loop_margins(
@@ -231,7 +229,7 @@ def loop_margins(
         last_stable(loop.stable, 1.0, 0.0),
         last_stable(loop.stable, 1.0, 20.0),
         phase_margin(loop.plant, loop.law, period),
-        last_stable(loop.stable_late, loop.late, loop.late + 10.0 * period),
+        last_stable(partial(loop.stable, 1.0), loop.late, loop.late + 10.0 * period),
     )
 
 
@@ -343,7 +341,7 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
     period, latest = stage.period, stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
 
     def stable_at(samples: float) -> bool:
-        return loop.stable_late(samples * period)
+        return loop.stable(late=samples * period)
 
     if not stable_at(latest):
         longest = _border(stable_at, stage.drive.delay, latest)
