@@ -12,6 +12,8 @@ from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, ma
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Crossfade, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.feedforward import FADE_TIME as MAP_FADE_TIME
+from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 T = 500_000
@@ -96,7 +98,7 @@ class Noted:
         return answer
 
 
-def run(old, change, steps=BEFORE + AFTER):
+def run(old, change, steps=BEFORE + AFTER, reference=reference):
     """The simulated machine under ``old``; ``change(servo)`` is called at step BEFORE. Gives currents and errors."""
     machine = SimulatedHardware(
         SimulatedParameters(), STAGE, load_map(MapParameters(file="config/guide_synthetic.csv"))
@@ -134,6 +136,29 @@ def test_the_command_never_steps_by_more_than_the_laws_themselves_and_their_diff
         assert bound <= own + 2.0 * LIMIT / FADE
     assert currents[BEFORE + FADE :] == new.currents[FADE:]
     assert max(map(abs, errors[BEFORE - 100 :])) < 3e-6
+
+
+def test_the_command_does_not_step_further_during_a_change_of_map_than_without_one():
+    straightness, difference = load_map(), 20e-6
+
+    def other(x):
+        r, slope, curvature = straightness.reference(x)
+        return r + difference, slope, curvature
+
+    def largest(changed):
+        feedforward = Feedforward(straightness)
+        found = run(
+            make_law(ControlParameters(), STAGE),
+            lambda servo: feedforward.change(other) if changed else None,
+            BEFORE + 1400,
+            lambda step: feedforward.step(step * T, 0.2 + 0.1 * step / RATE),
+        )
+        return [max(map(abs, values[BEFORE - 200 :])) for values in ([0.0, *steps_of(found[0])], found[1])]
+
+    (plain, plain_error), (changed, changed_error) = largest(False), largest(True)
+    # K_y D / K_i is the current that the other place takes; it comes over the whole fade.
+    assert changed <= 1.5 * plain + 1.875 * (29.8e3 * difference / 44.7) / RATE / MAP_FADE_TIME
+    assert changed_error < plain_error + 0.3e-6
 
 
 def test_a_change_within_a_change_ends_with_the_last_law():
