@@ -71,12 +71,15 @@ def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
     assert [stamp for stamp, *_ in pairing.take()][-1] == at(199)
 
 
-def test_a_machine_whose_clock_was_set_back_is_answered_again():
+@pytest.mark.parametrize("starts", [(10_000, 0), (0, 1000)], ids=["clock set back", "gap"])
+def test_after_a_gap_or_a_clock_that_was_set_back_old_references_are_used_no_more(starts):
     pairing = Pairing(2 * PERIOD, wait=False)
-    for first in (10_000, 0):
+    for first in starts:
         for k in range(first, first + 5):
-            pairing.add_reference(at(k), (float(first), 0.0, 0.0))
             pairing.add_sample(at(k), (k,))
+            if k == 1000:
+                assert not list(pairing.take())
+            pairing.add_reference(at(k), (float(first), 0.0, 0.0))
             ((stamp_ns, _, reference, _),) = pairing.take()
             assert (stamp_ns, reference[0]) == (at(k), first)
 

@@ -129,7 +129,9 @@ NARROW = stage_with()
 
 def test_the_poles_are_those_of_the_paper():
     poles = sorted(closed_loop_poles(DESIGN, NARROW), key=lambda pole: (pole.real, pole.imag))
-    assert poles == pytest.approx([-175.9 - 131.9j, -175.9 + 131.9j, -100.0], abs=0.1)
+    on_surface = DESIGN.omega_n * (-DESIGN.zeta + 1j * math.sqrt(1.0 - DESIGN.zeta**2))
+    assert poles == pytest.approx([on_surface.conjugate(), on_surface, -100.0], abs=1e-6)
+    assert on_surface == pytest.approx(-175.9 + 131.9j, abs=0.1)
 
 
 def test_the_reaching_bound_is_friction_over_mass_plus_margin_near_the_centre():
