@@ -31,6 +31,11 @@ class Stream:
         return f"{self.topic}_batches"
 
 
+def _variables(names: str) -> Layout:
+    """Layout of a record of numbers, whose names stand in place of the joints'."""
+    return joint_state(names.split(), position=names.split())
+
+
 ENCODER = Stream(
     "encoder",
     joint_state([STAGE, PLATFORM], position=["x", "y"], effort=["stage_effort", "coil_current"]),
@@ -47,34 +52,26 @@ COMMAND = Stream(
     joint_state([PLATFORM], effort=["control_current"]),
     "Control current i_c in A, with the stamp of the sample that it was computed from.",
 )
-_CONTROLLER_VARIABLES = (
-    "error",
-    "sliding_variable",
-    "equivalent_current",
-    "switching_current",
-    "velocity_estimate",
-    "disturbance_estimate",
-    "reference_age",
-)
 CONTROLLER_STATE = Stream(
     "controller_state",
-    joint_state(_CONTROLLER_VARIABLES, position=_CONTROLLER_VARIABLES),
+    _variables(
+        "error sliding_variable equivalent_current switching_current velocity_estimate disturbance_estimate "
+        "reference_age"
+    ),
     "Inner variables of the control law: error in m, sliding variable in m/s, the two parts of the control current "
     "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN if the law has none), age of the reference "
     "in s: stamp of the sample minus stamp of its reference.",
 )
-_DRIVER_VARIABLES = ("command_latency", "lateness", "applied_current", "enabled")
 DRIVER_STATE = Stream(
     "driver_state",
-    joint_state(_DRIVER_VARIABLES, position=_DRIVER_VARIABLES),
+    _variables("command_latency lateness applied_current enabled"),
     "The driver's record of each sample: time from the newest command's sample until that command arrived, s (NaN if "
     "none arrived since the last sample); time from this sample until it was published, s; control current requested "
     "from the amplifier, A; amplifier on (1) or off (0).",
 )
-_TRUTH_VARIABLES = ("true_x", "true_y", "true_y_dot", "friction_force", "magnetic_force", "guide_deviation")
 TRUTH = Stream(
     "truth",
-    joint_state(_TRUTH_VARIABLES, position=_TRUTH_VARIABLES),
+    _variables("true_x true_y true_y_dot friction_force magnetic_force guide_deviation"),
     "Simulation only: the plant's true state at the sample: m, m/s, N, and the guide's deviation δ(x) in m.",
 )
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)

@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Command, Law
@@ -87,17 +86,9 @@ class ControlParameters:
             )
 
 
-class _Nothing(NamedTuple):
-    """Gains and state of the open loop: none."""
-
-
-def _at_rest(y: float) -> _Nothing:
-    return _Nothing()
-
-
 def _open_loop(
-    gains: _Nothing, state: _Nothing, y: float, r: float, r_dot: float, r_ddot: float, current: float
-) -> tuple[_Nothing, Command]:
+    gains: tuple[()], state: tuple[()], y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> tuple[tuple[()], Command]:
     """No law: the current is zero, and only an excitation moves the platform."""
     return state, Command(0.0, r - y, math.nan, 0.0, 0.0, math.nan, math.nan)
 
@@ -111,7 +102,7 @@ def prepare_all() -> None:
 def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
     """The law that the parameters name, for a stage."""
     if parameters.law == OPEN_LOOP:
-        return Law(_Nothing(), _at_rest, _open_loop)
+        return Law((), lambda y: (), _open_loop)
     if parameters.law in ("linear", "smc"):
         design, switching = parameters.smc, parameters.law == "smc"
         feedforward = switching and design.feedforward

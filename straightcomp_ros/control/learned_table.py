@@ -281,21 +281,19 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
 
 
 def _numbers(where: str, line: str) -> list[float]:
+    """The cells of a row in SI units, NaN for an RMS that was not measured."""
     cells = next(csv.reader([line]))
     if len(cells) != len(_HEADER):
         raise LearningFileError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
-    return [_number(where, name, cell) for name, cell in zip(_HEADER, cells, strict=True)]
-
-
-def _number(where: str, name: str, cell: str) -> float:
-    if name.endswith("rms_m") and not cell:
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    largest = math.inf if name == "x_m" or "speed" in name else _LARGEST
-    if not (math.isfinite(value) and abs(value) <= largest):
-        words = "a finite number" if largest == math.inf else f"a number within ± {largest:g} m"
-        raise LearningFileError(f"{where}: {name} {cell!r}; allowed: {words}")
-    return value
+    numbers = []
+    for name, cell in zip(_HEADER, cells, strict=True):
+        try:
+            numbers.append(float(cell or "nan"))
+        except ValueError:
+            numbers.append(math.inf)
+        largest = math.inf if name == "x_m" or "speed" in name else _LARGEST
+        unknown = name.endswith("rms_m") and not cell
+        if not (unknown or (math.isfinite(numbers[-1]) and abs(numbers[-1]) <= largest)):
+            words = "a finite number" if largest == math.inf else f"a number within ± {largest:g} m"
+            raise LearningFileError(f"{where}: {name} {cell!r}; allowed: {words}")
+    return numbers

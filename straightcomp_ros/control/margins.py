@@ -14,15 +14,16 @@ noise, it acts on the small components of the motion as a damping, its statistic
 responses are comparable only between motions of the same velocity. At rest the bristles would instead act as a spring
 of σ0, for motions that are far smaller than F_C/σ0, which is usually less than a count or two of the encoder.
 
-The least margins with which the controller uses a law are less than a design demands (`tuning/design/stability.py`):
-below them a small difference between the machine and its description makes the loop unstable. Each limit costs one set
-of eigenvalues, because gains may change while the loop runs; how far the loop is stable is looked for only where a
-limit is missed.
+The least margins with which the controller uses a law are less than a design demands (`stability_demands.py`): below
+them a small difference between the machine and its description makes the loop unstable. Each limit costs one set of
+eigenvalues, because gains may change while the loop runs; how far the loop is stable is looked for only where a limit
+is missed.
 """
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -205,11 +206,8 @@ class _Loop:
         """A of the closed loop."""
         return closed_loop(self.plant if late is None else sampled_plant(self.stage, late), self.law, gain)
 
-    def stable(self, gain: float = 1.0) -> bool:
-        return spectral_radius(self.closed(gain)) < 1.0
-
-    def stable_late(self, late: float) -> bool:
-        return spectral_radius(self.closed(late=late)) < 1.0
+    def stable(self, gain: float = 1.0, late: float | None = None) -> bool:
+        return spectral_radius(self.closed(gain, late)) < 1.0
 
 
 def loop_margins(
@@ -231,7 +229,7 @@ def loop_margins(
         last_stable(loop.stable, 1.0, 0.0),
         last_stable(loop.stable, 1.0, 20.0),
         phase_margin(loop.plant, loop.law, period),
-        last_stable(loop.stable_late, loop.late, loop.late + 10.0 * period),
+        last_stable(partial(loop.stable, 1.0), loop.late, loop.late + 10.0 * period),
     )
 
 
@@ -285,7 +283,8 @@ def friction_damping(friction: LuGreParameters, speed: float) -> float:
 
 def plant_response(stage: StageParameters, frequencies: Matrix, damping: float) -> Complex:
     """From command to reading, m/A: the plant of ``stage`` with ``damping`` in N·s/m at ``frequencies`` in Hz."""
-    return _response(_described_plant(stage, damping), _points(stage, frequencies))[:, 0, 0]
+    plant, z = _described(stage, frequencies, damping)
+    return _response(plant, z)[:, 0, 0]
 
 
 def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping: float = 0.0) -> LoopResponse:
@@ -297,17 +296,15 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    controller = linearised(law, with_current=True)
-    loop = _open_loop(_described_plant(stage, damping), controller, _points(stage, frequencies))
+    plant, z = _described(stage, frequencies, damping)
+    loop = _open_loop(plant, linearised(law, with_current=True), z)
     return LoopResponse(plant_response(stage, frequencies, damping), loop, 1.0 / (1.0 + loop))
 
 
-def _described_plant(stage: StageParameters, damping: float) -> StateSpace:
-    return sampled_plant(stage, stage.drive.delay * stage.period, damping)
-
-
-def _points(stage: StageParameters, frequencies: Matrix) -> Complex:
-    return np.asarray(np.exp(2j * math.pi * frequencies * stage.period))
+def _described(stage: StageParameters, frequencies: Matrix, damping: float) -> tuple[StateSpace, Complex]:
+    """The plant with its command delay, and the points of the z plane at ``frequencies``."""
+    plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
+    return plant, np.exp(2j * math.pi * frequencies * stage.period)
 
 
 def missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
@@ -344,7 +341,7 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
     period, latest = stage.period, stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
 
     def stable_at(samples: float) -> bool:
-        return loop.stable_late(samples * period)
+        return loop.stable(late=samples * period)
 
     if not stable_at(latest):
         longest = _border(stable_at, stage.drive.delay, latest)

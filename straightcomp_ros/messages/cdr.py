@@ -70,26 +70,18 @@ class Layout:
         object.__setattr__(self, "size", packer.size)
 
     def _make_pack(self, packer: struct.Struct) -> Callable[..., bytes]:
-        pack, constants = packer.pack, self.constants
-        if len(constants) == 1:
-            (constant,) = constants
-
-            def pack_one_run(stamp_ns: int, *numbers: float) -> bytes:
-                sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-                return pack(ENCAPSULATION, sec, nanosec, constant, *numbers)
-
-            return pack_one_run
+        pack_fields, constants = packer.pack, self.constants
         order, number = [], len(constants)
         for index, run in enumerate(self.runs):
             order += [index, *range(number, number + run)]
             number += run
         in_order = itemgetter(*order)
 
-        def pack_runs(stamp_ns: int, *numbers: float) -> bytes:
+        def pack(stamp_ns: int, *numbers: float) -> bytes:
             sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-            return pack(ENCAPSULATION, sec, nanosec, *in_order(constants + numbers))
+            return pack_fields(ENCAPSULATION, sec, nanosec, *in_order(constants + numbers))
 
-        return pack_runs
+        return pack
 
     def _make_unpack(self, packer: struct.Struct) -> Callable[[bytes], tuple[int, tuple[float, ...]]]:
         unpack_from = packer.unpack_from

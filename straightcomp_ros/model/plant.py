@@ -70,16 +70,6 @@ class PlantState(NamedTuple):
     block_7: float = 0.0
 
 
-class _Plant(NamedTuple):
-    """The constants that every compiled step needs."""
-
-    mass: float
-    stop: float
-    amplifier_rate: float
-    actuator: Actuator
-    lugre: LuGre
-
-
 class Plant(NamedTuple):
     """Constants of the plant; mass in kg, stop in m, amplifier rate in rad/s.
 
@@ -127,17 +117,18 @@ def as_array(plant: Plant) -> Array:
 
 
 @compilable
-def _from_array(k: Array) -> _Plant:
-    return _Plant(k[0], k[1], k[2], Actuator(k[3], k[4], k[5]), LuGre(k[6], k[7], k[8], k[9], k[10], k[11]))
+def _from_array(k: Array) -> Plant:
+    """Without the extension, which compiled steps read from the array."""
+    return Plant(k[0], k[1], k[2], Actuator(k[3], k[4], k[5]), LuGre(k[6], k[7], k[8], k[9], k[10], k[11]))
 
 
 @compilable
-def _acceleration(plant: _Plant, y: float, v: float, z: float, bias: float, control: float) -> float:
+def _acceleration(plant: Plant, y: float, v: float, z: float, bias: float, control: float) -> float:
     return (magnetic_force(plant.actuator, y, bias, control) - friction_force(plant.lugre, z, v)) / plant.mass
 
 
 @compilable
-def _hold(plant: _Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
+def _hold(plant: Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
     """Advance ``state`` by ``duration_ns`` > 0 in equal substeps, with constant commanded currents."""
     substeps = -(-duration_ns // SUBSTEP_NS)
     h = duration_ns * 1e-9 / substeps
@@ -158,14 +149,7 @@ def _hold(plant: _Plant, state: Array, command: float, bias_command: float, dura
 
 
 @compilable
-def _hold_extended(
-    k: Array,
-    plant: _Plant,
-    state: Array,
-    command: float,
-    bias_command: float,
-    duration_ns: int,
-) -> None:
+def _hold_extended(k: Array, plant: Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
     """As :func:`_hold`, with friction beyond plain LuGre."""
     substeps = -(-duration_ns // SUBSTEP_NS)
     h = duration_ns * 1e-9 / substeps

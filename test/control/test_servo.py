@@ -12,13 +12,15 @@ from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, ma
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Crossfade, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.feedforward import FADE_TIME as MAP_FADE_TIME
+from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 T = 500_000
-HELD = (1e-6, 0.0, 0.0)
+HELD, REST = (1e-6, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
-def servo() -> Servo:
+def servo():
     return Servo(make_law(ControlParameters(law="linear"), StageParameters()))
 
 
@@ -35,17 +37,13 @@ def test_a_repeated_sample_gets_the_same_answer_and_changes_nothing():
         assert same(other.step(step * T, 1e-7 * step, 0.0, HELD), first)
 
 
-def test_an_older_sample_is_refused():
+def test_an_older_sample_and_non_finite_samples_and_references_are_refused():
     loop = servo()
     loop.step(10 * T, 0.0, 0.0, HELD)
     assert loop.step(9 * T, 0.0, 0.0, HELD) is None
-
-
-def test_non_finite_samples_and_references_are_refused():
-    loop = servo()
     for y, reference in ((math.nan, HELD), (math.inf, HELD), (0.0, (math.nan, 0.0, 0.0)), (0.0, (0.0, math.inf, 0.0))):
-        assert loop.step(T, y, 0.0, reference) is None
-    assert loop.step(T, 0.0, 0.0, HELD) is not None
+        assert loop.step(11 * T, y, 0.0, reference) is None
+    assert loop.step(11 * T, 0.0, 0.0, HELD) is not None
 
 
 def test_while_the_amplifier_is_off_nothing_is_integrated():
@@ -100,7 +98,7 @@ class Noted:
         return answer
 
 
-def run(old, change, steps=BEFORE + AFTER):
+def run(old, change, steps=BEFORE + AFTER, reference=reference):
     """The simulated machine under ``old``; ``change(servo)`` is called at step BEFORE. Gives currents and errors."""
     machine = SimulatedHardware(
         SimulatedParameters(), STAGE, load_map(MapParameters(file="config/guide_synthetic.csv"))
@@ -140,6 +138,29 @@ def test_the_command_never_steps_by_more_than_the_laws_themselves_and_their_diff
     assert max(map(abs, errors[BEFORE - 100 :])) < 3e-6
 
 
+def test_the_command_does_not_step_further_during_a_change_of_map_than_without_one():
+    straightness, difference = load_map(), 20e-6
+
+    def other(x):
+        r, slope, curvature = straightness.reference(x)
+        return r + difference, slope, curvature
+
+    def largest(changed):
+        feedforward = Feedforward(straightness)
+        found = run(
+            make_law(ControlParameters(), STAGE),
+            lambda servo: feedforward.change(other) if changed else None,
+            BEFORE + 1400,
+            lambda step: feedforward.step(step * T, 0.2 + 0.1 * step / RATE),
+        )
+        return [max(map(abs, values[BEFORE - 200 :])) for values in ([0.0, *steps_of(found[0])], found[1])]
+
+    (plain, plain_error), (changed, changed_error) = largest(False), largest(True)
+    # K_y D / K_i is the current that the other place takes; it comes over the whole fade.
+    assert changed <= 1.5 * plain + 1.875 * (29.8e3 * difference / 44.7) / RATE / MAP_FADE_TIME
+    assert changed_error < plain_error + 0.3e-6
+
+
 def test_a_change_within_a_change_ends_with_the_last_law():
     laws = [make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc", "smc_observer")]
 
@@ -155,18 +176,10 @@ def test_a_change_within_a_change_ends_with_the_last_law():
 
 
 def test_while_no_law_acts_the_new_one_is_there_at_once():
-    old, new = (make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc"))
-    servo = Servo(old)
-    servo.change(new, FADE)
+    changed = servo()
+    changed.change(make_law(ControlParameters(law="smc"), STAGE), FADE)
     fresh = Servo(make_law(ControlParameters(law="smc"), STAGE))
-    assert repr(servo.step(0, 1e-7, 0.0, (0.0, 0.0, 0.0))) == repr(fresh.step(0, 1e-7, 0.0, (0.0, 0.0, 0.0)))  # NaN too
-
-
-def test_a_reset_ends_a_fade():
-    ended = []
-    fade = Crossfade(*(make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc")), 10, ended.append)
-    fade.reset(0.0)
-    assert ended == [fade]
+    assert same(changed.step(0, 1e-7, 0.0, HELD), fresh.step(0, 1e-7, 0.0, HELD))
 
 
 class Steady:
@@ -182,28 +195,31 @@ class Steady:
         return Command(self._current, *(math.nan,) * (len(Command._fields) - 1))
 
 
-def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws():
+def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_a_reset_ends_it():
     # The first fade is the second one's old law, and is stepped beyond its own end.
-    first = Crossfade(Steady(0.0), Steady(0.1), 10, lambda _: None)
+    ended = []
+    first = Crossfade(Steady(0.0), Steady(0.1), 10, ended.append)
     currents = [first.step(0.0).current for _ in range(5)]
-    second = Crossfade(first, Steady(0.1), 10, lambda _: None)
-    currents += [second.step(0.0).current for _ in range(10)]
-    assert max(currents) == pytest.approx(0.1) and currents == sorted(currents)
+    second = Crossfade(first, Steady(0.1), 20, ended.append)
+    currents += [second.step(0.0).current for _ in range(15)]
+    assert currents[-1] == pytest.approx(0.1) and currents == sorted(currents) and ended == [first] * len(ended)
     assert max(steps_of(currents)) <= 0.2 / 10 + 1e-12
+    second.reset(0.0)
+    assert ended[-1] is second
 
 
 FLAT = np.full(1000, 0.2)
 
 
-def made(currents: np.ndarray = FLAT, **changed: float) -> Injection:
-    return Injection(currents, **{"fade": 100, "limit": 0.9, "travel": 1e-4, **changed})  # type: ignore[arg-type]
+def made(currents=FLAT, **changed):
+    return Injection(currents, **{"fade": 100, "limit": 0.9, "travel": 1e-4, **changed})
 
 
-def answers(injection: Injection, count: int, command: float = 0.0) -> np.ndarray:
+def answers(injection, count, command=0.0):
     return np.array([injection.step(command, 0.0) for _ in range(count)])
 
 
-def test_the_signal_rises_from_zero_and_ends_at_zero() -> None:
+def test_the_signal_rises_from_zero_and_ends_at_zero():
     injection = made()
     added = answers(injection, 1200)
     assert added[0] == pytest.approx(0.002) and added[998] == pytest.approx(0.002) and added[999] == 0.0
@@ -212,71 +228,54 @@ def test_the_signal_rises_from_zero_and_ends_at_zero() -> None:
     assert injection.finished and injection.stopped == ""
 
 
-def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why() -> None:
+@pytest.mark.parametrize("beyond", [5e-3 - 1.1e-4, math.nan])
+def test_beyond_the_travel_from_where_it_began_the_signal_fades_out_at_once_and_says_why(beyond):
     injection = made()
-    answers(injection, 500)
-    injection.step(0.0, -1.1e-4)
+    for _ in range(500):
+        injection.step(0.0, 5e-3)
+    assert not injection.stopped
+    injection.step(0.0, beyond)
     fading = answers(injection, 200)
-    assert "y − r changed by 110 µm; allowed: 100 µm" in injection.stopped
+    assert f"y − r changed by {abs(beyond - 5e-3) * 1e6:.3g} µm; allowed: 100 µm" in injection.stopped
     assert np.abs(np.diff(fading)).max() <= 0.002 + 1e-12 and (fading[99:] == 0.0).all()
     assert injection.finished
 
 
-@pytest.mark.parametrize("wrong", [False, True], ids=["too far", "no number"])
-def test_travel_counts_from_where_the_signal_began(wrong: bool) -> None:
-    injection = made()
-    for _ in range(100):
-        injection.step(0.0, 5e-3)
-    assert not injection.stopped
-    injection.step(0.0, math.nan if wrong else 5e-3 - 1.1e-4)
-    assert injection.stopped
-
-
-def test_command_and_signal_together_stay_within_the_limit() -> None:
+def test_command_and_signal_together_stay_within_the_limit():
     injection = made(limit=0.5)
     total = answers(injection, 1000, command=0.4)
     assert total.max() == 0.5 and injection.clipped > 800
     assert answers(made(-FLAT, limit=0.5), 1000, command=-0.4).min() == -0.5
 
 
-@pytest.mark.parametrize("changed", [{"fade": 0}, {"fade": 501}])
-def test_a_fade_that_does_not_fit_is_refused(changed: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="allowed: 1 to 500"):
-        made(**changed)
+@pytest.mark.parametrize(
+    ("currents", "fade", "words"),
+    [(FLAT, 0, "allowed: 1 to 500"), (FLAT, 501, "allowed: 1 to 500"), (np.full(1000, math.nan), 100, "finite")],
+)
+def test_a_fade_that_does_not_fit_and_a_signal_that_is_not_finite_are_refused(currents, fade, words):
+    with pytest.raises(ValueError, match=words):
+        made(currents, fade=fade)
 
 
-def test_a_signal_that_is_not_finite_is_refused() -> None:
-    with pytest.raises(ValueError, match="finite"):
-        made(np.full(1000, math.nan))
-
-
-def still(gains: tuple[float], state: tuple[float], *numbers: float) -> tuple[tuple[float], Command]:
+def still(gains, state, *numbers):
     return state, Command(0.1, numbers[1] - numbers[0], 0.0, 0.1, 0.0, 0.0, math.nan)
 
 
-def test_the_servo_adds_the_signal_to_the_command_and_leaves_what_the_law_asked_for() -> None:
+def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_for():
     servo = Servo(Law((0.0,), lambda y: (0.0,), still))
-    servo.inject(made(fade=1))
-    command = servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0))
-    assert command is not None
+    servo.inject(made(0.2 + np.arange(1000.0) / 1e4, fade=1))
+    command = servo.step(0, 0.0, 0.0, REST)
     assert command.current == pytest.approx(0.3)
     assert command.equivalent_current + command.switching_current == pytest.approx(0.1)
+    assert servo.step(0, 0.0, 0.0, REST) == command
+    assert servo.step(500_000, 0.0, 0.0, REST).current == pytest.approx(0.3 + 1e-4)
 
 
-def test_a_repeated_sample_takes_no_second_step_of_the_signal() -> None:
-    servo = Servo(Law((0.0,), lambda y: (0.0,), still))
-    servo.inject(made(np.arange(1000.0) / 1e4, fade=1))
-    first = servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0))
-    assert servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0)) == first
-    second = servo.step(500_000, 0.0, 0.0, (0.0, 0.0, 0.0))
-    assert second is not None and second.current == pytest.approx(0.1 + 1e-4)
-
-
-def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so() -> None:
+def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
     servo = Servo(Law((0.0,), lambda y: (0.0,), still))
     injection = made(fade=1)
     servo.inject(injection)
     for stamp_ns, current in ((0, 0.0), (500_000, math.nan), (1_000_000, 0.0)):
-        command = servo.step(stamp_ns, 0.0, current, (0.0, 0.0, 0.0))
+        command = servo.step(stamp_ns, 0.0, current, REST)
     assert command is not None and command.current == pytest.approx(0.1)
     assert injection.stopped == "the amplifier was off, or samples were missing"

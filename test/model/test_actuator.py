@@ -21,7 +21,7 @@ GAP, BIAS = PARAMETERS.air_gap, PARAMETERS.bias_current
 K_I, K_Y = PARAMETERS.current_stiffness, PARAMETERS.position_stiffness
 
 
-def force(y: float, i: float) -> float:
+def force(y, i):
     return magnetic_force(ACTUATOR, y, BIAS, i)
 
 

@@ -61,14 +61,9 @@ def test_equal_waypoints_in_a_row_are_one_wherever_they_stand():
 
 
 def test_the_motion_passes_each_waypoint_with_its_speed():
-    points = [
-        Waypoint(0, 0.0, 0.0),
-        Waypoint(10**9, 0.3, 0.5),
-        Waypoint(3 * 10**9, -0.2, -0.4),
-        Waypoint(4 * 10**9, 0.0, 0.0),
-    ]
-    trajectory = Trajectory(points)
-    for point in points[1:-1]:
+    middle = [Waypoint(10**9, 0.3, 0.5), Waypoint(3 * 10**9, -0.2, -0.4)]
+    trajectory = Trajectory([Waypoint(0, 0.0, 0.0), *middle, Waypoint(4 * 10**9, 0.0, 0.0)])
+    for point in middle:
         assert trajectory.position(point.time_ns) == pytest.approx(point.position, abs=1e-15)
         before, after = (trajectory.position(point.time_ns + step) for step in (-1000, 1000))
         assert (after - before) / 2e-6 == pytest.approx(point.velocity, rel=1e-5)
@@ -133,13 +128,7 @@ def test_a_trajectory_beyond_the_stage_is_refused_at_the_point_where_it_leaves_i
         LIMITS.check(Trajectory([Waypoint(*point) for point in points]))
 
 
-@given(
-    st.floats(-0.01, 1.4),
-    st.floats(1e-9, 1.4),
-    st.floats(0.001, 2.0 / 1.5),
-    st.floats(0.01, 2.0),
-    st.floats(0.0, 1e-7),
-)
+@given(st.floats(-0.01, 1.4), st.floats(1e-9, 1.4), st.floats(0.001, 4 / 3), st.floats(0.01, 2.0), st.floats(0.0, 1e-7))
 def test_every_trapezoid_within_the_limits_is_taken(start, goal, speed, acceleration, excess):
     first = Waypoint(0, start, 0.0)
     LIMITS.check(Trajectory([first, *trapezoid(first, goal, speed, acceleration)]))

@@ -2,27 +2,20 @@
 
 import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
 from straightcomp_ros.straightness.survey import read_survey
 
 X = np.linspace(-1.0, 1.0, 2001)
-residuals = pytest.mark.parametrize("residual", [least_squares_residual, end_point_residual])
 
 
-@residuals
-def test_a_line_is_straight(residual) -> None:  # type: ignore[no-untyped-def]
-    np.testing.assert_allclose(residual(X, 3e-6 - 2e-6 * X), 0.0, atol=1e-20)
-
-
-def test_a_cubic_leaves_its_legendre_polynomial_about_the_least_squares_line() -> None:
+def test_a_cubic_leaves_its_legendre_polynomial_about_the_least_squares_line():
     # ∫ x·x³ / ∫ x² = 3/5: the residual is x³ − 3x/5.
     np.testing.assert_allclose(least_squares_residual(X, X**3), X**3 - 0.6 * X, atol=2e-3)
     weights = np.ones_like(X)
@@ -30,17 +23,13 @@ def test_a_cubic_leaves_its_legendre_polynomial_about_the_least_squares_line() -
     np.testing.assert_allclose(least_squares_residual(X, X**3, weights), X**3 - 0.6 * X, atol=1e-6)
 
 
-def test_a_bow_is_as_high_about_either_line() -> None:
+def test_a_bow_is_as_high_about_either_line_and_the_end_point_line_goes_through_the_ends():
     assert peak_to_peak(least_squares_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
     assert peak_to_peak(end_point_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
+    assert end_point_residual(X, np.exp(X))[[0, -1]] == pytest.approx(0.0, abs=1e-15)
 
 
-def test_the_end_point_line_goes_through_the_ends() -> None:
-    residual = end_point_residual(X, np.exp(X))
-    assert residual[[0, -1]] == pytest.approx(0.0, abs=1e-15)
-
-
-def test_weights_count_the_length_and_not_the_time() -> None:
+def test_weights_count_the_length_and_not_the_time():
     # The same bow sampled evenly, and by a stage that lingers at one end; weighed by its speed.
     t = np.linspace(0.0, 1.0, 4001)
     lingering, speed = 2.0 * t**2 - 1.0, 4.0 * t
@@ -50,40 +39,30 @@ def test_weights_count_the_length_and_not_the_time() -> None:
     assert peak_to_peak(least_squares_residual(lingering, np.sin(3.0 * lingering))) != pytest.approx(even, rel=2e-2)
 
 
-@given(
-    st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=50),
-    st.floats(-1e-4, 1e-4),
-    st.floats(-1e-4, 1e-4),
-)
-def test_adding_a_line_changes_no_residual(values: list[float], level: float, slope: float) -> None:
+@given(st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=50), st.floats(-1e-4, 1e-4), st.floats(-1e-4, 1e-4))
+def test_adding_a_line_changes_no_residual_and_least_squares_leave_neither_mean_nor_trend(values, level, slope):
     x = np.linspace(0.0, 1.76, len(values))
     for residual in (least_squares_residual, end_point_residual):
         np.testing.assert_allclose(residual(x, np.array(values) + level + slope * x), residual(x, values), atol=1e-18)
+        np.testing.assert_allclose(residual(x, level + slope * x), 0.0, atol=1e-19)
+    left = least_squares_residual(x, values)
+    assert abs(left.sum()) < 1e-17 and abs(left @ x) < 1e-17
 
 
-@given(st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=50))
-def test_the_least_squares_residual_has_neither_mean_nor_trend(values: list[float]) -> None:
-    x = np.linspace(0.0, 1.76, len(values))
-    residual = least_squares_residual(x, values)
-    assert abs(residual.sum()) < 1e-17
-    assert abs(residual @ x) < 1e-17
-
-
-@residuals
-def test_points_that_make_no_line_are_refused(residual) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(ValueError, match="1 points"):
-        residual([0.0], [0.0])
-    with pytest.raises(ValueError, match="two different positions"):
-        residual([1.0, 1.0], [0.0, 1.0])
-    with pytest.raises(ValueError, match=r"shape \(3,\), deviation \(2,\)"):
-        residual([0.0, 1.0, 2.0], [0.0, 1.0])
-
-
-def test_weights_that_weigh_nothing_are_refused() -> None:
-    with pytest.raises(ValueError, match="add up to"):
-        least_squares_residual([0.0, 1.0], [0.0, 1.0], [0.0, 0.0])
-    with pytest.raises(ValueError, match="weights have shape"):
-        least_squares_residual([0.0, 1.0], [0.0, 1.0], [1.0])
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([0.0], [0.0]), "1 points"),
+        (([1.0, 1.0], [0.0, 1.0]), "two different positions"),
+        (([0.0, 1.0, 2.0], [0.0, 1.0]), r"shape \(3,\), deviation \(2,\)"),
+        (([0.0, 1.0], [0.0, 1.0], [0.0, 0.0]), "add up to"),
+        (([0.0, 1.0], [0.0, 1.0], [1.0]), "weights have shape"),
+    ],
+)
+def test_points_and_weights_that_make_no_line_are_refused(arguments, words):
+    for residual in (least_squares_residual, end_point_residual)[: 4 - len(arguments)]:
+        with pytest.raises(ValueError, match=words):
+            residual(*arguments)
 
 
 TOP = Path(__file__).resolve().parents[2]
@@ -91,12 +70,12 @@ CONFIG = TOP / "config"
 
 
 @pytest.fixture(scope="module")
-def guide() -> StraightnessMap:
+def guide():
     return load_map(MapParameters(file=str(CONFIG / "guide_synthetic.csv")))
 
 
 @pytest.fixture(scope="module")
-def script() -> ModuleType:
+def script():
     spec = importlib.util.spec_from_file_location("make_synthetic_survey", TOP / "scripts/make_synthetic_survey.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -105,25 +84,25 @@ def script() -> ModuleType:
 
 
 @pytest.mark.parametrize("name", ["survey_synthetic.csv", "guide_synthetic.csv"])
-def test_the_script_makes_the_same_bytes_again(script: ModuleType, tmp_path: Path, name: str) -> None:
+def test_the_script_makes_the_same_bytes_again(script, tmp_path, name):
     script.make(tmp_path)
     assert (tmp_path / name).read_bytes() == (CONFIG / name).read_bytes()
 
 
-def test_the_guide_is_22_4_micrometres_peak_to_peak_over_1760_mm() -> None:
+def test_the_guide_is_22_4_micrometres_peak_to_peak_over_1760_mm():
     run = read_survey(CONFIG / "guide_synthetic.csv").runs[0]
     assert (run.x[0], run.x[-1]) == (0.0, 1.76)
     assert peak_to_peak(run.deviation) == pytest.approx(22.4e-6, abs=1e-12)
     assert peak_to_peak(least_squares_residual(run.x, run.deviation)) == pytest.approx(22.4e-6, abs=1e-9)
 
 
-def test_the_guide_is_as_steep_as_the_papers(guide: StraightnessMap) -> None:
+def test_the_guide_is_as_steep_as_the_papers(guide):
     slope_um_per_mm = np.abs(guide.evaluate(np.linspace(0.0, 1.76, 17_601))[1]) * 1e3
     assert 0.115 < slope_um_per_mm.max() < 0.125
     assert 0.04 < np.median(slope_um_per_mm) < np.percentile(slope_um_per_mm, 90) < 0.09
 
 
-def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre(guide: StraightnessMap) -> None:
+def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre(guide):
     straightness = load_map(MapParameters(file=str(CONFIG / "survey_synthetic.csv")))
     report = straightness.report
     forward, backward = report.forward, report.backward

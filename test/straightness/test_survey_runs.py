@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
 from straightcomp_ros.straightness.survey_runs import (
     FLOOR,
     disagreement,
@@ -18,57 +17,49 @@ from straightcomp_ros.straightness.survey_runs import (
 X = np.linspace(0.0, 1.0, 101)
 
 
-def _bow(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bow(x):
     return 1e-5 * np.sin(3.0 * x)
 
 
-def _run(direction: Direction, offset: float = 0.0, x: NDArray[np.float64] = X) -> Run:
+def _run(direction, offset=0.0, x=X):
     return Run("1", direction, x, _bow(x) + offset)
 
 
-def _grid(*runs: Run) -> tuple[NDArray[np.float64], NDArray[np.float64], Survey]:
+def _grid(*runs):
     survey = Survey(runs)
     return *on_common_grid(survey, min_points=20, max_gap=0.05), survey
 
 
-def test_runs_on_the_same_x_are_taken_as_measured() -> None:
-    x, values, _ = _grid(_run("forward"), _run("backward", 1e-7))
+def test_runs_on_the_same_x_are_taken_as_measured_and_others_brought_onto_the_first_ones_grid():
+    x, values, _ = _grid(_run("forward"), _run("backward", 1e-7), _run("backward", x=np.linspace(0.0, 1.0, 83)))
     np.testing.assert_array_equal(x, X)
-    np.testing.assert_array_equal(values, [_bow(X), _bow(X) + 1e-7])
+    np.testing.assert_array_equal(values[:2], [_bow(X), _bow(X) + 1e-7])
+    np.testing.assert_allclose(values[2], _bow(X), atol=1e-12)
 
 
-def test_a_run_on_other_x_is_brought_onto_the_first_ones_grid() -> None:
-    shifted = np.linspace(0.0, 1.0, 83)
-    x, values, _ = _grid(_run("forward"), _run("backward", x=shifted))
-    np.testing.assert_array_equal(x, X)
-    np.testing.assert_allclose(values[1], _bow(X), atol=1e-12)
-
-
-def test_the_grid_keeps_to_what_all_runs_cover() -> None:
+def test_the_grid_keeps_to_what_all_runs_cover():
     x, values, _ = _grid(_run("forward"), _run("backward", x=np.linspace(0.0012, 0.9988, 101)))
     assert (x[0], x[-1]) == (0.0012, 0.9988)
     assert np.diff(x).min() > 0.005
     np.testing.assert_allclose(values[0], _bow(x), atol=1e-12)
 
 
-def test_directions_weigh_the_same_whatever_the_number_of_their_runs() -> None:
+def test_directions_weigh_the_same_whatever_the_number_of_their_runs():
     x, values, survey = _grid(_run("forward", 0.0), _run("forward", 0.0), _run("forward", 0.0), _run("backward", 4e-8))
     np.testing.assert_allclose(repeatability(survey, x, values).mean, _bow(X) + 2e-8, rtol=1e-12)
 
 
-def test_a_run_that_was_broken_off_is_refused() -> None:
-    with pytest.raises(SurveyError, match=r"runs end between x = 500 mm and 1000 mm.*within 50 mm.*broken off"):
-        _grid(_run("forward"), _run("backward", x=np.linspace(0.0, 0.5, 51)))
-
-
-def test_too_few_common_points_are_refused() -> None:
-    with pytest.raises(SurveyError, match="11 points in the range that all runs cover; allowed: >= 20"):
-        _grid(_run("forward", x=np.linspace(0.0, 1.0, 11)))
-
-
-def test_a_survey_without_a_run_is_refused() -> None:
-    with pytest.raises(SurveyError, match="no run"):
-        _grid()
+@pytest.mark.parametrize(
+    ("runs", "words"),
+    [
+        ([_run("forward"), _run("backward", x=X[:51])], "between x = 500 mm and 1000 mm.*within 50 mm.*broken off"),
+        ([_run("forward", x=np.linspace(0.0, 1.0, 11))], "11 points in the range that all runs cover; allowed: >= 20"),
+        ([], "no run"),
+    ],
+)
+def test_runs_without_a_common_grid_are_refused(runs, words):
+    with pytest.raises(SurveyError, match=words):
+        _grid(*runs)
 
 
 FOUR = np.arange(4) * 0.01
@@ -132,7 +123,30 @@ def noisy(count=5, points=40):
     return np.random.default_rng(3).normal(0.0, 3e-8, (count, points))
 
 
-def test_of_three_runs_one_that_was_knocked_is_rejected_and_of_two_none():
+@pytest.mark.parametrize(
+    ("bad", "rejected"),
+    [
+        ([10], False),
+        ([10, 11, 12], False),
+        ([10, 11, 12, 13], True),
+        ([3, 4, 5, 8, 9, 10], False),  # two stretches of three are no stretch of six
+        (range(2, 32, 3), False),  # a quarter of all, none of them neighbours
+        (range(2, 35, 3), True),
+    ],
+)
+def test_single_points_are_rejected_up_to_three_neighbours_and_a_quarter_and_then_the_run(bad, rejected):
+    values = noisy()
+    values[2, list(bad)] -= 3e-6
+    found = disagreement(values, 6.0)
+    assert found.runs.tolist() == [False, False, rejected, False, False]
+    assert np.argwhere(found.points).tolist() == ([] if rejected else [[2, at] for at in bad])
+
+
+def test_the_worst_run_goes_first_and_the_others_are_judged_anew_while_there_are_three():
+    values = noisy(7)
+    values[3] += 9e-6
+    values[5] += 3e-6
+    assert np.flatnonzero(disagreement(values, 6.0).runs).tolist() == [3, 5]
     values = noisy(3)
     values[1, 10:22] += 3e-6
     assert disagreement(values, 6.0).runs.tolist() == [False, True, False]
@@ -140,54 +154,14 @@ def test_of_three_runs_one_that_was_knocked_is_rejected_and_of_two_none():
     assert not found.runs.any() and not found.points.any()
 
 
-def test_single_points_are_rejected_up_to_three_neighbours_and_then_the_run():
-    for bad, run in ((1, False), (3, False), (4, True)):
-        values = noisy()
-        values[2, 10 : 10 + bad] += 3e-6
-        found = disagreement(values, 6.0)
-        assert found.runs.tolist() == [False, False, run, False, False]
-        assert np.count_nonzero(found.points) == (0 if run else bad)
-    # Two stretches of three are no stretch of six.
-    values = noisy()
-    values[2, [3, 4, 5, 8, 9, 10]] -= 3e-6
-    found = disagreement(values, 6.0)
-    assert not found.runs.any() and np.flatnonzero(found.points[2]).tolist() == [3, 4, 5, 8, 9, 10]
-
-
-def test_a_run_with_more_than_a_quarter_of_bad_points_is_rejected_though_none_are_neighbours():
-    for bad, run in ((10, False), (11, True)):
-        values = noisy()
-        values[0, np.arange(bad) * 3 + 2] += 3e-6
-        assert disagreement(values, 6.0).runs.tolist() == [run, False, False, False, False]
-
-
-def test_the_worst_run_goes_first_and_then_the_others_are_judged_anew():
-    values = noisy(7)
-    values[3] += 9e-6
-    values[5] += 3e-6
-    assert disagreement(values, 6.0).runs.tolist() == [False, False, False, True, False, True, False]
-
-
-LIMIT = 6.0
-POINTS = 100
-GUIDE = 1e-5 * np.sin(np.linspace(0.0, 6.0, POINTS))
-
-
-def runs(count: int, noise: float = 50e-9, seed: int = 1) -> NDArray[np.float64]:
-    """Runs over a guide that agree within ``noise`` in m."""
-    return np.asarray(GUIDE + np.random.default_rng(seed).normal(0.0, noise, (count, POINTS)))
-
-
-def test_below_the_floor_nothing_is_an_outlier() -> None:
+def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whole():
     residual = np.zeros(100)
     residual[[5, 6]] = 0.99 * FLOOR, 1.01 * FLOOR
-    assert np.flatnonzero(spikes(residual, LIMIT)).tolist() == [6]
-    values = runs(4, noise=0.5e-9)
+    assert np.flatnonzero(spikes(residual, 6.0)).tolist() == [6]
+    guide = 1e-5 * np.sin(np.linspace(0.0, 6.0, 40))
+    for count in (3, 4, 7):
+        found = disagreement(guide + noisy(count), 6.0)
+        assert not found.runs.any() and not found.points.any()
+    values = guide + noisy(4) / 60.0
     values[1, [5, 6]] += (0.9 * FLOOR, 1.1 * FLOOR)
-    assert np.argwhere(disagreement(values, LIMIT).points).tolist() == [[1, 6]]
-
-
-@pytest.mark.parametrize("count", [3, 4, 7])
-def test_runs_that_agree_are_kept_whole_wherever_the_guide_goes(count: int) -> None:
-    found = disagreement(runs(count), LIMIT)
-    assert not found.runs.any() and not found.points.any()
+    assert np.argwhere(disagreement(values, 6.0).points).tolist() == [[1, 6]]

@@ -1,7 +1,6 @@
 """Files of instruments and controllers: their makers' values or a refusal; nothing is lost on the way."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,36 +50,32 @@ Gridpoints = {
 """In the words of the makers' documentation and of programs that write such files."""
 
 
-def _read(tmp_path: Path, name: str, text: str, conventions: Conventions = MM) -> ErrorTable:
+def read(tmp_path, name, text, conventions=MM, encoding="utf-8"):
+    """What the format's reader makes of a file with this text."""
     path = tmp_path / f"table{FORMATS[name].ending}"
-    path.write_text(text, encoding="utf-8")
+    path.write_bytes(text.encode(encoding))
     return format_of(path, None).read(path, conventions)
 
 
 @pytest.mark.parametrize(
-    ("name", "x_mm", "forward_um"),
+    ("name", "text", "unit", "x_mm", "forward_um", "backward_um"),
     [
-        ("linuxcnc", [0, 10, 20], [0, 4, -2]),
-        ("crosscomp", [1.0735, 1000], [-0.3, -100]),
-        ("etalon", [-280, -270], [-1.358635132, -0.240680764]),
-        ("aerotech", [100, 110.5, 121], [-1.5, -2.5, 3]),
+        ("linuxcnc", EXAMPLES["linuxcnc"], "mm", [0, 10, 20], [0, 4, -2], [0, 6, 0]),
+        ("linuxcnc", EXAMPLES["linuxcnc"], "inch", [0, 254, 508], [0, 101.6, -50.8], [0, 152.4, 0]),
+        # LinuxCNC: trim = nominal - position, so both types of the file say the same.
+        ("linuxcnc", "0 0 0\n10 -0.004 -0.006\n20 0.002 0\n", "mm", [0, 10, 20], [0, 4, -2], [0, 6, 0]),
+        ("crosscomp", EXAMPLES["crosscomp"], "mm", [1.0735, 1000], [-0.3, -100], None),
+        ("etalon", EXAMPLES["etalon"], "mm", [-280, -270], [-1.358635132, -0.240680764], None),
+        ("aerotech", EXAMPLES["aerotech"], "mm", [100, 110.5, 121], [-1.5, -2.5, 3], None),
     ],
 )
-def test_an_example_is_read_in_metres_as_the_deviation(
-    tmp_path: Path, name: str, x_mm: list[float], forward_um: list[float]
-) -> None:
-    table = _read(tmp_path, name, EXAMPLES[name])
+def test_an_example_is_read_in_metres_as_the_deviation(tmp_path, name, text, unit, x_mm, forward_um, backward_um):
+    table = read(tmp_path, name, text, Conventions(unit))
     np.testing.assert_allclose(table.x, np.array(x_mm) * 1e-3, rtol=1e-12)
-    np.testing.assert_allclose(table.forward, np.array(forward_um) * 1e-6, rtol=1e-9, atol=1e-15)
-    assert (table.backward is not None) == (name == "linuxcnc")
-
-
-def test_linuxcnc_trims_are_the_negative_of_the_deviation(tmp_path: Path) -> None:
-    """LinuxCNC: trim = nominal - position, so both types of the file say the same."""
-    trims = _read(tmp_path, "linuxcnc", "0 0 0\n10 -0.004 -0.006\n20 0.002 0\n")
-    positions = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"])
-    np.testing.assert_allclose(trims.forward, positions.forward, atol=1e-15)
-    np.testing.assert_allclose(trims.backward, positions.backward, atol=1e-15)
+    np.testing.assert_allclose(table.forward, np.array(forward_um) * 1e-6, rtol=1e-9, atol=1e-14)
+    assert (table.backward is None) == (backward_um is None)
+    if backward_um is not None:
+        np.testing.assert_allclose(table.backward, np.array(backward_um) * 1e-6, rtol=1e-9, atol=1e-14)
 
 
 _micrometres = st.integers(-50_000, 50_000).map(lambda nanometres: nanometres * 1e-9)
@@ -95,27 +90,18 @@ _micrometres = st.integers(-50_000, 50_000).map(lambda nanometres: nanometres * 
     unit=st.sampled_from(["mm", "inch"]),
     axes=st.permutations(range(1, 5)),
 )
-def test_what_is_written_is_read_again(
-    tmp_path: Path, name: str, start_um: int, step_um: int, values: list, unit: str, axes: list[int]
-) -> None:
+def test_what_is_written_is_read_again_or_its_mean_where_the_format_has_one_value(
+    tmp_path, name, start_um, step_um, values, unit, axes
+):
     x = (start_um + step_um * np.arange(len(values))) * 1e-6
-    forward, backward = np.array(values).T
+    directions = np.array(values).T
     conventions = Conventions(unit, axes[0], axes[1])
-    directed = name == "linuxcnc"
-    written = FORMATS[name].write(ErrorTable(x, forward, backward if directed else None), conventions)
-    table = _read(tmp_path, name, written, conventions)
+    table = read(tmp_path, name, FORMATS[name].write(ErrorTable(x, *directions), conventions), conventions)
     np.testing.assert_allclose(table.x, x, rtol=0.0, atol=3e-9)
-    np.testing.assert_allclose(table.forward, forward, rtol=0.0, atol=3e-9)
-    if directed:
-        np.testing.assert_allclose(table.backward, backward, rtol=0.0, atol=3e-9)
-
-
-def test_a_format_with_one_value_gets_the_mean_of_both_directions(tmp_path: Path) -> None:
-    table = ErrorTable(np.array([0.0, 0.1]), np.array([1e-6, 2e-6]), np.array([3e-6, 6e-6]))
-    for name in ("aerotech", "crosscomp", "etalon"):
-        np.testing.assert_allclose(
-            _read(tmp_path, name, FORMATS[name].write(table, MM)).forward, [2e-6, 4e-6], atol=1e-12
-        )
+    found, expected = table.forward, directions.mean(axis=0)
+    if name == "linuxcnc":
+        found, expected = [table.forward, table.backward], directions
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-9)
 
 
 @pytest.mark.parametrize(
@@ -131,28 +117,23 @@ def test_a_format_with_one_value_gets_the_mean_of_both_directions(tmp_path: Path
         ("etalon", "-270.0 -0.000240680764", "-270.0", ["line 7", "position"]),
         ("aerotech", "10.5 ", "-10.5", ["SampDistCol", "> 0"]),
         ("aerotech", "10.5 ", "0.0 ", ["SampDistCol 0;", "> 0"]),
-        (
-            "aerotech",
-            ":START2D    3          1           1            2",
-            ":START2D 3 1 1 4",
-            ["axis 2", "1 over", "4 over"],
-        ),
+        ("aerotech", "1            2 ", "1 4 ", ["axis 2", "1 over", "4 over"]),
         ("aerotech", "0 1.5   0 2.5   0 -3", "0 1.5   0 2.5   0 -4", ["row axis"]),
         ("aerotech", "0 -3\n", "\n", ["10 values", "3 × 2"]),
         ("aerotech", "PRIMARY/1000", "COUNTS", ["COUNTS", "METRIC"]),
         ("aerotech", ":START2D    3", ":START    3", [":START2D"]),
     ],
 )
-def test_a_fault_is_named(tmp_path: Path, name: str, old: str, new: str, words: list[str]) -> None:
+def test_a_fault_is_named(tmp_path, name, old, new, words):
     assert EXAMPLES[name].count(old) == 1
     with pytest.raises(SurveyError) as caught:
-        _read(tmp_path, name, EXAMPLES[name].replace(old, new))
+        read(tmp_path, name, EXAMPLES[name].replace(old, new))
     assert f"table{FORMATS[name].ending}" in str(caught.value)
     for word in words:
         assert word in str(caught.value)
 
 
-def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has() -> None:
+def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has():
     table = ErrorTable(np.linspace(0.0, 1.0, 30), np.sin(np.arange(30)) * 1e-6)
     assert [run.direction for run in table.to_survey("a").runs] == ["forward"]
     in_the_wrong_unit = ErrorTable(table.x * UNITS["mm"], table.forward)
@@ -160,7 +141,7 @@ def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has() -> None:
         in_the_wrong_unit.to_survey("a")
 
 
-def test_too_many_points_for_a_controller_are_refused() -> None:
+def test_too_many_points_for_a_controller_are_refused():
     table = ErrorTable(np.arange(2000) * 1e-3, np.zeros(2000))
     for name, most in (("linuxcnc", "256"), ("crosscomp", "1001")):
         with pytest.raises(SurveyError, match=most):
@@ -188,12 +169,12 @@ COLUMNS = aerotech("2 1 2 1", [UM, UM])
 
 
 def crosscomp(platform, stage, more=""):
-    lines = [f"kopf.achs_nr {platform}", "kw.crosscomp.last_index 23", f"kw.crosscomp.master_ax_nr {stage}"]
-    lines.append("kw.crosscomp.unit 1")
-    for index, (x, y) in enumerate(zip(X, UM, strict=True)):
-        lines += [f"kw.crosscomp.table[{index}].setpoint {x * 1e4:g}"]
-        lines += [f"kw.crosscomp.table[{index}].correction {y * 10:.2f}"]
-    return "\n".join(lines) + "\n" + more
+    points = "".join(
+        f"kw.crosscomp.table[{at}].setpoint {x * 1e4:g}\nkw.crosscomp.table[{at}].correction {y * 10:.2f}\n"
+        for at, (x, y) in enumerate(zip(X, UM, strict=True))
+    )
+    head = f"kopf.achs_nr {platform}\nkw.crosscomp.last_index 23\nkw.crosscomp.master_ax_nr {stage}\n"
+    return f"{head}kw.crosscomp.unit 1\n{points}{more}"
 
 
 def rtl(runs, first="", count=24, listed=X):
@@ -217,11 +198,9 @@ def pos(*blocks):
     )
 
 
-def survey_of(tmp_path, name, text, encoding="utf-8", **conventions):
-    path = tmp_path / f"file{FORMATS[name].ending}"
-    path.write_bytes(text.encode(encoding))
-    found = FORMATS[name].read(path, Conventions(**conventions))
-    return found if hasattr(found, "runs") else found.to_survey(str(path))
+def runs_of(*arguments, **conventions):
+    found = read(*arguments, Conventions(**conventions))
+    return found.runs if hasattr(found, "runs") else found.to_survey("table").runs
 
 
 @pytest.mark.parametrize(
@@ -243,13 +222,13 @@ def survey_of(tmp_path, name, text, encoding="utf-8", **conventions):
     ],
 )
 def test_a_file_has_the_value_that_its_maker_gives_it(tmp_path, name, text, conventions, peak_to_peak):
-    for run in survey_of(tmp_path, name, text, **conventions).runs:
+    for run in runs_of(tmp_path, name, text, **conventions):
         assert len(run.x) == 24
         assert np.ptp(run.deviation) * 1e6 == pytest.approx(peak_to_peak, abs=0.1)
 
 
 def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path):
-    forward, backward = survey_of(tmp_path, "renishaw", rtl(OUT_AND_BACK), encoding="cp1252").runs
+    forward, backward = read(tmp_path, "renishaw", rtl(OUT_AND_BACK), encoding="cp1252").runs
     assert (forward.direction, backward.direction) == ("forward", "backward")
     np.testing.assert_allclose(forward.x, X * 1e-3)
     np.testing.assert_allclose(backward.deviation - forward.deviation, 0.2e-6, atol=1e-12)
@@ -283,7 +262,7 @@ def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path
 )
 def test_a_file_that_says_another_axis_error_or_point_twice_is_refused(tmp_path, name, text, conventions):
     with pytest.raises(SurveyError):
-        survey_of(tmp_path, name, text, **conventions)
+        runs_of(tmp_path, name, text, **conventions)
 
 
 def german(value, places=3):
@@ -301,6 +280,9 @@ READ = {
     "Excel's first line with a comma": "sep=,\n" + csv("x_mm,deviation_um", lambda v: f"{v}", ","),
     "lines before the header": "Operator;Müller, A.\nDate, 2026\n\nRun 3\n" + MM_UM,
     "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
+    "decimal commas between tabs": csv(
+        "Position [mm]\tStraightness [um]", lambda v: german(v), "\t", lambda v: german(v, 1)
+    ),
     "thousands in x": csv("x_um;deviation_um", lambda v: german(v), x=lambda v: german(v * 1e3, 0)),
     "English thousands": csv("x_mm\tdeviation_nm", lambda v: f"{v * 1e3:,.0f}", "\t", lambda v: f"{v:.1f}"),
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
@@ -373,9 +355,7 @@ def test_another_kind_of_file_in_place_of_a_survey_names_the_command_that_conver
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_the_exported_map_comes_back_as_the_same_map(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_the_exported_map_comes_back_as_the_same_map(tmp_path, capsys, name):
     table, survey = tmp_path / f"table{FORMATS[name].ending}", tmp_path / "survey.csv"
     assert main(["map", "export", "-o", str(table), "--json"]) == 0
     exported = json.loads(capsys.readouterr().out)
@@ -388,7 +368,7 @@ def test_the_exported_map_comes_back_as_the_same_map(
     assert exported["interpolation_error_um"] < 0.1
 
 
-def test_negate_turns_the_sign_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_negate_turns_the_sign_over(tmp_path, capsys):
     for option in ([], ["--negate"]):
         assert main(["map", "export", "-o", str(tmp_path / f"{len(option)}.comp"), *option]) == 0
     plain, negated = (np.loadtxt(tmp_path / f"{count}.comp") for count in (0, 1))
@@ -408,9 +388,7 @@ def test_negate_turns_the_sign_over(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["convert", "no.comp", "-o", "o.csv"], ["no.comp", "cannot be read"]),
     ],
 )
-def test_a_refusal_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list, words: list
-) -> None:
+def test_a_refusal_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
     assert main(["map", *arguments]) in (1, 2)
     printed = capsys.readouterr().err
@@ -418,9 +396,3 @@ def test_a_refusal_is_one_sentence(
     assert printed.count("\n") == 1
     for word in words:
         assert word in printed
-
-
-def test_a_table_in_inches_is_read_in_metres(tmp_path: Path) -> None:
-    table = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"], Conventions("inch"))
-    np.testing.assert_allclose(table.x, [0.0, 0.254, 0.508], rtol=1e-12)
-    np.testing.assert_allclose(table.forward, np.array([0.0, 4.0, -2.0]) * 25.4e-6, rtol=1e-9, atol=1e-15)
