@@ -3,9 +3,8 @@
 import enum
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from typing import Any, NamedTuple
 
 from straightcomp_ros.timing.delays import NOTHING, Distribution
@@ -239,8 +238,11 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
         return count(last.values, name) - count(first.values, name)
 
     def total(name: str) -> Distribution:
-        texts = [report.values.get(f"{name}_histogram") for report in inside[1:]]
-        return reduce(add, (_distribution(text) for text in texts if text), NOTHING)
+        found = NOTHING
+        for report in inside[1:]:
+            with suppress(ValueError):
+                found += Distribution.from_text(report.values.get(f"{name}_histogram", ""))
+        return found
 
     seconds = (last.time_ns - first.time_ns) * 1e-9
     return NodeTiming(
@@ -252,10 +254,3 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
         latency=total(LATENCY),
         held_up=held_up([report.values for report in inside[1:]]),
     )
-
-
-def _distribution(text: str) -> Distribution:
-    try:
-        return Distribution.from_text(text)
-    except ValueError:
-        return NOTHING
