@@ -72,13 +72,12 @@ class Series:
         self._number, self._low, self._high = number, math.inf, -math.inf
 
     def after(self, number: int) -> list[list[float]]:
-        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits."""
-        return [slot for slot in self._slots if slot[0] > number]
+        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits.
 
-    @property
-    def newest(self) -> int:
-        """Number of the newest finished slot; -1 without any."""
-        return int(self._slots[-1][0]) if self._slots else -1
+        All where none has that number: the source was started anew.
+        """
+        known = bool(self._slots) and number <= self._slots[-1][0]
+        return [slot for slot in self._slots if not known or slot[0] > number]
 
 
 class Board:
@@ -104,10 +103,9 @@ class Board:
         with self._lock:
             fresh = {}
             for name, series in self._series.items():
-                last = seen.get(name, -1)
-                # A source that was started anew counts from the beginning.
-                fresh[name] = series.after(last if last <= series.newest else -1)
-                seen[name] = series.newest
+                fresh[name] = slots = series.after(seen.get(name, -1))
+                if slots:
+                    seen[name] = int(slots[-1][0])
             return {"state": self._state, "series": fresh}
 
 
@@ -186,7 +184,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.path == "/news":
             self._send_news()
         else:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found")
+            self._answer(HTTPStatus.NOT_FOUND, "not found")
 
     def do_POST(self) -> None:
         # Whatever is left unread of a refused request must not be taken for the next one.
