@@ -140,12 +140,8 @@ def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
 
 
 def test_wrong_credentials_are_refused(plain):
-    assert probed("logins", plain.url) == {
-        "operator": "done",
-        "wrong password": "BadUserAccessDenied",
-        "unknown": "BadUserAccessDenied",
-        "anonymous": "done",
-    }
+    refused = dict.fromkeys(("wrong password", "unknown"), "BadUserAccessDenied")
+    assert probed("logins", plain.url) == {"operator": "done", "anonymous": "done", **refused}
 
 
 def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
@@ -170,10 +166,9 @@ def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain)
 
 
 def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
-    flood = start("flood", plain.url, 30)
+    flood = start("storm", plain.url, 30)
     try:
-        connections = json.loads(flood.stdout.readline())["connections"]
-        assert connections >= 1
+        assert any(int(line) > 0 for line in flood.stdout)
     finally:
         flood.kill()
         flood.wait()
@@ -192,27 +187,14 @@ def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
 def test_without_encryption_no_client_gets_in_where_it_is_required(folder):
     for name in ("client", "stranger"):
         (folder / name).mkdir()
-        asyncio.run(
-            setup_self_signed_certificate(
-                folder / name / "key.pem",
-                folder / name / "certificate.der",
-                "urn:straightcomp_ros:client",
-                "localhost",
-                [ExtendedKeyUsageOID.CLIENT_AUTH],
-                {"commonName": name},
-            )
-        )
+        files, usage = (folder / name / "key.pem", folder / name / "certificate.der"), [ExtendedKeyUsageOID.CLIENT_AUTH]
+        of_client = "urn:straightcomp_ros:client", "localhost", usage, {"commonName": name}
+        asyncio.run(setup_self_signed_certificate(*files, *of_client))
     (folder / "trusted").mkdir()
     (folder / "trusted" / "client.der").write_bytes((folder / "client" / "certificate.der").read_bytes())
-    gateway = Gateway(
-        OpcuaParameters(
-            port=free_port(),
-            security="encrypted",
-            users=str(folder / "users"),
-            certificates=str(folder / "own"),
-            trusted=str(folder / "trusted"),
-        )
-    )
+    places = {"users": "users", "certificates": "own", "trusted": "trusted"}
+    files = {name: str(folder / place) for name, place in places.items()}
+    gateway = Gateway(OpcuaParameters(port=free_port(), security="encrypted", **files))
     try:
         results = probed("logins", gateway.url, folder / "client")
     finally:
