@@ -29,6 +29,10 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys):
         assert check["remedy"] == "" or check["remedy"].endswith("."), check
 
 
+def refused():
+    raise PermissionError(1, "Operation not permitted")
+
+
 def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(monkeypatch, capsys):
     monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
     main(["doctor", "--json", "--stage", str(share_path("config/board_motorola.yaml"))])
@@ -52,16 +56,17 @@ def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_r
     assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
 
 
-def refused():
-    raise PermissionError(1, "Operation not permitted")
+def answer(rmw):
+    """A program that answers as one with this middleware."""
+    return f"import json; print(json.dumps(dict(rclpy='here', rmw='{rmw}')))"
 
 
 @pytest.mark.parametrize(
     ("program", "states", "word"),
     [
-        ('print(\'{"rclpy": "here", "rmw": "rmw_fastrtps_cpp"}\')', ["ok", "ok"], "here"),
-        ('print(\'{"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"}\')', ["ok", "ok"], "here"),
-        ('print(\'{"rclpy": "here", "rmw": "rmw_of_tomorrow"}\')', ["ok", "warn"], "here"),
+        (answer("rmw_fastrtps_cpp"), ["ok", "ok"], "here"),
+        (answer("rmw_cyclonedds_cpp"), ["ok", "ok"], "here"),
+        (answer("rmw_of_tomorrow"), ["ok", "warn"], "here"),
         ("import no_such_rclpy", ["fail"], "no_such_rclpy"),
         ("import os; os.abort()", ["fail"], "exit code -6"),
         ("import time; time.sleep(600)", ["fail"], "timed out"),
@@ -75,8 +80,7 @@ def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program, states, wo
 def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where_it_is_missing(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
-    answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
-    rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
+    rmw = computer.ros((sys.executable, "-c", answer("rmw_cyclonedds_cpp")), timeout=600.0)[1]
     assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
     (found,) = computer.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
