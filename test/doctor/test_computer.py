@@ -14,6 +14,8 @@ from straightcomp_ros.doctor import Finding, computer
 from straightcomp_ros.parameters.share import share_path
 
 MIB = 1 << 20
+FILE, FOLDER = "file", "."
+GOVERNOR = ("cpu0__cpufreq__scaling_governor", "cpu1__cpufreq__scaling_governor")
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -86,29 +88,10 @@ def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
 
 
-def locked(limit, capabilities):
-    return {"status": f"CapEff:\t{capabilities}\n"}, lambda at: computer.locked_memory(limit, at / "status")
-
-
-def of_file(check, text=None):
-    return {"file": text} if text is not None else {}, lambda at: check(at / "file")
-
-
-def clock(text, now):
-    return {"file": text}, lambda at: computer.clock(at / "file", now)
-
-
-def governors(*names):
-    files = {f"cpu{number}/cpufreq/scaling_governor": f"{name}\n" for number, name in enumerate(names)}
-    return files, computer.governor
-
-
-def can(**files):
-    return {name.replace("_", "/"): text for name, text in files.items()}, computer.can_interfaces
-
-
-def given(check, *arguments):
-    return {}, lambda _: check(*arguments)
+def given(check, *arguments, **files):
+    """A check with its arguments; ``FILE`` and ``FOLDER`` become paths among ``files`` (text by name, / written __)."""
+    texts = {name.replace("__", "/"): text for name, text in files.items()}
+    return texts, lambda at: check(*(at / one if one in (FILE, FOLDER) else one for one in arguments))
 
 
 @pytest.mark.parametrize(
@@ -125,30 +108,38 @@ def given(check, *arguments):
         (given(computer.discovery, {}), "warn", "LOCALHOST"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "102"}), "warn", "0 to 101"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "x"}), "warn", "0 to 101"),
-        (locked(8 * MIB, "0"), "warn", "memlock unlimited"),
-        (locked(8 * MIB, "4000"), "ok", "CAP_IPC_LOCK"),
-        (locked(resource.RLIM_INFINITY, "0"), "ok", "unlimited"),
-        (locked(1024 * MIB, "0"), "ok", "1024.0 MiB"),
+        (given(computer.locked_memory, 8 * MIB, FILE, file="CapEff:\t0\n"), "warn", "memlock unlimited"),
+        (given(computer.locked_memory, 8 * MIB, FILE, file="CapEff:\t4000\n"), "ok", "CAP_IPC_LOCK"),
+        (given(computer.locked_memory, resource.RLIM_INFINITY, FILE, file="CapEff:\t0\n"), "ok", "unlimited"),
+        (given(computer.locked_memory, 1024 * MIB, FILE, file="CapEff:\t0\n"), "ok", "1024.0 MiB"),
         (given(computer.priority, refused), "warn", "rtprio"),
         (given(computer.priority, lambda: None), "ok", "permitted"),
-        (of_file(computer.throttling, "-1\n"), "warn", "sysctl"),
-        (of_file(computer.throttling, "950000\n"), "ok", "950000"),
-        (of_file(computer.kernel, "1\n"), "ok", "PREEMPT_RT"),
-        (of_file(computer.kernel), "warn", "no PREEMPT_RT"),
-        (of_file(computer.wake_up_latency), "warn", "is not there"),
-        (of_file(computer.wake_up_latency, ""), "ok", "can be written"),
+        (given(computer.throttling, FILE, file="-1\n"), "warn", "sysctl"),
+        (given(computer.throttling, FILE, file="950000\n"), "ok", "950000"),
+        (given(computer.kernel, FILE, file="1\n"), "ok", "PREEMPT_RT"),
+        (given(computer.kernel, FILE), "warn", "no PREEMPT_RT"),
+        (given(computer.wake_up_latency, FILE), "warn", "is not there"),
+        (given(computer.wake_up_latency, FILE, file=""), "ok", "can be written"),
         (given(computer.cores, 2, ()), "warn", "4 or more"),
         (given(computer.cores, 4, ()), "ok", "4"),
         (given(computer.cores, 4, {1}), "warn", "kept off CPU 1"),
-        (governors(), "ok", "none"),
-        (governors("performance"), "ok", "performance"),
-        (governors("performance", "powersave"), "warn", "cpupower"),
-        (clock("tsc\n", 1.8e9), "ok", "tsc"),
-        (clock("hpet\n", 1.8e9), "warn", "clocksource=tsc"),
-        (clock("tsc\n", 0.0), "fail", "year 1970"),
-        (can(eth0_type="1\n"), "warn", "none in the kernel"),
-        (can(can0_type="280\n", can0_operstate="up\n"), "ok", "can0 up"),
-        (can(can0_type="280\n", can0_operstate="down\n"), "warn", "ip link set can0 up"),
+        (given(computer.governor, FOLDER), "ok", "none"),
+        (given(computer.governor, FOLDER, **{GOVERNOR[0]: "performance\n"}), "ok", "performance"),
+        (
+            given(computer.governor, FOLDER, **dict(zip(GOVERNOR, ("performance\n", "powersave\n"), strict=True))),
+            "warn",
+            "cpupower",
+        ),
+        (given(computer.clock, FILE, 1.8e9, file="tsc\n"), "ok", "tsc"),
+        (given(computer.clock, FILE, 1.8e9, file="hpet\n"), "warn", "clocksource=tsc"),
+        (given(computer.clock, FILE, 0.0, file="tsc\n"), "fail", "year 1970"),
+        (given(computer.can_interfaces, FOLDER, eth0__type="1\n"), "warn", "none in the kernel"),
+        (given(computer.can_interfaces, FOLDER, can0__type="280\n", can0__operstate="up\n"), "ok", "can0 up"),
+        (
+            given(computer.can_interfaces, FOLDER, can0__type="280\n", can0__operstate="down\n"),
+            "warn",
+            "ip link set can0 up",
+        ),
     ],
 )
 def test_a_check_judges_a_made_computer(tmp_path, made, state, words):
