@@ -124,10 +124,7 @@ class CellSequence:
     """State machine of the cell.
 
     Args:
-        machine: carries out the requests.
-        motion: of each stroke.
         start_timeout: longest time in Resetting, Starting, Clearing, or a step of a recovery, s.
-        clock: monotonic time, s.
         as_one: all strokes are one trajectory; see :class:`StageMovements`.
         home: before the first stroke, move the platform to the middle of its travel, then back to the map.
         recoveries: how often to switch the amplifier on again after it went off in Execute.
@@ -228,7 +225,8 @@ class CellSequence:
             # A fault is seen at once; that a node has died, which may be its cause, only when its heartbeats stop.
             self._named = True
             self.message = self.message if missing in self.message else f"{self.message}; {missing}"
-        if trouble and self._recoverable(seen):
+        allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
+        if trouble and allowed and not seen.absence and not seen.amplifier_on:
             self.recovered += 1
             self._work = self._recover(self._work)
         elif trouble:
@@ -260,11 +258,6 @@ class CellSequence:
             return seen.fault
         off = self.state in _WITH_AMPLIFIER and not seen.amplifier_on
         return seen.absence or (AMPLIFIER_OFF if off else "")
-
-    def _recoverable(self, seen: Observation) -> bool:
-        """Whether the trouble is that the amplifier is off, and it may be switched on again."""
-        allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
-        return allowed and not seen.absence and not seen.amplifier_on
 
     def _recover(self, work: Iterator[None]) -> Iterator[None]:
         """Clear the fault and switch on again, then go on with the interrupted ``work``."""

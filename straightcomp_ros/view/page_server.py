@@ -89,12 +89,10 @@ class Board:
         self._lock = threading.Lock()
 
     def add(self, name: str, samples: Sequence[tuple[int, float]]) -> None:
-        """Add samples to one series."""
         with self._lock:
             self._series[name].add(samples)
 
     def show(self, state: dict[str, object]) -> None:
-        """The state from now on."""
         with self._lock:
             self._state = state
 
@@ -221,7 +219,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_news(self) -> None:
         self.close_connection = True
         self.server.gets_news(self.connection)
-        self._send_head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Cache-Control": "no-store"})
+        self._send(HTTPStatus.OK, "text/event-stream")
         seen: dict[str, int] = {}
         while not self.server.stopping.wait(_NEWS_EVERY_S):
             text = json.dumps(plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
@@ -230,15 +228,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, status: HTTPStatus, message: str) -> None:
         self._send(status, "application/json", json.dumps({"message": message}).encode())
 
-    def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
-        self._send_head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **_GUARDS})
-        self.wfile.write(body)
-
-    def _send_head(self, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+    def _send(self, status: HTTPStatus, kind: str, body: bytes = b"") -> None:
+        """Send the head and ``body``; without one, what follows ends with the connection."""
+        length = {"Content-Length": str(len(body))} if body else {}
         self.send_response(status)
-        for name, value in headers.items():
+        for name, value in {"Content-Type": kind, **length, **_GUARDS}.items():
             self.send_header(name, value)
         self.end_headers()
+        self.wfile.write(body)
 
     def log_message(self, *_: Any) -> None:
         """Nothing: ten lines a second would be."""
