@@ -36,16 +36,11 @@ async def outcome(awaitable):
         return type(error).__name__
 
 
-def client(url, user=None):
+async def connect(url, user=None, certificates=None):
     made = Client(url, timeout=20)
     if user:
         made.set_user(user[0])
         made.set_password(user[1])
-    return made
-
-
-async def connect(url, user=None, certificates=None):
-    made = client(url, user)
     if certificates:
         made.application_uri = "urn:straightcomp_ros:client"
         own, server = (certificates / "certificate.der", certificates / "key.pem"), certificates.parent / "own"
@@ -106,24 +101,16 @@ async def shapes(url):
     """Arguments of other types, numbers and shapes than each method declares."""
     made = await connect(url, OPERATOR)
     t = ua.VariantType
-    odd = {
-        "array": [ua.Variant([1, 2], t.UInt32)],
-        "array of one": [ua.Variant([1], t.UInt32)],
-        "no elements": [ua.Variant([], t.UInt32, is_array=True)],
-        "truths": [ua.Variant([True], t.Boolean)],
-        "null": [ua.Variant(None, t.Null)],
-        "text": [ua.Variant("1", t.String)],
-        "double": [ua.Variant(1.0, t.Double)],
-        "object": [ua.Variant(ua.Range(0.0, 1.0), t.ExtensionObject)],
-        "nested": [ua.Variant([[1, 2], [3, 4]], t.UInt32)],
-        "two": [ua.Variant(1, t.UInt32), ua.Variant(1, t.UInt32)],
-        "two hundred": [ua.Variant(1, t.UInt32)] * 200,
-    }
+    one, values = ua.Variant(1, t.UInt32), [([1, 2], t.UInt32), ([1], t.UInt32), ([[1, 2], [3, 4]], t.UInt32)]
+    values += [([True], t.Boolean), (None, t.Null), ("1", t.String), (1.0, t.Double)]
+    values += [(ua.Range(0.0, 1.0), t.ExtensionObject)]
+    odd = [[ua.Variant(*value)] for value in values]
+    odd += [[ua.Variant([], t.UInt32, is_array=True)], [one, one], [one] * 200]
     results = {}
     for node in await made.get_node(path("Commands")).get_methods():
         method = (await node.read_browse_name()).Name
-        for name, arguments in odd.items():
-            results[f"{method} {name}"] = await outcome(give(made, method, *arguments))
+        for number, arguments in enumerate(odd):
+            results[f"{method} {number}"] = await outcome(give(made, method, *arguments))
     results["Start 4294967295"] = await outcome(give(made, "Start", ua.Variant(2**32 - 1, t.UInt32)))
     await made.disconnect()
     return results
@@ -135,10 +122,7 @@ async def crowd(url, count):
     operator = await connect(url, OPERATOR)
     others += await several(url, count)
     await asyncio.sleep(0.5)
-    results = {"operator": await outcome(give(operator, "Reset"))}
-    for one in (operator, *others):
-        one.disconnect_socket()
-    return results
+    return {"operator": await outcome(give(operator, "Reset"))}
 
 
 async def guess(url, count):
@@ -153,7 +137,7 @@ async def guess(url, count):
 
 async def greeted(url):
     """A client that has connected and opened no channel yet."""
-    made = client(url)
+    made = Client(url, timeout=20)
     await made.connect_socket()
     await made.send_hello()
     return made
