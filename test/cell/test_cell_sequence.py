@@ -110,15 +110,14 @@ def started(strokes, **options):
 COIL = {"driver": "coil burnt"}
 
 
-def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_the_amplifier_off():
+def test_a_cycle_runs_as_many_strokes_as_are_allowed_forward_and_back_and_ends_with_the_amplifier_off():
     bench = Bench()
     bench.idle()
-    assert bench.give(Command.START, State.COMPLETE, 2) == [
-        State.STARTING,
-        State.EXECUTE,
-        State.COMPLETING,
-        State.COMPLETE,
-    ]
+    for strokes in (-1, 10**7):
+        assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)
+        assert bench.sequence.state is State.IDLE
+    way = bench.give(Command.START, State.COMPLETE, 2)
+    assert way == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert [goal for _, goal in bench.moves] == [0.1, 0.0, 0.1, 0.0]
     assert bench.sequence.movements.strokes_done == 2 and not bench.seen.amplifier_on
 
@@ -243,15 +242,6 @@ def test_with_the_reference_in_the_middle_no_stroke_begins_until_it_is_back():
     bench.give(Command.COMPLETE, State.COMPLETE)
 
 
-def test_an_answer_that_comes_late_does_not_hide_why_the_machine_aborted():
-    bench = started(0)
-    bench.sequence.order(Order.RELOAD_MAP, False, lambda refusal: None)
-    bench.see(faults=COIL)
-    bench.until(State.ABORTED)
-    bench.answers.pop()("")
-    assert "coil burnt" in bench.sequence.message
-
-
 def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time():
     bench = started(3, as_one=True)
     bench.until(State.COMPLETE)
@@ -322,14 +312,6 @@ def test_what_stands_in_the_way_of_resetting_ends_it_and_leaves_the_amplifier_as
     assert bench.seen.amplifier_on is seen.get("amplifier_on", False) and not bench.requests
 
 
-def test_strokes_out_of_range_are_refused():
-    bench = Bench()
-    bench.idle()
-    for strokes in (-1, 10**7):
-        assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)
-        assert bench.sequence.state is State.IDLE
-
-
 @given(
     st.lists(
         st.one_of(
@@ -378,10 +360,12 @@ def test_while_the_machine_is_commissioned_no_cycle_begins_and_an_idle_cell_abor
     assert "being commissioned: connection" in bench.sequence.message
 
 
-def test_a_node_that_is_silent_only_after_the_fault_that_its_death_caused_is_added_to_the_reason_once():
+def test_to_the_reason_of_an_abort_a_node_that_turns_out_dead_is_added_once_and_a_late_answer_is_not():
     bench = started(1)
+    bench.sequence.order(Order.RELOAD_MAP, False, lambda refusal: None)
     bench.see(faults={"driver": "command_timeout: no command"})
     bench.until(State.ABORTED)
+    bench.answers.pop()("")
     bench.see(nodes={"driver": "active", "controller": "silent"})
     bench.ticks(3)
     assert bench.sequence.message == (
