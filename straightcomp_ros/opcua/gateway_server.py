@@ -84,7 +84,7 @@ class AtMostALineASecond(logging.StreamHandler):  # type: ignore[type-arg]
         self._next, self._left_out = now + 1.0, 0
 
     def format(self, record: logging.LogRecord) -> str:
-        error = f": {record.exc_info[1]!r}" if record.exc_info else ""
+        error = f": {record.exc_info[1]!r}" if record.exc_info and record.exc_info[1] else ""
         line = " ".join(f"OPC UA: {record.getMessage()}{error}".split())[:_LONGEST_LINE]
         left_out = f"; {self._left_out} lines before it left out" if self._left_out else ""
         return line.encode("unicode_escape").decode() + left_out

@@ -1,4 +1,4 @@
-"""A board's DBC file beside the description of its stage: what does not fit is found."""
+"""A board's DBC file and the description of its stage: what does not fit is found."""
 
 import json
 
