@@ -15,7 +15,9 @@ from straightcomp_ros.parameters.share import share_path
 
 MIB = 1 << 20
 FILE, FOLDER = "file", "."
-GOVERNOR = ("cpu0__cpufreq__scaling_governor", "cpu1__cpufreq__scaling_governor")
+FAST = {"cpu0__cpufreq__scaling_governor": "performance\n"}
+MIXED = {**FAST, "cpu1__cpufreq__scaling_governor": "powersave\n"}
+DOWN = {"can0__type": "280\n", "can0__operstate": "down\n"}
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -124,22 +126,14 @@ def given(check, *arguments, **files):
         (given(computer.cores, 4, ()), "ok", "4"),
         (given(computer.cores, 4, {1}), "warn", "kept off CPU 1"),
         (given(computer.governor, FOLDER), "ok", "none"),
-        (given(computer.governor, FOLDER, **{GOVERNOR[0]: "performance\n"}), "ok", "performance"),
-        (
-            given(computer.governor, FOLDER, **dict(zip(GOVERNOR, ("performance\n", "powersave\n"), strict=True))),
-            "warn",
-            "cpupower",
-        ),
+        (given(computer.governor, FOLDER, **FAST), "ok", "performance"),
+        (given(computer.governor, FOLDER, **MIXED), "warn", "cpupower"),
         (given(computer.clock, FILE, 1.8e9, file="tsc\n"), "ok", "tsc"),
         (given(computer.clock, FILE, 1.8e9, file="hpet\n"), "warn", "clocksource=tsc"),
         (given(computer.clock, FILE, 0.0, file="tsc\n"), "fail", "year 1970"),
         (given(computer.can_interfaces, FOLDER, eth0__type="1\n"), "warn", "none in the kernel"),
         (given(computer.can_interfaces, FOLDER, can0__type="280\n", can0__operstate="up\n"), "ok", "can0 up"),
-        (
-            given(computer.can_interfaces, FOLDER, can0__type="280\n", can0__operstate="down\n"),
-            "warn",
-            "ip link set can0 up",
-        ),
+        (given(computer.can_interfaces, FOLDER, **DOWN), "warn", "ip link set can0 up"),
     ],
 )
 def test_a_check_judges_a_made_computer(tmp_path, made, state, words):
@@ -178,12 +172,9 @@ def test_a_kernel_that_finishes_its_own_work_first_is_reported(tmp_path, configu
 
 @pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
 def test_a_late_timer_is_a_warning(late, state):
-    passed = [0.0]
-
-    def sleep(duration):
-        passed[0] += duration + late
-
-    assert computer.timer(sleep, lambda: passed[0]).state == state
+    sleeps = []
+    found = computer.timer(sleeps.append, lambda: sum(sleeps) + late * len(sleeps))
+    assert found.state == state
 
 
 def test_python_can_without_our_interface_is_a_warning(monkeypatch):

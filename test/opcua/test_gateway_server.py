@@ -160,13 +160,9 @@ def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain)
 
 
 def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
-    flood = start("storm", plain.url, 30)
-    try:
+    with start("storm", plain.url, 30) as flood:
         assert any(int(line) > 0 for line in flood.stdout)
-    finally:
         flood.kill()
-        flood.wait()
-        flood.stdout.close()
     watch = start("watch", plain.url, 60)
     assert watch.stdout.readline() == "ready\n"
     plain.server.show(replace(WELL, alarms={"Fault": "driver: coil burnt"}))
