@@ -1,7 +1,6 @@
 """The OPC UA server, on a thread of its own: clients cannot hold up the node that feeds it."""
 
 import asyncio
-import contextlib
 import filecmp
 import logging
 import math
@@ -134,12 +133,11 @@ class GatewayServer:
 
         Those whose client has gone, or got a timeout, are left out: no client waits for them any more.
         """
-        with contextlib.suppress(queue.Empty):
-            while True:
-                request = self._requests.get_nowait()
-                # From here on it cannot be cancelled: an answer that no client takes does no harm.
-                if request.answer.set_running_or_notify_cancel():
-                    yield request
+        while not self._requests.empty():
+            request = self._requests.get_nowait()
+            # From here on it cannot be cancelled: an answer that no client takes does no harm.
+            if request.answer.set_running_or_notify_cancel():
+                yield request
 
     def close(self) -> None:
         """Disconnect all clients and stop."""

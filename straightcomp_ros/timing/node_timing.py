@@ -51,11 +51,10 @@ def reporting_node(status: str, namespace: str) -> str:
 def number(values: Mapping[str, str], name: str) -> float:
     """The value ``name`` of a status, which any program may have written; NaN if there is none or it is no finite
     number."""
-    try:
-        value = float(values.get(name, "nan"))
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
+    with suppress(ValueError):
+        if math.isfinite(value := float(values.get(name, "nan"))):
+            return value
+    return math.nan
 
 
 def count(values: Mapping[str, str], name: str) -> int:

@@ -39,11 +39,8 @@ def feed(found, number, x, y, current=0.0):
 def fed(samples, currents=None):
     """The first finding in samples of (x, y), and its place."""
     found = watch()
-    for place, (x, y) in enumerate(samples):
-        finding = feed(found, place, x, y, currents[place] if currents else 0.0)
-        if finding:
-            return place, finding[0]
-    return None
+    findings = (feed(found, k, x, y, currents[k] if currents else 0.0) for k, (x, y) in enumerate(samples))
+    return next(((place, finding[0]) for place, finding in enumerate(findings) if finding), None)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -108,10 +105,9 @@ def test_a_platform_at_rest_a_law_that_switches_and_an_amplifier_that_is_off_mak
     moving = [(0.0, COUNT * round(10 * math.sin(0.01 * k) + random.random())) for k in range(5000)]
     assert fed(moving, [0.8 * math.sin(0.003 * k) for k in range(5000)]) is None
     found = watch()
-    for place in range(3000):
-        if place == 1000:
-            found.switched()
-        assert feed(found, place, 0.0, COUNT * min(place, 1000), 0.5 if place < 1000 else 0.0) is None
+    assert not any(feed(found, k, 0.0, COUNT * k, 0.5) for k in range(1000))
+    found.switched()
+    assert not any(feed(found, k, 0.0, COUNT * 1000) for k in range(1000, 3000))
 
 
 @pytest.mark.parametrize(
