@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
-from straightcomp_ros.cell.cell_sequence import CellSequence, StateWork
+from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.nodes.cell_node import CellNode
 from straightcomp_ros.runtime.runner import run
@@ -16,8 +16,8 @@ from straightcomp_ros.runtime.runner import run
 _PATIENCE_S = 5.0
 
 
-class SteadyWork(StateWork):
-    """Switches the amplifier on again whenever a fault has switched it off; the motion never ends by itself."""
+class SteadySequence(CellSequence):
+    """Switches the amplifier on again whenever a fault has switched it off; ends only on command."""
 
     began = duration = 0.0
     """Of the motion, s."""
@@ -43,13 +43,6 @@ class SteadyWork(StateWork):
             self._machine.reset_faults()
             self._machine.switch_on()
 
-
-class SteadySequence(CellSequence):
-    """Continues, whatever faults there are; ends only on command."""
-
-    work_of_states = SteadyWork
-    _works: SteadyWork
-
     def tick(self, seen: Observation) -> None:
         """Continue, whatever faults there are."""
         super().tick(replace(seen, faults={}))
@@ -60,8 +53,7 @@ class SteadySequence(CellSequence):
     @property
     def progress(self) -> float:
         """Progress by the clock, since samples may be missing."""
-        works = self._works
-        return (works.now - works.began) / works.duration if works.duration else 0.0
+        return (self.now - self.began) / self.duration if self.duration else 0.0
 
 
 def main() -> int:

@@ -223,10 +223,19 @@ def run_cycle(
         if in_place_of_cell:
             cell = graph.start_program("cell", in_place_of_cell, read_output=True)
         else:
-            extra, command = {"progress": True}, commands.get("cell")
-            cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
+            command = commands.get("cell")
+            cell = graph.start("cell", {"progress": True}, parameter_file, command=command, read_output=True)
         started(ids)
-        _follow(graph, cell, (*programs, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
+        deadline, finished = time.monotonic() + duration + _SLACK_S, False
+        while not finished and cell.poll() is None:
+            graph.check((*programs, *RECORDED))
+            if time.monotonic() > deadline:
+                raise LaunchError("the cycle did not end in time")
+            if select.select([cell.stdout], [], [], 0.2)[0] and cell.stdout is not None:
+                word, _, fraction = cell.stdout.readline().partition(" ")
+                finished = word == "progress" and progress(float(fraction)) is True
+        if not finished and cell.returncode != 0:
+            raise LaunchError(f"cell: {graph.last_words('cell')}")
         # The other nodes publish their last incomplete batches when they end.
         codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
@@ -235,19 +244,3 @@ def run_cycle(
         for name, code in codes.items():
             if code != 0:
                 print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
-
-
-def _follow(
-    graph: Graph, cell: Any, watched: Sequence[str], deadline: float, progress: Callable[[float], object]
-) -> None:
-    """Pass on the cell's progress until the cell ends or ``progress`` returns True; LaunchError if a node fails."""
-    while cell.poll() is None:
-        graph.check(watched)
-        if time.monotonic() > deadline:
-            raise LaunchError("the cycle did not end in time")
-        if select.select([cell.stdout], [], [], 0.2)[0]:
-            word, _, fraction = cell.stdout.readline().partition(" ")
-            if word == "progress" and progress(float(fraction)) is True:
-                return
-    if cell.returncode != 0:
-        raise LaunchError(f"cell: {graph.last_words('cell')}")

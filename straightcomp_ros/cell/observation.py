@@ -98,15 +98,12 @@ class StrokeErrors:
             positions.popleft()
         still = abs(x - positions[0][1]) < _STILL_M
         if still and not self.still:
-            self._finish()
+            self.finished += 1
+            self.last_pp = self._high - self._low if self._high >= self._low else math.nan
+            self._low, self._high = math.inf, -math.inf
         self.still = still
 
     def add_error(self, error: float) -> None:
         """Add a compensation error in m."""
         if not self.still and math.isfinite(error):
             self._low, self._high = min(self._low, error), max(self._high, error)
-
-    def _finish(self) -> None:
-        self.finished += 1
-        self.last_pp = self._high - self._low if self._high >= self._low else math.nan
-        self._low, self._high = math.inf, -math.inf

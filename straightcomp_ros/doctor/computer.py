@@ -87,10 +87,9 @@ def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: floa
 def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
     """Which ROS 2 is sourced, if any."""
     name = environment.get("ROS_DISTRO")
-    if name is None:
-        return Finding("distribution", "ok", "none sourced: the wheels of the virtual environment are used")
     remedy = f"Source /opt/ros/{_DISTRIBUTION}/setup.bash in a new shell."
-    return judged("distribution", name == _DISTRIBUTION, name, remedy)
+    detail = name or "none sourced: the wheels of the virtual environment are used"
+    return judged("distribution", name in (None, _DISTRIBUTION), detail, remedy)
 
 
 def discovery(environment: Mapping[str, str] = os.environ) -> Finding:

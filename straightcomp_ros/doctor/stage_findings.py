@@ -105,85 +105,78 @@ def stage_findings(
         yield Finding("survey", "fail", str(error))
         return
     found = consequences(stage, control, straightness)
-    yield _span(stage, straightness)
-    yield _correction(stage, found)
-    yield _reference(stage, found, tracking)
-    yield _pole(stage, found)
-    yield _loop(control, stage, found)
-    yield _force(stage, found)
-    yield _quanta(stage, found)
-    yield _bus(stage, found)
+    yield from _guide_findings(stage, straightness, found, tracking.bandwidth)
+    yield from _loop_findings(stage, control, found)
+    yield from _drive_findings(stage, found)
 
 
-def _span(stage: StageParameters, straightness: StraightnessMap) -> Finding:
+def _guide_findings(
+    stage: StageParameters, straightness: StraightnessMap, found: Consequences, bandwidth: float
+) -> Iterator[Finding]:
+    """Survey, travel and reference; ``bandwidth`` (Hz) is that of the feedforward's tracking filter."""
+    motion, stop = stage.motion, stage.platform.stop
     first, last = straightness.span
-    start, end = stage.motion.start, stage.motion.start + stage.motion.stroke
+    start, end = motion.start, motion.start + motion.stroke
     detail = (
         f"survey from {first * 1e3:.1f} to {last * 1e3:.1f} mm, strokes from {start * 1e3:.1f} to {end * 1e3:.1f} mm"
     )
     beyond = max(first - start, end - last)
     remedy = "Survey the whole stroke, or shorten stage.motion.stroke."
-    return judged("survey", beyond <= 1e-6, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
+    yield judged("survey", beyond <= 1e-6, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
 
-
-def _correction(stage: StageParameters, found: Consequences) -> Finding:
     detail = (
         f"correction of {found.correction * 1e6:.1f} µm to each side; travel {stage.guide.travel * 1e6:g} µm, "
-        f"stop at {stage.platform.stop * 1e6:g} µm"
+        f"stop at {stop * 1e6:g} µm"
     )
-    if stage.guide.travel >= stage.platform.stop:
-        return Finding("travel", "fail", detail, "stage.guide.travel must lie inside stage.platform.stop.")
     narrowest = stage.actuator.air_gap * (1.0 - stage.uncertainty.air_gap)
-    if narrowest <= stage.platform.stop:
+    if stage.guide.travel >= stop:
+        yield Finding("travel", "fail", detail, "stage.guide.travel must lie inside stage.platform.stop.")
+    elif narrowest <= stop:
         detail += f", but the air gap may be {narrowest * 1e6:.0f} µm"
-        return Finding("travel", "warn", detail, "Measure the air gap and lower stage.uncertainty.air_gap.")
-    return Finding("travel", "ok", detail)
+        yield Finding("travel", "warn", detail, "Measure the air gap and lower stage.uncertainty.air_gap.")
+    else:
+        yield Finding("travel", "ok", detail)
 
-
-def _reference(stage: StageParameters, found: Consequences, tracking: FeedforwardParameters) -> Finding:
     # The stage's acceleration changes within a sample; the tracking filter knows it late by about 1/(2π f).
-    late = 1.0 / (2.0 * math.pi * tracking.bandwidth)
-    wrong = found.reference_speed / stage.motion.speed * stage.motion.acceleration * late
+    wrong = found.reference_speed / motion.speed * motion.acceleration / (2.0 * math.pi * bandwidth)
     error = wrong * found.dead_time
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; at the ends "
         f"of a ramp ṙ errs by {wrong * 1e6:.1f} µm/s, {error * 1e9:.0f} nm within the dead time"
     )
     remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
-    return judged("reference", error <= stage.encoder.y_resolution, detail, remedy)
+    yield judged("reference", error <= stage.encoder.y_resolution, detail, remedy)
 
 
-def _pole(stage: StageParameters, found: Consequences) -> Finding:
+def _loop_findings(stage: StageParameters, control: ControlParameters, found: Consequences) -> Iterator[Finding]:
     detail = (
         f"the magnets' negative stiffness of {found.position_stiffness / 1e3:.3g} kN/m gives a pole at "
         f"{found.unstable_pole:.0f} 1/s; dead time {found.dead_time * 1e3:.2f} ms; product {found.difficulty:.2f}"
     )
-    longest = EASY / found.unstable_pole
-    bias = stage.actuator.bias_current * (EASY / found.difficulty)
     remedy = (
-        f"Below {EASY:g} gains with usual margins exist: shorten the dead time to {longest * 1e3:.2f} ms (rate, delay, "
-        f"amplifier), or lower stage.actuator.bias_current to {bias:.2g} A, or add mass."
+        f"Below {EASY:g} gains with usual margins exist: shorten the dead time to "
+        f"{EASY / found.unstable_pole * 1e3:.2f} ms (rate, delay, amplifier), or lower stage.actuator.bias_current to "
+        f"{stage.actuator.bias_current * (EASY / found.difficulty):.2g} A, or add mass."
     )
     bad = "fail" if found.difficulty >= FEASIBLE else "warn"
-    return judged("instability", found.difficulty < EASY, detail, remedy, bad)
+    yield judged("instability", found.difficulty < EASY, detail, remedy, bad)
 
-
-def _loop(control: ControlParameters, stage: StageParameters, found: Consequences) -> Finding:
     margins, law = found.margins, control.law
     if margins is None:
-        return Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
-    missing = missing_margin(control, stage)
-    if missing is not None:
-        return Finding("loop", "fail", missing, "The controller refuses these gains: design others.")
-    detail = (
-        f"law {law}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
-        f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"
-    )
-    wide = margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH
-    return judged("loop", wide, detail, "The margins are thin: straightcomp design finds gains for this stage.")
+        yield Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
+    elif missing := missing_margin(control, stage):
+        yield Finding("loop", "fail", missing, "The controller refuses these gains: design others.")
+    else:
+        detail = (
+            f"law {law}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
+            f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"
+        )
+        wide = margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH
+        yield judged("loop", wide, detail, "The margins are thin: straightcomp design finds gains for this stage.")
 
 
-def _force(stage: StageParameters, found: Consequences) -> Finding:
+def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Finding]:
+    """Current, quantisation and load of the bus."""
     limit, drive, bias = stage.actuator.current_limit, stage.drive.current_range, stage.actuator.bias_current
     detail = (
         f"friction, pull and acceleration need up to {found.holding_current:.3g} A; limit {limit:g} A, "
@@ -191,31 +184,28 @@ def _force(stage: StageParameters, found: Consequences) -> Finding:
     )
     if limit > min(drive, bias):
         smaller = "the converter's range" if drive < bias else "the bias current, beyond which one magnet only pulls"
-        return Finding("force", "warn", detail, f"stage.actuator.current_limit is above {smaller}.")
-    if found.holding_current > limit:
-        return Finding("force", "fail", detail, "Raise current limit and bias, or reduce friction, mass or speed.")
-    remedy = "Little is left for the law's corrections: raise the current limit."
-    return judged("force", found.holding_current <= _SHARE_OF_LIMIT * limit, detail, remedy)
+        yield Finding("force", "warn", detail, f"stage.actuator.current_limit is above {smaller}.")
+    elif found.holding_current > limit:
+        yield Finding("force", "fail", detail, "Raise current limit and bias, or reduce friction, mass or speed.")
+    else:
+        remedy = "Little is left for the law's corrections: raise the current limit."
+        yield judged("force", found.holding_current <= _SHARE_OF_LIMIT * limit, detail, remedy)
 
-
-def _quanta(stage: StageParameters, found: Consequences) -> Finding:
     count = stage.encoder.y_resolution
     detail = (
         f"a count of {count * 1e9:g} nm leaves some {found.encoder_floor * 1e9:.0f} nm p-p at best; a step of the D/A "
         f"converter is {found.dac_force * 1e3:.3g} mN, or {found.dac_displacement * 1e9:.3g} nm against the bristles"
     )
     remedy = "The D/A converter is coarser than the encoder: use more bits, or a smaller range or gain."
-    return judged("quanta", found.dac_displacement <= count, detail, remedy)
+    yield judged("quanta", found.dac_displacement <= count, detail, remedy)
 
-
-def _bus(stage: StageParameters, found: Consequences) -> Finding:
     only_fd = ": only CAN FD carries it" if found.can_load > _BUS_FULL >= found.can_fd_load else ""
     detail = (
         f"at {stage.rate} Hz classic CAN (1 Mbit/s) is busy by {found.can_load:.0%}, CAN FD (5 Mbit/s) by "
         f"{found.can_fd_load:.0%}{only_fd}"
     )
     remedy = "No CAN bus carries this rate: use another link, or a lower rate."
-    return judged("bus", found.can_fd_load <= _BUS_FULL, detail, remedy)
+    yield judged("bus", found.can_fd_load <= _BUS_FULL, detail, remedy)
 
 
 def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
@@ -248,9 +238,13 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
 
 
 def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
-    least, largest = frames.spans[field]
-    step = _step(frames, field, ends)
-    signal = frames.fields[field].name
+    (least, largest), step = frames.spans[field], frames.step(field)
+    coded, signal = frames.fields[field], frames.fields[field].name
+    if coded.is_float:
+        # Its resolution where the stage needs the largest number.
+        scale = abs(coded.scale * frames.factors[field])
+        kind = {16: np.float16, 32: np.float32, 64: np.float64}[coded.length]
+        step = float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale
     detail = (
         f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "
         f"{ends[0]:.6g} to {ends[1]:.6g} {unit} in steps of {resolution:.3g} {unit}"
@@ -261,13 +255,3 @@ def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], res
     remedy = f"The scale of '{signal}' is too coarse: use a finer one, or more bits."
     # A DBC file writes its scales with few digits.
     return judged(name, step <= 1.001 * resolution, detail, remedy)
-
-
-def _step(frames: Frames, field: str, ends: tuple[float, float]) -> float:
-    """Resolution in SI units; of a float where the stage needs the largest number."""
-    signal, factor = frames.fields[field], frames.factors[field]
-    if not signal.is_float:
-        return frames.step(field)
-    scale = abs(signal.scale * factor)
-    kind = {16: np.float16, 32: np.float32, 64: np.float64}[signal.length]
-    return float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale

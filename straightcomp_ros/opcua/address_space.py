@@ -99,7 +99,7 @@ class AddressSpace:
     async def build(self, nodes: Sequence[str], command: Commander) -> None:
         """Make all nodes; ``nodes`` are those of the graph whose state is shown, ``command`` is what methods do."""
         self._index = await self._server.register_namespace(NAMESPACE)
-        cell = await self._server.nodes.objects.add_object(self._id(""), self._named(CELL))
+        cell = await self._server.nodes.objects.add_object(ua.NodeId(CELL, self._index), self._named(CELL))
         counter = Value(T.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)
         folders = {
             "Status": {**_STATUS, "Heartbeat": counter},
@@ -147,8 +147,8 @@ class AddressSpace:
                 await self._events.trigger(message=f"{alarm}: {self._active.get(alarm, 'over')}")
 
     def _id(self, path: str) -> ua.NodeId:
-        """Named by its path: such ids stay what they are from start to start."""
-        return ua.NodeId(f"{CELL}.{path}" if path else CELL, self._index)
+        """An id by path is the same after each start."""
+        return ua.NodeId(f"{CELL}.{path}", self._index)
 
     def _named(self, text: str) -> ua.QualifiedName:
         return ua.QualifiedName(text, self._index)
@@ -161,26 +161,33 @@ class AddressSpace:
             node = await folder.add_variable(self._id(path), self._named(key), start, varianttype=kind)
             await _describe(node, value.description)
             if value.unit:
+                code = _UNITS[value.unit]
+                information = ua.EUInformation(
+                    NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+                    UnitId=int.from_bytes(code.encode(), "big"),
+                    DisplayName=ua.LocalizedText(value.unit),
+                    Description=ua.LocalizedText(code),
+                )
                 unit = ua.QualifiedName("EngineeringUnits")
-                await node.add_property(self._id(f"{path}.EngineeringUnits"), unit, _unit(value.unit))
+                await node.add_property(self._id(f"{path}.EngineeringUnits"), unit, information)
             self._values.append((node, value))
         return folder
 
     async def _add_method(self, folder: Node, kind: Command | Order, text: str, command: Commander) -> None:
         async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
-            if len(given) != len(types):
-                fewer = len(given) < len(types)
-                codes = ua.StatusCodes
-                return ua.StatusCode(codes.BadArgumentsMissing if fewer else codes.BadTooManyArguments)
+            codes, values = ua.StatusCodes, [variant.Value for variant in given]
+            if len(given) < len(types):
+                return ua.StatusCode(codes.BadArgumentsMissing)
+            if len(given) > len(types):
+                return ua.StatusCode(codes.BadTooManyArguments)
             # A client may send an array, or no value, of the right type.
-            inputs = [variant.Value for variant in given]
-            if [variant.VariantType for variant in given] != types or not all(isinstance(one, int) for one in inputs):
-                return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
+            if [variant.VariantType for variant in given] != types or not all(isinstance(one, int) for one in values):
+                return ua.StatusCode(codes.BadInvalidArgument)
             try:
-                refused = await command(kind, *(inputs or [0]))
+                refused = await command(kind, *(values or [0]))
             except asyncio.TimeoutError:
-                return ua.StatusCode(ua.StatusCodes.BadTimeout)
-            return ua.StatusCode(ua.StatusCodes.BadInvalidState) if refused else []
+                return ua.StatusCode(codes.BadTimeout)
+            return ua.StatusCode(codes.BadInvalidState) if refused else []
 
         arguments, types = [], []
         if kind in _ARGUMENTS:
@@ -196,13 +203,3 @@ class AddressSpace:
 
 async def _describe(node: Node, text: str) -> None:
     await node.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
-
-
-def _unit(text: str) -> ua.EUInformation:
-    code = _UNITS[text]
-    return ua.EUInformation(
-        NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
-        UnitId=int.from_bytes(code.encode(), "big"),
-        DisplayName=ua.LocalizedText(text),
-        Description=ua.LocalizedText(code),
-    )

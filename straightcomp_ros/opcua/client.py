@@ -28,41 +28,35 @@ class CellClient:
         self._client, self._index = client, index
 
     async def read(self, path: str) -> object:
-        """Value of a variable, e.g. ``Status.StateName``; None where it has none now."""
+        """Value of a variable, e.g. ``Status.StateName``; None if it has none now."""
         return (await self._node(path).read_data_value(raise_on_bad_status=False)).Value.Value
 
     async def state(self) -> State:
         """Present state."""
         return State(int(await self.read("Status.StateCurrent")))
 
-    async def command(self, command: Command, strokes: int | None = None) -> None:
-        """Give a command; raises CycleFailed where it is refused."""
-        await self._call(command, *([] if strokes is None else [ua.Variant(strokes, ua.VariantType.UInt32)]))
+    async def command(self, asked: Command | Order, argument: int | None = None) -> None:
+        """Call a command's method, with the strokes of Start (int) or the middle of Center (bool).
 
-    async def reload_map(self) -> None:
-        """Have the map's file read again; raises CycleFailed where that is refused."""
-        await self._call(Order.RELOAD_MAP)
-
-    async def center(self, middle: bool) -> None:
-        """Reference to the middle of the travel, or back to the map; raises CycleFailed where that is refused."""
-        await self._call(Order.CENTER, ua.Variant(middle, ua.VariantType.Boolean))
-
-    async def until(self, wanted: State, on_the_way: set[State], progress: Callable[[float], None]) -> None:
-        """Wait for a state; raises CycleFailed where the machine leaves the way."""
-        while (state := await self.state()) is not wanted:
-            if state not in on_the_way:
-                raise CycleFailed(f"{name(state)} instead of {name(wanted)}: {await self.read('Status.Message')}")
-            asked, done = await self.read("Status.StrokesAsked"), await self.read("Status.StrokesDone")
-            progress(done / asked if asked and state is not State.RESETTING else 0.0)
-            await asyncio.sleep(_LOOK_EVERY_S)
-
-    async def _call(self, asked: Command | Order, *arguments: ua.Variant) -> None:
+        CycleFailed: it is refused.
+        """
+        kind = ua.VariantType.Boolean if isinstance(argument, bool) else ua.VariantType.UInt32
+        arguments = [] if argument is None else [ua.Variant(argument, kind)]
         method = name(asked)
         try:
             await self._node("Commands").call_method(self._node(f"Commands.{method}").nodeid, *arguments)
         except ua.UaStatusCodeError as error:
             await asyncio.sleep(2 * _LOOK_EVERY_S)
             raise CycleFailed(f"{method} refused: {error} {await self.read('Status.Message')}") from error
+
+    async def until(self, wanted: State, on_the_way: set[State], progress: Callable[[float], None]) -> None:
+        """Wait for a state; CycleFailed: the machine enters one that is neither that nor ``on_the_way``."""
+        while (state := await self.state()) is not wanted:
+            if state not in on_the_way:
+                raise CycleFailed(f"{name(state)} instead of {name(wanted)}: {await self.read('Status.Message')}")
+            asked, done = await self.read("Status.StrokesAsked"), await self.read("Status.StrokesDone")
+            progress(done / asked if asked and state is not State.RESETTING else 0.0)
+            await asyncio.sleep(_LOOK_EVERY_S)
 
     def _node(self, path: str) -> Node:
         return self._client.get_node(ua.NodeId(f"{CELL}.{path}", self._index))

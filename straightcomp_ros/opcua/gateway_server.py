@@ -1,7 +1,6 @@
 """The OPC UA server, on a thread of its own: clients cannot hold up the node that feeds it."""
 
 import asyncio
-import contextlib
 import filecmp
 import logging
 import math
@@ -15,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TextIO
@@ -79,18 +79,14 @@ class AtMostALineASecond(logging.StreamHandler):  # type: ignore[type-arg]
         if now < self._next:
             self._left_out += 1
             return
-        left_out = f"; {self._left_out} lines before it left out" if self._left_out else ""
+        super().emit(record)
         self._next, self._left_out = now + 1.0, 0
-        super().emit(logging.makeLogRecord({**record.__dict__, "msg": f"{_line_of(record)}{left_out}", "args": ()}))
 
     def format(self, record: logging.LogRecord) -> str:
-        return str(record.msg)
-
-
-def _line_of(record: logging.LogRecord) -> str:
-    error = record.exc_info[1] if record.exc_info else None
-    line = " ".join(f"OPC UA: {record.getMessage()}{f': {error!r}' if error else ''}".split())
-    return line[:_LONGEST_LINE].encode("unicode_escape").decode()
+        error = f": {record.exc_info[1]!r}" if record.exc_info and record.exc_info[1] else ""
+        line = " ".join(f"OPC UA: {record.getMessage()}{error}".split())[:_LONGEST_LINE]
+        left_out = f"; {self._left_out} lines before it left out" if self._left_out else ""
+        return line.encode("unicode_escape").decode() + left_out
 
 
 _LOG = AtMostALineASecond()
@@ -137,12 +133,11 @@ class GatewayServer:
 
         Those whose client has gone, or got a timeout, are left out: no client waits for them any more.
         """
-        with contextlib.suppress(queue.Empty):
-            while True:
-                request = self._requests.get_nowait()
-                # From here on it cannot be cancelled: an answer that no client takes does no harm.
-                if request.answer.set_running_or_notify_cancel():
-                    yield request
+        while not self._requests.empty():
+            request = self._requests.get_nowait()
+            # From here on it cannot be cancelled: an answer that no client takes does no harm.
+            if request.answer.set_running_or_notify_cancel():
+                yield request
 
     def close(self) -> None:
         """Disconnect all clients and stop."""
@@ -213,17 +208,14 @@ def make_room(clients: Sequence[OPCUAProtocol], most: int) -> None:
     for client in clients:
         if client.transport is not None and client.transport.get_write_buffer_size() > _MOST_UNSENT:
             client.transport.abort()
-    known = [client for client in clients if _is_known(client)]
+    sessions = [client.processor.session if client.processor else None for client in clients]
+    admitted = [bool(session and session.is_activated() and session.user.name) for session in sessions]
+    known = list(compress(clients, admitted))
     others = [client for client in clients if client not in known]
     for client in [*others, *reversed(known)][: max(len(clients) - most, 0)]:
         if client.transport is not None:
             # To close it properly would wait for a client that may not read.
             client.transport.abort()
-
-
-def _is_known(client: OPCUAProtocol) -> bool:
-    session = client.processor.session if client.processor else None
-    return session is not None and session.is_activated() and session.user.name is not None
 
 
 async def _own_certificate(folder: str | Path) -> tuple[Path, Path]:

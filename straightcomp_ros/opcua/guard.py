@@ -33,6 +33,11 @@ _PAUSE_S = 1.0
 """After a refused login, on the same connection."""
 
 
+def _refuse(status: int, refused: object = True) -> None:
+    if refused:
+        raise ServiceError(status)
+
+
 class Access:
     """Decides who may connect (with ``encrypted``: signed and encrypted, with a certificate that ``trust`` holds, where
     there is one) and who may log in."""
@@ -43,12 +48,10 @@ class Access:
 
     def check_channel(self, certificate: bytes | None) -> None:
         """Raise ServiceError if a client with this certificate (DER; None: unsecured channel) may have no session."""
-        if not self._encrypted:
-            return
-        if not certificate:
-            raise ServiceError(ua.StatusCodes.BadSecurityModeInsufficient)
-        if self._trust is not None and not self._trust.validate(x509.load_der_x509_certificate(certificate)):
-            raise ServiceError(ua.StatusCodes.BadCertificateUntrusted)
+        _refuse(ua.StatusCodes.BadSecurityModeInsufficient, self._encrypted and not certificate)
+        if self._encrypted and certificate and self._trust is not None:
+            trusted = self._trust.validate(x509.load_der_x509_certificate(certificate))
+            _refuse(ua.StatusCodes.BadCertificateUntrusted, not trusted)
 
     def get_user(
         self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
@@ -69,8 +72,7 @@ class Access:
         now = time.monotonic()
         self._logins = min(_LOGINS_AT_ONCE, self._logins + (now - self._refilled) * _LOGINS_PER_S)
         self._refilled = now
-        if self._logins < 1.0:
-            raise ServiceError(ua.StatusCodes.BadTooManyOperations)
+        _refuse(ua.StatusCodes.BadTooManyOperations, self._logins < 1.0)
         self._logins -= 1.0
 
 
@@ -135,8 +137,7 @@ class GuardedSession(InternalSession):
         self.iserver.access.check_channel(peer_certificate)
         # One connection must not use up the logins of all.
         now, refused = time.monotonic(), self.iserver.refused_until
-        if now < refused.get(self.name, now):
-            raise ServiceError(ua.StatusCodes.BadTooManyOperations)
+        _refuse(ua.StatusCodes.BadTooManyOperations, now < refused.get(self.name, now))
         try:
             return super().activate_session(params, peer_certificate)
         except (ServiceError, ua.UaError):
@@ -150,25 +151,23 @@ class GuardedSession(InternalSession):
         await super().close_session(True)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        if self.user.role is not UserRole.User:
-            raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+        _refuse(ua.StatusCodes.BadUserAccessDenied, self.user.role is not UserRole.User)
         return await super().call(params)
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         return [ua.StatusCode(ua.StatusCodes.BadUserAccessDenied) for _ in params.NodesToWrite]
 
-    async def _refuse(self, *_: Any) -> Any:
-        raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+    async def _denied(self, *_: Any) -> Any:
+        _refuse(ua.StatusCodes.BadUserAccessDenied)
 
-    add_nodes = delete_nodes = add_references = delete_references = _refuse
-    history_update = transfer_subscriptions = _refuse
+    add_nodes = delete_nodes = add_references = delete_references = _denied
+    history_update = transfer_subscriptions = _denied
     delete_subscriptions = _own_only(InternalSession.delete_subscriptions, lambda numbers: numbers)
     set_publishing_mode = _own_only(InternalSession.set_publishing_mode, lambda params: params.SubscriptionIds)
     republish = _own_only(InternalSession.republish, lambda params: [params.SubscriptionId])
 
     async def create_subscription(self, params: ua.CreateSubscriptionParameters, *rest: Any, **options: Any) -> Any:
-        if len(self._own_subscriptions()) >= _MOST_SUBSCRIPTIONS:
-            raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
+        _refuse(ua.StatusCodes.BadTooManySubscriptions, len(self._own_subscriptions()) >= _MOST_SUBSCRIPTIONS)
         params.RequestedPublishingInterval = max(params.RequestedPublishingInterval, _FASTEST_PUBLISHING_MS)
         return await super().create_subscription(params, *rest, **options)
 
@@ -182,8 +181,7 @@ class GuardedSession(InternalSession):
     ) -> list[ua.MonitoredItemCreateResult]:
         self.check_own(params.SubscriptionId)
         self._items += len(params.ItemsToCreate)
-        if self._items > _MOST_MONITORED_ITEMS:
-            raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)
+        _refuse(ua.StatusCodes.BadTooManyMonitoredItems, self._items > _MOST_MONITORED_ITEMS)
         return await super().create_monitored_items(params)
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
@@ -198,5 +196,4 @@ class GuardedSession(InternalSession):
 
     def check_own(self, subscription: int) -> None:
         """Raise ServiceError if this session has not made the subscription."""
-        if subscription not in self._own_subscriptions():
-            raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
+        _refuse(ua.StatusCodes.BadSubscriptionIdInvalid, subscription not in self._own_subscriptions())

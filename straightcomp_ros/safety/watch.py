@@ -198,10 +198,8 @@ class ErrorWatch:
 
     def check(self, error: float, *, amplifier_on: bool) -> Finding | None:
         """The fault of a sample with ``error`` in m, if any; reported once."""
-        within = abs(error) <= self.limit
-        left = self._held and amplifier_on and not within
-        self._held = amplifier_on and within
-        if not left:
+        held, self._held = self._held, amplifier_on and abs(error) <= self.limit
+        if self._held or not (held and amplifier_on):
             return None
         where = f"the platform is {error * 1e6:.1f} µm from its reference"
         return Fault.FOLLOWING_ERROR, f"{where}; allowed: ±{self.limit * 1e6:g} µm"

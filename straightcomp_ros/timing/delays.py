@@ -97,10 +97,8 @@ class Histogram:
 
     def take(self) -> Distribution:
         """The durations since the last call."""
-        counts = {place: count for place, count in enumerate(self._counts) if count}
-        taken = Distribution(counts, self._largest_ns)
-        self._counts[:] = [0] * _BINS
-        self._largest_ns = 0
+        taken = Distribution({place: count for place, count in enumerate(self._counts) if count}, self._largest_ns)
+        self._counts[:], self._largest_ns = [0] * _BINS, 0
         return taken
 
 
@@ -120,16 +118,10 @@ class StampGaps:
 
     def see(self, stamp_ns: int) -> None:
         """Take the stamp of the next sample; a repeated sample changes nothing."""
-        step = stamp_ns - self._last_ns
-        if step == self._period_ns:
-            self._last_ns = stamp_ns
-            return
-        if step == 0:
-            return
-        self._last_ns = stamp_ns
+        step, self._last_ns = stamp_ns - self._last_ns, stamp_ns
         if 0 < step < self._period_ns:
             self._period_ns = step
-        elif 0 < step < _RESTART_NS:
+        elif self._period_ns < step < _RESTART_NS:
             self.lost += round(step / self._period_ns) - 1
 
 

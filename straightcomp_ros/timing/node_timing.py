@@ -3,9 +3,8 @@
 import enum
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from typing import Any, NamedTuple
 
 from straightcomp_ros.timing.delays import NOTHING, Distribution
@@ -52,11 +51,10 @@ def reporting_node(status: str, namespace: str) -> str:
 def number(values: Mapping[str, str], name: str) -> float:
     """The value ``name`` of a status, which any program may have written; NaN if there is none or it is no finite
     number."""
-    try:
-        value = float(values.get(name, "nan"))
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
+    with suppress(ValueError):
+        if math.isfinite(value := float(values.get(name, "nan"))):
+            return value
+    return math.nan
 
 
 def count(values: Mapping[str, str], name: str) -> int:
@@ -239,8 +237,11 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
         return count(last.values, name) - count(first.values, name)
 
     def total(name: str) -> Distribution:
-        texts = [report.values.get(f"{name}_histogram") for report in inside[1:]]
-        return reduce(add, (_distribution(text) for text in texts if text), NOTHING)
+        found = NOTHING
+        for report in inside[1:]:
+            with suppress(ValueError):
+                found += Distribution.from_text(report.values.get(f"{name}_histogram", ""))
+        return found
 
     seconds = (last.time_ns - first.time_ns) * 1e-9
     return NodeTiming(
@@ -252,10 +253,3 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
         latency=total(LATENCY),
         held_up=held_up([report.values for report in inside[1:]]),
     )
-
-
-def _distribution(text: str) -> Distribution:
-    try:
-        return Distribution.from_text(text)
-    except ValueError:
-        return NOTHING

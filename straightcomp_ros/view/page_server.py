@@ -72,13 +72,12 @@ class Series:
         self._number, self._low, self._high = number, math.inf, -math.inf
 
     def after(self, number: int) -> list[list[float]]:
-        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits."""
-        return [slot for slot in self._slots if slot[0] > number]
+        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits.
 
-    @property
-    def newest(self) -> int:
-        """Number of the newest finished slot; -1 without any."""
-        return int(self._slots[-1][0]) if self._slots else -1
+        All where none has that number: the source was started anew.
+        """
+        known = bool(self._slots) and number <= self._slots[-1][0]
+        return [slot for slot in self._slots if not known or slot[0] > number]
 
 
 class Board:
@@ -90,12 +89,10 @@ class Board:
         self._lock = threading.Lock()
 
     def add(self, name: str, samples: Sequence[tuple[int, float]]) -> None:
-        """Add samples to one series."""
         with self._lock:
             self._series[name].add(samples)
 
     def show(self, state: dict[str, object]) -> None:
-        """The state from now on."""
         with self._lock:
             self._state = state
 
@@ -104,10 +101,9 @@ class Board:
         with self._lock:
             fresh = {}
             for name, series in self._series.items():
-                last = seen.get(name, -1)
-                # A source that was started anew counts from the beginning.
-                fresh[name] = series.after(last if last <= series.newest else -1)
-                seen[name] = series.newest
+                fresh[name] = slots = series.after(seen.get(name, -1))
+                if slots:
+                    seen[name] = int(slots[-1][0])
             return {"state": self._state, "series": fresh}
 
 
@@ -186,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.path == "/news":
             self._send_news()
         else:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found")
+            self._answer(HTTPStatus.NOT_FOUND, "not found")
 
     def do_POST(self) -> None:
         # Whatever is left unread of a refused request must not be taken for the next one.
@@ -223,7 +219,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_news(self) -> None:
         self.close_connection = True
         self.server.gets_news(self.connection)
-        self._send_head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Cache-Control": "no-store"})
+        self._send(HTTPStatus.OK, "text/event-stream")
         seen: dict[str, int] = {}
         while not self.server.stopping.wait(_NEWS_EVERY_S):
             text = json.dumps(plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
@@ -232,15 +228,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, status: HTTPStatus, message: str) -> None:
         self._send(status, "application/json", json.dumps({"message": message}).encode())
 
-    def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
-        self._send_head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **_GUARDS})
-        self.wfile.write(body)
-
-    def _send_head(self, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+    def _send(self, status: HTTPStatus, kind: str, body: bytes = b"") -> None:
+        """Send the head and ``body``; without one, what follows ends with the connection."""
+        length = {"Content-Length": str(len(body))} if body else {}
         self.send_response(status)
-        for name, value in headers.items():
+        for name, value in {"Content-Type": kind, **length, **_GUARDS}.items():
             self.send_header(name, value)
         self.end_headers()
+        self.wfile.write(body)
 
     def log_message(self, *_: Any) -> None:
         """Nothing: ten lines a second would be."""

@@ -28,23 +28,23 @@ class Bench:
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
         self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now, **options)
 
+    def see(self, **changes):
+        self.seen = replace(self.seen, **changes)
+
     def activate(self):
-        self.seen = replace(self.seen, nodes={"driver": "active"})
+        self.see(nodes={"driver": "active"})
 
     def switch_on(self):
         self.requests.append("on")
-        if self.obeys:
-            self.seen = replace(self.seen, amplifier_on=True)
-        else:
-            self.refusal = "not today"
+        self.refusal = "" if self.obeys else "not today"
+        self.see(amplifier_on=self.seen.amplifier_on or self.obeys)
 
     def switch_off(self):
         self.requests.append("off")
-        self.seen = replace(self.seen, amplifier_on=False)
+        self.see(amplifier_on=False)
 
     def reset_faults(self):
-        if self.obeys:
-            self.seen = replace(self.seen, faults={})
+        self.see(faults={} if self.obeys else self.seen.faults)
 
     def move(self, waypoints):
         assert waypoints[0].position == self.seen.x
@@ -71,11 +71,9 @@ class Bench:
 
     def tick(self):
         self.now += TICK_S
-        x, still = self.seen.x, True
-        if self.moves:
-            end, goal = self.moves[-1]
-            x, still = (goal, True) if self.now >= end else (x, False)
-        self.seen = replace(self.seen, stamp_ns=round(self.now * 1e9), x=x, still=still)
+        end, goal = self.moves[-1] if self.moves else (0.0, self.seen.x)
+        still = self.now >= end
+        self.see(stamp_ns=round(self.now * 1e9), x=goal if still else self.seen.x, still=still)
         self.sequence.tick(self.seen)
 
     def ticks(self, count):
@@ -84,8 +82,7 @@ class Bench:
 
     def until(self, state, seconds=30.0):
         """Tick until the state comes; returns the states on the way, each once in a row."""
-        way = [self.sequence.state]
-        end = self.now + seconds
+        way, end = [self.sequence.state], self.now + seconds
         while self.sequence.state is not state:
             assert self.now < end, way
             self.tick()
@@ -94,59 +91,53 @@ class Bench:
         return way
 
     def idle(self):
-        assert not self.sequence.command(Command.RESET)
-        assert self.until(State.IDLE) == [State.RESETTING, State.IDLE]
+        assert self.give(Command.RESET, State.IDLE) == [State.RESETTING, State.IDLE]
 
-    def started(self, strokes):
-        self.idle()
-        assert not self.sequence.command(Command.START, strokes)
-        self.until(State.EXECUTE)
+    def give(self, command, state, strokes=0):
+        """Give a command that is accepted; returns the states on the way to ``state``."""
+        assert not self.sequence.command(command, strokes)
+        return self.until(state)
 
-    def see(self, **changes):
-        self.seen = replace(self.seen, **changes)
+
+def started(strokes, **options):
+    """A bench whose sequence executes."""
+    bench = Bench(**options)
+    bench.idle()
+    bench.give(Command.START, State.EXECUTE, strokes)
+    return bench
 
 
 COIL = {"driver": "coil burnt"}
 
 
-def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_the_amplifier_off():
+def test_a_cycle_runs_as_many_strokes_as_are_allowed_forward_and_back_and_ends_with_the_amplifier_off():
     bench = Bench()
     bench.idle()
-    assert not bench.sequence.command(Command.START, 2)
-    assert bench.until(State.COMPLETE) == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
+    for strokes in (-1, 10**7):
+        assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)
+        assert bench.sequence.state is State.IDLE
+    way = bench.give(Command.START, State.COMPLETE, 2)
+    assert way == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert [goal for _, goal in bench.moves] == [0.1, 0.0, 0.1, 0.0]
     assert bench.sequence.movements.strokes_done == 2 and not bench.seen.amplifier_on
 
 
 def test_hold_rests_at_the_end_of_the_movement_and_unhold_goes_on_with_the_next():
-    bench = Bench()
-    bench.started(1)
+    bench = started(1)
     bench.tick()
-    assert not bench.sequence.command(Command.HOLD)
-    bench.until(State.HELD)
+    bench.give(Command.HOLD, State.HELD)
     assert len(bench.moves) == 1 and bench.seen.x == 0.1 and bench.seen.amplifier_on
-    assert not bench.sequence.command(Command.UNHOLD)
-    bench.until(State.COMPLETE)
+    bench.give(Command.UNHOLD, State.COMPLETE)
     assert len(bench.moves) == 2
 
 
 def test_stop_lets_the_movement_end_and_abort_does_not():
     for command, state, arrived in ((Command.STOP, State.STOPPED, True), (Command.ABORT, State.ABORTED, False)):
-        bench = Bench()
-        bench.started(3)
+        bench = started(3)
         bench.tick()
         assert not bench.sequence.command(command)
         bench.until(state)
         assert (bench.seen.x == 0.1) is arrived and not bench.seen.amplifier_on
-
-
-def test_with_no_strokes_it_compensates_until_complete():
-    bench = Bench()
-    bench.started(0)
-    bench.ticks(200)
-    assert bench.sequence.state is State.EXECUTE and not bench.moves
-    assert not bench.sequence.command(Command.COMPLETE)
-    bench.until(State.COMPLETE)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +150,7 @@ def test_with_no_strokes_it_compensates_until_complete():
     ],
 )
 def test_trouble_while_executing_aborts_with_the_reason(trouble, recoveries, words):
-    bench = Bench(as_one=True, recoveries=recoveries)
-    bench.started(1)
+    bench = started(1, as_one=True, recoveries=recoveries)
     bench.see(**trouble)
     bench.until(State.ABORTED)
     assert words in bench.sequence.message and bench.sequence.recovered == 0
@@ -168,33 +158,37 @@ def test_trouble_while_executing_aborts_with_the_reason(trouble, recoveries, wor
 
 
 def test_clear_resets_faults_and_gives_up_where_they_remain():
-    bench = Bench()
-    bench.started(1)
+    bench = started(1)
     bench.see(faults=COIL)
     bench.until(State.ABORTED)
     bench.obeys = False
-    assert not bench.sequence.command(Command.CLEAR)
-    bench.until(State.ABORTED)
+    bench.give(Command.CLEAR, State.ABORTED)
     assert "coil burnt" in bench.sequence.message
     bench.obeys = True
-    assert not bench.sequence.command(Command.CLEAR)
-    bench.until(State.STOPPED)
+    bench.give(Command.CLEAR, State.STOPPED)
 
 
-def test_a_driver_that_refuses_the_amplifier_is_asked_again_and_stops_the_machine_with_its_words():
-    bench = Bench()
+@pytest.mark.parametrize(
+    ("hindrance", "words"),
+    [
+        ({"obeys": False}, "the driver refuses to enable: not today"),
+        ({"center": lambda middle, then: then("not finished")}, "homing: not finished"),
+    ],
+)
+def test_a_node_that_refuses_at_the_start_stops_the_machine_with_its_words(hindrance, words):
+    bench = Bench(home=True)
     bench.idle()
-    bench.obeys = False
-    assert not bench.sequence.command(Command.START, 1)
-    assert bench.until(State.STOPPED)[-2:] == [State.STOPPING, State.STOPPED]
-    assert bench.requests.count("on") > 2 and "refuses to enable: not today" in bench.sequence.message
+    vars(bench).update(hindrance)
+    assert bench.give(Command.START, State.STOPPED, 1)[-2:] == [State.STOPPING, State.STOPPED]
+    assert bench.sequence.message == words and not bench.seen.amplifier_on
+    assert bench.obeys or bench.requests.count("on") > 2  # asked again
 
 
 def test_a_stage_that_does_not_arrive_aborts():
     bench = Bench()
     bench.move = lambda waypoints: None
-    bench.started(1)
-    bench.until(State.ABORTED)
+    bench.idle()
+    bench.give(Command.START, State.ABORTED, 1)
     assert "did not arrive" in bench.sequence.message
 
 
@@ -226,8 +220,7 @@ def test_what_a_node_refuses_is_said_and_changes_nothing():
 
 
 def test_with_the_reference_in_the_middle_no_stroke_begins_until_it_is_back():
-    bench = Bench()
-    bench.started(2)
+    bench = started(2)
     assert not bench.ordered(Order.CENTER, middle=True)
     assert "while strokes are run" in bench.sequence.message
     bench.sequence.command(Command.HOLD)
@@ -239,28 +232,18 @@ def test_with_the_reference_in_the_middle_no_stroke_begins_until_it_is_back():
     assert bench.ordered(Order.CENTER, middle=True)
     bench.idle()
     assert not bench.sequence.centred and not bench.centred
-
-
-def test_no_stroke_begins_before_the_answer_to_center():
-    bench = Bench()
-    bench.idle()
+    # Nor does one begin before the answer; with 0 strokes it compensates until Complete.
     bench.sequence.order(Order.CENTER, True, lambda refusal: None)
-    assert bench.sequence.command(Command.START, 1) and not bench.sequence.command(Command.START, 0)
-
-
-def test_an_answer_that_comes_late_does_not_hide_why_the_machine_aborted():
-    bench = Bench()
-    bench.started(0)
-    bench.sequence.order(Order.RELOAD_MAP, False, lambda refusal: None)
-    bench.see(faults=COIL)
-    bench.until(State.ABORTED)
-    bench.answers.pop()("")
-    assert "coil burnt" in bench.sequence.message
+    assert bench.sequence.command(Command.START, 1)
+    bench.give(Command.START, State.EXECUTE, 0)
+    bench.moves.clear()
+    bench.ticks(200)
+    assert bench.sequence.state is State.EXECUTE and not bench.moves
+    bench.give(Command.COMPLETE, State.COMPLETE)
 
 
 def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time():
-    bench = Bench(as_one=True)
-    bench.started(3)
+    bench = started(3, as_one=True)
     bench.until(State.COMPLETE)
     assert len(bench.moves) == 1 and bench.sequence.movements.strokes_done == 3
     end, goal = bench.moves[0]
@@ -270,72 +253,43 @@ def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time
 def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_after_it():
     bench = Bench(as_one=True, home=True)
     bench.see(stamp_ns=0)
-    sample_ns, began, move = 0, 0.0, bench.move
+    first_ns, samples, lasts_ns = 10**18, [], []
 
     def lockstep():
-        nonlocal sample_ns
-        if bench.moves:
-            end_ns = round((bench.moves[0][0] - began) * 1e9)
-            sample_ns = min(sample_ns + 50_000_000, end_ns - 500_000)
         bench.now += TICK_S
-        first_ns = 10**18 if sample_ns else 0
-        stamp_ns = first_ns + sample_ns if sample_ns else 0
-        bench.see(stamp_ns=stamp_ns, first_ns=first_ns, still=not sample_ns)
+        if lasts_ns:
+            samples.append(min(len(samples) * 50_000_000, lasts_ns[0] - 500_000))
+            bench.see(stamp_ns=first_ns + samples[-1], first_ns=first_ns, still=False)
         bench.sequence.tick(bench.seen)
 
-    def moved(waypoints):
-        nonlocal began
-        began = bench.now
-        move(waypoints)
-
-    bench.tick, bench.move = lockstep, moved
-    bench.started(1)
+    bench.tick, bench.move = lockstep, lambda waypoints: lasts_ns.append(waypoints[-1].time_ns)
+    bench.idle()
+    bench.give(Command.START, State.EXECUTE, 1)
     assert bench.centerings and not any(bench.centerings)
     bench.until(State.COMPLETE)
-    assert sample_ns < round((bench.moves[0][0] - began) * 1e9)
+    assert max(samples) < lasts_ns[0] and len(lasts_ns) == 1
 
 
 def test_homing_takes_the_platform_to_the_middle_and_back_to_the_map_before_the_first_stroke():
     bench = Bench(home=True)
     bench.idle()
     bench.centerings.clear()
-    assert not bench.sequence.command(Command.START, 1)
     began = bench.now
-    bench.until(State.EXECUTE)
+    bench.give(Command.START, State.EXECUTE, 1)
     assert bench.centerings == [True, False] and bench.now - began > 2.0 and not bench.moves
 
 
-def test_a_reference_that_refuses_to_be_homed_stops_the_machine_with_its_words():
-    bench = Bench(home=True)
-    bench.idle()
-    bench.center = lambda middle, then: then("not finished")
-    assert not bench.sequence.command(Command.START, 1)
-    assert bench.until(State.STOPPED)[-2:] == [State.STOPPING, State.STOPPED]
-    assert bench.sequence.message == "homing: not finished"
-
-
 def test_an_amplifier_that_goes_off_in_mid_cycle_is_switched_on_again_as_often_as_that_is_allowed():
-    bench = Bench(as_one=True, recoveries=2)
-    bench.started(1)
+    bench = started(1, as_one=True, recoveries=2)
     for fault in ({"driver": "tripped"}, {}):
         bench.tick()
         bench.see(faults=fault, amplifier_on=False)
-        for _ in range(5):
-            bench.tick()
+        bench.ticks(5)
         assert bench.sequence.state is State.EXECUTE and bench.seen.amplifier_on and not bench.seen.faults
     assert bench.sequence.recovered == 2 and len(bench.moves) == 1
     bench.see(amplifier_on=False)
     bench.until(State.ABORTED)
     assert bench.sequence.message == "the amplifier went off"
-
-
-def test_a_fault_that_remains_ends_the_recovery():
-    bench = Bench(as_one=True, recoveries=2)
-    bench.started(1)
-    bench.obeys = False
-    bench.see(faults=COIL, amplifier_on=False)
-    bench.until(State.ABORTED)
-    assert bench.sequence.message == "the fault remains: driver: coil burnt"
 
 
 @pytest.mark.parametrize(
@@ -356,14 +310,6 @@ def test_what_stands_in_the_way_of_resetting_ends_it_and_leaves_the_amplifier_as
     assert words in bench.sequence.message and bench.now - began < within
     bench.ticks(3)
     assert bench.seen.amplifier_on is seen.get("amplifier_on", False) and not bench.requests
-
-
-@pytest.mark.parametrize("strokes", [-1, 10**7])
-def test_strokes_out_of_range_are_refused(strokes):
-    bench = Bench()
-    bench.idle()
-    assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)
-    assert bench.sequence.state is State.IDLE
 
 
 @given(
@@ -414,11 +360,12 @@ def test_while_the_machine_is_commissioned_no_cycle_begins_and_an_idle_cell_abor
     assert "being commissioned: connection" in bench.sequence.message
 
 
-def test_a_node_that_is_silent_only_after_the_fault_that_its_death_caused_is_added_to_the_reason_once():
-    bench = Bench()
-    bench.started(1)
+def test_to_the_reason_of_an_abort_a_node_that_turns_out_dead_is_added_once_and_a_late_answer_is_not():
+    bench = started(1)
+    bench.sequence.order(Order.RELOAD_MAP, False, lambda refusal: None)
     bench.see(faults={"driver": "command_timeout: no command"})
     bench.until(State.ABORTED)
+    bench.answers.pop()("")
     bench.see(nodes={"driver": "active", "controller": "silent"})
     bench.ticks(3)
     assert bench.sequence.message == (
@@ -426,13 +373,20 @@ def test_a_node_that_is_silent_only_after_the_fault_that_its_death_caused_is_add
     )
 
 
-def test_a_recovery_ends_at_once_when_a_node_has_died():
-    bench = Bench(recoveries=3)
-    bench.started(1)
+@pytest.mark.parametrize(
+    ("then", "within", "words"),
+    [
+        ({}, 10.0, "the fault remains: driver: coil burnt"),
+        ({"nodes": {"driver": "active", "controller": "silent"}}, 0.1, "controller (silent)"),
+    ],
+)
+def test_a_recovery_ends_when_the_fault_remains_and_at_once_when_a_node_has_died(then, within, words):
+    bench = started(1, as_one=True, recoveries=2)
     bench.obeys = False
-    bench.see(amplifier_on=False, faults={"driver": "command_timeout: no command"})
+    bench.see(amplifier_on=False, faults=COIL)
     bench.tick()
     assert bench.sequence.recovered == 1 and bench.sequence.state is State.EXECUTE
-    bench.see(nodes={"driver": "active", "controller": "silent"})
-    bench.tick()
-    assert bench.sequence.state is State.ABORTED and "controller (silent)" in bench.sequence.message
+    bench.see(**then)
+    began = bench.now
+    bench.until(State.ABORTED)
+    assert words in bench.sequence.message and bench.now - began < within

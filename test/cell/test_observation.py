@@ -26,17 +26,11 @@ def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count()
     assert strokes.last_pp == pytest.approx(3e-6)
 
 
-def test_noise_of_the_encoder_is_no_movement():
+def test_neither_noise_of_the_encoder_nor_a_source_that_starts_anew_is_a_movement():
     strokes = StrokeErrors()
     run(strokes, [1e-7 * (k % 3) for k in range(500)], lambda k: 1.0)
+    run(strokes, [0.5] * 50, lambda k: 0.0)
     assert strokes.still and strokes.finished == 0 and math.isnan(strokes.last_pp)
-
-
-def test_a_source_that_starts_anew_is_no_movement():
-    strokes = StrokeErrors()
-    for x in (0.5, 0.1):
-        run(strokes, [x] * 50, lambda k: 0.0)
-    assert strokes.still and strokes.finished == 0
 
 
 WELL = Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True, descriptions={"driver": "a", "cell": "a"})

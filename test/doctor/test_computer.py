@@ -14,6 +14,10 @@ from straightcomp_ros.doctor import Finding, computer
 from straightcomp_ros.parameters.share import share_path
 
 MIB = 1 << 20
+FILE, FOLDER = "file", "."
+FAST = {"cpu0__cpufreq__scaling_governor": "performance\n"}
+MIXED = {**FAST, "cpu1__cpufreq__scaling_governor": "powersave\n"}
+DOWN = {"can0__type": "280\n", "can0__operstate": "down\n"}
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -27,6 +31,10 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys):
     for check in answer["checks"]:
         assert (check["remedy"] == "") == (check["state"] == "ok"), check
         assert check["remedy"] == "" or check["remedy"].endswith("."), check
+
+
+def refused():
+    raise PermissionError(1, "Operation not permitted")
 
 
 def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(monkeypatch, capsys):
@@ -52,16 +60,17 @@ def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_r
     assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
 
 
-def refused():
-    raise PermissionError(1, "Operation not permitted")
+def answer(rmw):
+    """A program that answers as one with this middleware."""
+    return f"import json; print(json.dumps(dict(rclpy='here', rmw='{rmw}')))"
 
 
 @pytest.mark.parametrize(
     ("program", "states", "word"),
     [
-        ('print(\'{"rclpy": "here", "rmw": "rmw_fastrtps_cpp"}\')', ["ok", "ok"], "here"),
-        ('print(\'{"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"}\')', ["ok", "ok"], "here"),
-        ('print(\'{"rclpy": "here", "rmw": "rmw_of_tomorrow"}\')', ["ok", "warn"], "here"),
+        (answer("rmw_fastrtps_cpp"), ["ok", "ok"], "here"),
+        (answer("rmw_cyclonedds_cpp"), ["ok", "ok"], "here"),
+        (answer("rmw_of_tomorrow"), ["ok", "warn"], "here"),
         ("import no_such_rclpy", ["fail"], "no_such_rclpy"),
         ("import os; os.abort()", ["fail"], "exit code -6"),
         ("import time; time.sleep(600)", ["fail"], "timed out"),
@@ -75,36 +84,16 @@ def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program, states, wo
 def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where_it_is_missing(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
-    answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
-    rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
+    rmw = computer.ros((sys.executable, "-c", answer("rmw_cyclonedds_cpp")), timeout=600.0)[1]
     assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
     (found,) = computer.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
 
 
-def locked(limit, capabilities):
-    return {"status": f"CapEff:\t{capabilities}\n"}, lambda at: computer.locked_memory(limit, at / "status")
-
-
-def of_file(check, text=None):
-    return {"file": text} if text is not None else {}, lambda at: check(at / "file")
-
-
-def clock(text, now):
-    return {"file": text}, lambda at: computer.clock(at / "file", now)
-
-
-def governors(*names):
-    files = {f"cpu{number}/cpufreq/scaling_governor": f"{name}\n" for number, name in enumerate(names)}
-    return files, computer.governor
-
-
-def can(**files):
-    return {name.replace("_", "/"): text for name, text in files.items()}, computer.can_interfaces
-
-
-def given(check, *arguments):
-    return {}, lambda _: check(*arguments)
+def given(check, *arguments, **files):
+    """A check with its arguments; ``FILE`` and ``FOLDER`` become paths among ``files`` (text by name, / written __)."""
+    texts = {name.replace("__", "/"): text for name, text in files.items()}
+    return texts, lambda at: check(*(at / one if one in (FILE, FOLDER) else one for one in arguments))
 
 
 @pytest.mark.parametrize(
@@ -121,30 +110,30 @@ def given(check, *arguments):
         (given(computer.discovery, {}), "warn", "LOCALHOST"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "102"}), "warn", "0 to 101"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "x"}), "warn", "0 to 101"),
-        (locked(8 * MIB, "0"), "warn", "memlock unlimited"),
-        (locked(8 * MIB, "4000"), "ok", "CAP_IPC_LOCK"),
-        (locked(resource.RLIM_INFINITY, "0"), "ok", "unlimited"),
-        (locked(1024 * MIB, "0"), "ok", "1024.0 MiB"),
+        (given(computer.locked_memory, 8 * MIB, FILE, file="CapEff:\t0\n"), "warn", "memlock unlimited"),
+        (given(computer.locked_memory, 8 * MIB, FILE, file="CapEff:\t4000\n"), "ok", "CAP_IPC_LOCK"),
+        (given(computer.locked_memory, resource.RLIM_INFINITY, FILE, file="CapEff:\t0\n"), "ok", "unlimited"),
+        (given(computer.locked_memory, 1024 * MIB, FILE, file="CapEff:\t0\n"), "ok", "1024.0 MiB"),
         (given(computer.priority, refused), "warn", "rtprio"),
         (given(computer.priority, lambda: None), "ok", "permitted"),
-        (of_file(computer.throttling, "-1\n"), "warn", "sysctl"),
-        (of_file(computer.throttling, "950000\n"), "ok", "950000"),
-        (of_file(computer.kernel, "1\n"), "ok", "PREEMPT_RT"),
-        (of_file(computer.kernel), "warn", "no PREEMPT_RT"),
-        (of_file(computer.wake_up_latency), "warn", "is not there"),
-        (of_file(computer.wake_up_latency, ""), "ok", "can be written"),
+        (given(computer.throttling, FILE, file="-1\n"), "warn", "sysctl"),
+        (given(computer.throttling, FILE, file="950000\n"), "ok", "950000"),
+        (given(computer.kernel, FILE, file="1\n"), "ok", "PREEMPT_RT"),
+        (given(computer.kernel, FILE), "warn", "no PREEMPT_RT"),
+        (given(computer.wake_up_latency, FILE), "warn", "is not there"),
+        (given(computer.wake_up_latency, FILE, file=""), "ok", "can be written"),
         (given(computer.cores, 2, ()), "warn", "4 or more"),
         (given(computer.cores, 4, ()), "ok", "4"),
         (given(computer.cores, 4, {1}), "warn", "kept off CPU 1"),
-        (governors(), "ok", "none"),
-        (governors("performance"), "ok", "performance"),
-        (governors("performance", "powersave"), "warn", "cpupower"),
-        (clock("tsc\n", 1.8e9), "ok", "tsc"),
-        (clock("hpet\n", 1.8e9), "warn", "clocksource=tsc"),
-        (clock("tsc\n", 0.0), "fail", "year 1970"),
-        (can(eth0_type="1\n"), "warn", "none in the kernel"),
-        (can(can0_type="280\n", can0_operstate="up\n"), "ok", "can0 up"),
-        (can(can0_type="280\n", can0_operstate="down\n"), "warn", "ip link set can0 up"),
+        (given(computer.governor, FOLDER), "ok", "none"),
+        (given(computer.governor, FOLDER, **FAST), "ok", "performance"),
+        (given(computer.governor, FOLDER, **MIXED), "warn", "cpupower"),
+        (given(computer.clock, FILE, 1.8e9, file="tsc\n"), "ok", "tsc"),
+        (given(computer.clock, FILE, 1.8e9, file="hpet\n"), "warn", "clocksource=tsc"),
+        (given(computer.clock, FILE, 0.0, file="tsc\n"), "fail", "year 1970"),
+        (given(computer.can_interfaces, FOLDER, eth0__type="1\n"), "warn", "none in the kernel"),
+        (given(computer.can_interfaces, FOLDER, can0__type="280\n", can0__operstate="up\n"), "ok", "can0 up"),
+        (given(computer.can_interfaces, FOLDER, **DOWN), "warn", "ip link set can0 up"),
     ],
 )
 def test_a_check_judges_a_made_computer(tmp_path, made, state, words):
@@ -183,12 +172,9 @@ def test_a_kernel_that_finishes_its_own_work_first_is_reported(tmp_path, configu
 
 @pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
 def test_a_late_timer_is_a_warning(late, state):
-    passed = [0.0]
-
-    def sleep(duration):
-        passed[0] += duration + late
-
-    assert computer.timer(sleep, lambda: passed[0]).state == state
+    sleeps = []
+    found = computer.timer(sleeps.append, lambda: sum(sleeps) + late * len(sleeps))
+    assert found.state == state
 
 
 def test_python_can_without_our_interface_is_a_warning(monkeypatch):

@@ -15,7 +15,7 @@ from pathlib import Path
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
-from straightcomp_ros.cell.packml import Command, State
+from straightcomp_ros.cell.packml import Command, Order, State
 from straightcomp_ros.opcua.client import CycleFailed, connected
 
 CELL = "StraightnessCell"
@@ -36,24 +36,15 @@ async def outcome(awaitable):
         return type(error).__name__
 
 
-def client(url, user=None):
+async def connect(url, user=None, certificates=None):
     made = Client(url, timeout=20)
     if user:
         made.set_user(user[0])
         made.set_password(user[1])
-    return made
-
-
-async def connect(url, user=None, certificates=None):
-    made = client(url, user)
     if certificates:
         made.application_uri = "urn:straightcomp_ros:client"
-        await made.set_security(
-            SecurityPolicyBasic256Sha256,
-            certificate=certificates / "certificate.der",
-            private_key=certificates / "key.pem",
-            server_certificate=certificates.parent / "own" / "certificate.der",
-        )
+        own, server = (certificates / "certificate.der", certificates / "key.pem"), certificates.parent / "own"
+        await made.set_security(SecurityPolicyBasic256Sha256, *own, server_certificate=server / "certificate.der")
     await made.connect()
     return made
 
@@ -74,18 +65,9 @@ async def several(url, count):
 
 async def logins(url, *certificates):
     folder = Path(certificates[0]) if certificates else None
-    results = {}
-    for name, user in {
-        "operator": OPERATOR,
-        "wrong password": ("ann", "wrong horse"),
-        "unknown": ("eve", "correct horse"),
-        "anonymous": None,
-    }.items():
-
-        async def once(user=user):
-            await (await connect(url, user, folder)).disconnect()
-
-        results[name] = await outcome(once())
+    wrong, unknown = ("ann", "wrong horse"), ("eve", "correct horse")
+    users = {"operator": OPERATOR, "wrong password": wrong, "unknown": unknown, "anonymous": None}
+    results = {name: await outcome(connect(url, user, folder)) for name, user in users.items()}
     if folder:
         results["unencrypted"] = await outcome(connect(url, OPERATOR))
         results["untrusted"] = await outcome(connect(url, OPERATOR, folder.parent / "stranger"))
@@ -119,24 +101,16 @@ async def shapes(url):
     """Arguments of other types, numbers and shapes than each method declares."""
     made = await connect(url, OPERATOR)
     t = ua.VariantType
-    odd = {
-        "array": [ua.Variant([1, 2], t.UInt32)],
-        "array of one": [ua.Variant([1], t.UInt32)],
-        "no elements": [ua.Variant([], t.UInt32, is_array=True)],
-        "truths": [ua.Variant([True], t.Boolean)],
-        "null": [ua.Variant(None, t.Null)],
-        "text": [ua.Variant("1", t.String)],
-        "double": [ua.Variant(1.0, t.Double)],
-        "object": [ua.Variant(ua.Range(0.0, 1.0), t.ExtensionObject)],
-        "nested": [ua.Variant([[1, 2], [3, 4]], t.UInt32)],
-        "two": [ua.Variant(1, t.UInt32), ua.Variant(1, t.UInt32)],
-        "two hundred": [ua.Variant(1, t.UInt32)] * 200,
-    }
+    one, values = ua.Variant(1, t.UInt32), [([1, 2], t.UInt32), ([1], t.UInt32), ([[1, 2], [3, 4]], t.UInt32)]
+    values += [([True], t.Boolean), (None, t.Null), ("1", t.String), (1.0, t.Double)]
+    values += [(ua.Range(0.0, 1.0), t.ExtensionObject)]
+    odd = [[ua.Variant(*value)] for value in values]
+    odd += [[ua.Variant([], t.UInt32, is_array=True)], [one, one], [one] * 200]
     results = {}
     for node in await made.get_node(path("Commands")).get_methods():
         method = (await node.read_browse_name()).Name
-        for name, arguments in odd.items():
-            results[f"{method} {name}"] = await outcome(give(made, method, *arguments))
+        for number, arguments in enumerate(odd):
+            results[f"{method} {number}"] = await outcome(give(made, method, *arguments))
     results["Start 4294967295"] = await outcome(give(made, "Start", ua.Variant(2**32 - 1, t.UInt32)))
     await made.disconnect()
     return results
@@ -148,10 +122,7 @@ async def crowd(url, count):
     operator = await connect(url, OPERATOR)
     others += await several(url, count)
     await asyncio.sleep(0.5)
-    results = {"operator": await outcome(give(operator, "Reset"))}
-    for one in (operator, *others):
-        one.disconnect_socket()
-    return results
+    return {"operator": await outcome(give(operator, "Reset"))}
 
 
 async def guess(url, count):
@@ -161,17 +132,22 @@ async def guess(url, count):
     for _ in range(int(count)):
         await outcome(made.create_session())
         await outcome(made.activate_session())
-    operator = await outcome(connect(url, OPERATOR))
-    return {"wrong": sorted(wrong), "operator": operator}
+    return {"wrong": sorted(wrong), "operator": await outcome(connect(url, OPERATOR))}
+
+
+async def greeted(url):
+    """A client that has connected and opened no channel yet."""
+    made = Client(url, timeout=20)
+    await made.connect_socket()
+    await made.send_hello()
+    return made
 
 
 async def around(url):
     """Ways around the rules of the secure channel."""
     results = {}
     # No channel is opened: messages carry channel 0 and token 0.
-    made = client(url)
-    await made.connect_socket()
-    await made.send_hello()
+    made = await greeted(url)
     await outcome(made.create_session())
     await outcome(made.activate_session())
     results["command without channel"] = await outcome(asyncio.wait_for(give(made, "Reset"), 5))
@@ -179,9 +155,7 @@ async def around(url):
     # Tokens of sessions are consecutive: take over the operator's.
     victim = await connect(url, OPERATOR)
     token = victim.uaclient.protocol.authentication_token
-    thief = client(url)
-    await thief.connect_socket()
-    await thief.send_hello()
+    thief = await greeted(url)
     await thief.open_secure_channel()
     thief.uaclient.protocol.authentication_token = token
     await outcome(thief.activate_session())
@@ -214,11 +188,11 @@ async def orders(url, map_file):
     made, cell = await connected(url, *OPERATOR)
     results = {}
 
-    async def tried(name, make):
+    async def tried(name, *command):
         # A change of reference that is under way refuses the next one for half a second.
         for _ in range(50):
             try:
-                await make()
+                await cell.command(*command)
                 results[name] = "done"
             except CycleFailed as refused:
                 results[name] = str(refused)
@@ -226,44 +200,31 @@ async def orders(url, map_file):
                 return
             await asyncio.sleep(0.2)
 
-    await tried("reload while stopped", cell.reload_map)
+    await tried("reload while stopped", Order.RELOAD_MAP)
     await cell.command(Command.RESET)
     await cell.until(State.IDLE, {State.RESETTING}, lambda done: None)
-    await tried("reload", cell.reload_map)
-    await tried("center", lambda: cell.center(True))
+    await tried("reload", Order.RELOAD_MAP)
+    await tried("center", Order.CENTER, True)
     results["centred"] = await cell.read("Status.Centred")
-    await tried("start in the middle", lambda: cell.command(Command.START, 1))
-    await tried("back", lambda: cell.center(False))
+    await tried("start in the middle", Command.START, 1)
+    await tried("back", Order.CENTER, False)
     results["centred then"] = await cell.read("Status.Centred")
     Path(map_file).write_text("no map")
-    await tried("reload of a spoilt file", cell.reload_map)
+    await tried("reload of a spoilt file", Order.RELOAD_MAP)
     results["state"] = await cell.read("Status.StateName")
     await made.disconnect()
     return results
 
 
-async def flood(url, count):
-    """More connections than there are places, garbage, and reads as fast as they go, until this is killed."""
-    made = await several(url, count)
-    for garbage in (b"\0" * 64, b"HELF" + struct.pack("<I", 2**31 - 1), b"GET / HTTP/1.1\r\n\r\n"):
-        _, writer = await asyncio.open_connection("127.0.0.1", int(url.split(":")[2].split("/")[0]))
-        writer.write(garbage)
-    print(json.dumps({"connections": len(made)}), flush=True)
-    nodes = [ua.NodeId(i) for i in range(2000, 2300)]
-
-    async def read(one):
-        while True:
-            await outcome(one.uaclient.read_attributes(nodes, ua.AttributeIds.BrowseName))
-
-    await asyncio.wait_for(asyncio.gather(*map(read, made)), 60)
-
-
 async def storm(url, count):
-    """Clients that ask as fast as they can and drop the connection after ten answers, and one that guesses passwords.
+    """Garbage, clients that ask as fast as they can and drop the connection after ten answers, and one that guesses.
 
     Prints the number of answers five times a second, until this is killed.
     """
     answered, nodes = 0, [ua.NodeId(i) for i in range(2000, 2300)]
+    for garbage in (b"\0" * 64, b"HELF" + struct.pack("<I", 2**31 - 1), b"GET / HTTP/1.1\r\n\r\n"):
+        _, writer = await asyncio.open_connection("127.0.0.1", int(url.split(":")[2].split("/")[0]))
+        writer.write(garbage)
 
     async def ask():
         nonlocal answered
@@ -289,8 +250,8 @@ async def storm(url, count):
     await asyncio.gather(*(ask() for _ in range(int(count))), guess(), report())
 
 
-async def watch(url, seconds):
-    """Counts the changes of the heartbeat for a while, and the events."""
+async def subscribed(url):
+    """A client, and what it is sent: values of the heartbeat, and events as [text, severity]."""
     seen, events = [], []
 
     class Handler:
@@ -304,6 +265,12 @@ async def watch(url, seconds):
     subscription = await made.create_subscription(100, Handler())
     await subscription.subscribe_data_change(made.get_node(path("Status.Heartbeat")))
     await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
+    return made, seen, events
+
+
+async def watch(url, seconds):
+    """Counts the changes of the heartbeat for a while, and the events."""
+    made, seen, events = await subscribed(url)
     print("ready", flush=True)
     end = time.monotonic() + float(seconds)
     while time.monotonic() < end and not (len(seen) > 5 and events):
@@ -311,26 +278,12 @@ async def watch(url, seconds):
     live = await made.get_node(path("Live.X")).read_data_value(raise_on_bad_status=False)
     fault = await made.get_node(path("Status.FaultCode")).read_value()
     await made.disconnect()
-    return {
-        "heartbeats": len(seen),
-        "events": events,
-        "x": live.Value.Value,
-        "quality": live.StatusCode.name,
-        "fault": fault,
-    }
+    return {"heartbeats": len(seen), "events": events, "x": live.Value.Value, "fault": fault}
 
 
 async def maintenance(url, file):
     """What the alarm MaintenanceDue does while a file of advice appears, and then holds no advice any more."""
-    events = []
-
-    class Handler:
-        def event_notification(self, event):
-            events.append([event.Message.Text, event.Severity])
-
-    made = await connect(url)
-    subscription = await made.create_subscription(100, Handler())
-    await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
+    made, _, events = await subscribed(url)
     alarm = made.get_node(path("Alarms.MaintenanceDue"))
 
     async def after(advice, wanted):

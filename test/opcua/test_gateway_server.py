@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,16 +86,12 @@ def plain(folder):
 
 def test_only_known_operators_command_and_no_client_writes(plain):
     rights = probed("rights", plain.url)
-    methods = ("reset", "start", "start without strokes", "reload map", "center", "center by a number")
-    refused = dict.fromkeys(methods, "BadUserAccessDenied")
-    for user in ("operator", "viewer", "anonymous"):
-        assert rights[user]["read"] == "done"
-        assert {rights[user][what] for what in ("write", "add", "delete")} == {"BadUserAccessDenied"}
+    methods = ("reset", "start", "reload map", "center", "start without strokes", "center by a number")
+    never = dict.fromkeys(("write", "add", "delete"), "BadUserAccessDenied") | {"read": "done"}
     for user in ("viewer", "anonymous"):
-        assert refused.items() <= rights[user].items()
-    assert {rights["operator"][what] for what in ("reset", "start", "reload map", "center")} == {"done"}
-    assert rights["operator"]["start without strokes"] == "BadArgumentsMissing"
-    assert rights["operator"]["center by a number"] == "BadInvalidArgument"
+        assert rights[user] == never | dict.fromkeys(methods, "BadUserAccessDenied")
+    wrong = dict(zip(methods[4:], ("BadArgumentsMissing", "BadInvalidArgument"), strict=True))
+    assert rights["operator"] == never | dict.fromkeys(methods[:4], "done") | wrong
     assert plain.commands == [(Command.RESET, 0), (Command.START, 3), (Order.RELOAD_MAP, 0), (Order.CENTER, True)]
 
 
@@ -109,14 +106,11 @@ def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(plain):
 
 def test_an_operator_gets_in_and_stays_however_many_others_connect(plain):
     address = ("127.0.0.1", int(plain.url.split(":")[2].split("/")[0]))
-    silent = [socket.create_connection(address) for _ in range(40)]
-    try:
+    with ExitStack() as connections:
+        silent = [connections.enter_context(socket.create_connection(address)) for _ in range(40)]
         for one in silent[::2]:
             one.send(b"H")
         assert probed("crowd", plain.url, 17) == {"operator": "done"}
-    finally:
-        for one in silent:
-            one.close()
 
 
 def test_one_connection_uses_up_neither_the_logins_nor_the_sessions_of_all(plain, monkeypatch):
@@ -140,12 +134,8 @@ def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
 
 
 def test_wrong_credentials_are_refused(plain):
-    assert probed("logins", plain.url) == {
-        "operator": "done",
-        "wrong password": "BadUserAccessDenied",
-        "unknown": "BadUserAccessDenied",
-        "anonymous": "done",
-    }
+    refused = dict.fromkeys(("wrong password", "unknown"), "BadUserAccessDenied")
+    assert probed("logins", plain.url) == {"operator": "done", "anonymous": "done", **refused}
 
 
 def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
@@ -170,14 +160,9 @@ def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain)
 
 
 def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
-    flood = start("flood", plain.url, 30)
-    try:
-        connections = json.loads(flood.stdout.readline())["connections"]
-        assert connections >= 1
-    finally:
+    with start("storm", plain.url, 30) as flood:
+        assert any(int(line) > 0 for line in flood.stdout)
         flood.kill()
-        flood.wait()
-        flood.stdout.close()
     watch = start("watch", plain.url, 60)
     assert watch.stdout.readline() == "ready\n"
     plain.server.show(replace(WELL, alarms={"Fault": "driver: coil burnt"}))
@@ -192,27 +177,14 @@ def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
 def test_without_encryption_no_client_gets_in_where_it_is_required(folder):
     for name in ("client", "stranger"):
         (folder / name).mkdir()
-        asyncio.run(
-            setup_self_signed_certificate(
-                folder / name / "key.pem",
-                folder / name / "certificate.der",
-                "urn:straightcomp_ros:client",
-                "localhost",
-                [ExtendedKeyUsageOID.CLIENT_AUTH],
-                {"commonName": name},
-            )
-        )
+        files, usage = (folder / name / "key.pem", folder / name / "certificate.der"), [ExtendedKeyUsageOID.CLIENT_AUTH]
+        of_client = "urn:straightcomp_ros:client", "localhost", usage, {"commonName": name}
+        asyncio.run(setup_self_signed_certificate(*files, *of_client))
     (folder / "trusted").mkdir()
     (folder / "trusted" / "client.der").write_bytes((folder / "client" / "certificate.der").read_bytes())
-    gateway = Gateway(
-        OpcuaParameters(
-            port=free_port(),
-            security="encrypted",
-            users=str(folder / "users"),
-            certificates=str(folder / "own"),
-            trusted=str(folder / "trusted"),
-        )
-    )
+    places = {"users": "users", "certificates": "own", "trusted": "trusted"}
+    files = {name: str(folder / place) for name, place in places.items()}
+    gateway = Gateway(OpcuaParameters(port=free_port(), security="encrypted", **files))
     try:
         results = probed("logins", gateway.url, folder / "client")
     finally:

@@ -39,18 +39,14 @@ def feed(found, number, x, y, current=0.0):
 def fed(samples, currents=None):
     """The first finding in samples of (x, y), and its place."""
     found = watch()
-    for place, (x, y) in enumerate(samples):
-        finding = feed(found, place, x, y, currents[place] if currents else 0.0)
-        if finding:
-            return place, finding[0]
-    return None
+    findings = (feed(found, k, x, y, currents[k] if currents else 0.0) for k, (x, y) in enumerate(samples))
+    return next(((place, finding[0]) for place, finding in enumerate(findings) if finding), None)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_sample_that_is_not_finite_is_found_in_x_and_in_y(bad):
-    assert fed([(0.0, 0.0), (bad, 0.0)]) == (1, Fault.SAMPLE_NOT_FINITE)
-    assert fed([(0.0, 0.0), (0.0, bad)]) == (1, Fault.SAMPLE_NOT_FINITE)
-    assert fed([(bad, 0.0)]) == (0, Fault.SAMPLE_NOT_FINITE)
+    for samples in ([(0.0, 0.0), (bad, 0.0)], [(0.0, 0.0), (0.0, bad)], [(bad, 0.0)]):
+        assert fed(samples) == (len(samples) - 1, Fault.SAMPLE_NOT_FINITE)
 
 
 def test_x_that_jumps_is_found_and_neither_full_speed_nor_lost_samples_nor_a_restart_are_jumps():
@@ -58,14 +54,10 @@ def test_x_that_jumps_is_found_and_neither_full_speed_nor_lost_samples_nor_a_res
     assert fed([(0.9 * 2.0 * T * 1e-9 * k, COUNT * k) for k in range(100)]) is None
     found = watch()
     assert feed(found, 0, 0.0, 0.0) is None and feed(found, 100, 0.05, 0.0) is None
-    jump = (Fault.X_JUMP, "x went from 50.0000 to 60.0000 mm within one sample")
-    assert feed(found, 101, 0.06, 0.0) == jump
+    assert feed(found, 101, 0.06, 0.0) == (Fault.X_JUMP, "x went from 50.0000 to 60.0000 mm within one sample")
     found.restart()
     assert feed(found, 102, 1.0, 0.0) is None
-
-
-def test_x_at_the_largest_speed_is_no_jump_over_lost_samples_either():
-    # A speed of one, and twice the step: no rounding.
+    # At the largest speed, exactly.
     found = watch(from_mapping(StageParameters, {"motion.highest_speed": 1.0}))
     step = T * 1e-9
     assert feed(found, 0, 0.0, 0.0) is None and feed(found, 2, 2.0 * step, 0.0) is None
@@ -113,17 +105,25 @@ def test_a_platform_at_rest_a_law_that_switches_and_an_amplifier_that_is_off_mak
     moving = [(0.0, COUNT * round(10 * math.sin(0.01 * k) + random.random())) for k in range(5000)]
     assert fed(moving, [0.8 * math.sin(0.003 * k) for k in range(5000)]) is None
     found = watch()
-    for place in range(3000):
-        if place == 1000:
-            found.switched()
-        assert feed(found, place, 0.0, COUNT * min(place, 1000), 0.5 if place < 1000 else 0.0) is None
+    assert not any(feed(found, k, 0.0, COUNT * k, 0.5) for k in range(1000))
+    found.switched()
+    assert not any(feed(found, k, 0.0, COUNT * 1000) for k in range(1000, 3000))
 
 
-def test_y_is_called_frozen_only_after_the_frozen_time():
-    found = watch(frozen_time=0.01, frozen_current=0.08)
-    findings = [feed(found, k, 0.0, COUNT, 100.0) for k in range(30)]
-    # The first sample changes y; twenty more of half a millisecond are ten milliseconds.
-    assert [bool(finding) for finding in findings] == [k >= 20 for k in range(30)]
+@pytest.mark.parametrize(
+    ("frozen_time", "frozen_current", "first", "currents"),
+    [
+        # The first sample changes y; twenty more of half a millisecond are ten milliseconds.
+        (0.01, 0.08, (20,), [100.0] * 30),
+        # The mean of a step of 1 A takes 5 ms to 1 − 1/e: with that threshold the fault comes there.
+        (1e-9, 1.0 - math.exp(-1.0), (10, 11), [0.0] + [1.0] * 29),
+    ],
+    ids=["frozen_time", "mean"],
+)
+def test_y_is_frozen_after_the_frozen_time_at_the_mean_current(frozen_time, frozen_current, first, currents):
+    found = watch(frozen_time=frozen_time, frozen_current=frozen_current)
+    findings = [bool(feed(found, k, 0.0, COUNT, current)) for k, current in enumerate(currents)]
+    assert findings.index(True) in first and all(findings[findings.index(True) :])
 
 
 def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
@@ -139,16 +139,9 @@ def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
     assert current_against_friction(rough) > 0.3
 
 
-def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
-    # So long does the mean of a step of 1 A take to 1 − 1/e: with that threshold the fault comes there.
-    found = watch(frozen_time=1e-9, frozen_current=1.0 - math.exp(-1.0))
-    findings = [feed(found, k, 0.0, COUNT, 1.0 if k else 0.0) for k in range(20)]
-    assert [bool(finding) for finding in findings].index(True) in (10, 11)
-
-
-def follow(start_ns=0, x=0.0):
+def follow(start_ns=0):
     stage = StageWatch(WatchParameters())
-    stage.follow(TRAJECTORY, start_ns, x)
+    stage.follow(TRAJECTORY, start_ns, 0.0)
     return stage
 
 
@@ -211,31 +204,40 @@ class Clocks:
         return self.watch.check(self.monotonic_ns() - late_ns, self.system_ns())
 
 
-@pytest.mark.parametrize("step_s", [-1.0, -0.06, 0.06, 3600.0])
-def test_a_step_of_the_systems_clock_is_found_once(step_s):
-    clocks = Clocks()
+@pytest.mark.parametrize(
+    ("step_ns", "found"),
+    [
+        (-SECOND, True),
+        (3600 * SECOND, True),
+        (50_000_000, False),
+        (-50_000_000, False),
+        (50_000_001, True),
+        (-50_000_001, True),
+    ],
+)
+def test_a_step_of_the_systems_clock_beyond_the_limit_is_found_once(step_ns, found):
+    clocks = Clocks(reading_ns=0)
     assert clocks.check() is None
-    clocks.offset += round(step_s * 1e9)
-    fault, words = clocks.check()
-    assert fault is Fault.CLOCK_JUMP and f"{step_s:+.3f} s" in words
-    assert clocks.check() is None
+    clocks.offset += step_ns
+    finding = clocks.check()
+    assert bool(finding) is found
+    assert not found or (finding[0] is Fault.CLOCK_JUMP and f"{step_ns * 1e-9:+.3f} s" in finding[1])
+    # Nor does it matter that the process was held up between the readings before.
+    assert clocks.check(late_ns=SECOND) is None
 
 
-def test_a_clock_that_is_slewed_is_followed():
+def test_a_slewed_clock_is_followed_by_less_than_half_a_step_at_once():
     clocks = Clocks()
     for _ in range(100):
         clocks.offset += 10_000_000
         assert clocks.check() is None
         clocks.watch.follow()
-
-
-@pytest.mark.parametrize(("slewed_ms", "stepped_ms", "fault"), [(30, 30, Fault.CLOCK_JUMP), (24, 40, None)])
-def test_following_takes_less_than_half_a_step_at_once_and_no_more(slewed_ms, stepped_ms, fault):
-    clocks = Clocks(reading_ns=0)
-    clocks.offset += slewed_ms * 1_000_000
-    clocks.watch.follow()
-    clocks.offset += stepped_ms * 1_000_000
-    assert (clocks.check() or [None])[0] == fault
+    for slewed_ms, stepped_ms, found in ((30, 30, True), (24, 40, False)):
+        clocks = Clocks(reading_ns=0)
+        clocks.offset += slewed_ms * 1_000_000
+        clocks.watch.follow()
+        clocks.offset += stepped_ms * 1_000_000
+        assert bool(clocks.check()) is found
 
 
 def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
@@ -250,15 +252,6 @@ def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
     assert clocks.check() is not None
 
 
-def test_a_step_of_the_limit_is_none_and_a_longer_one_is():
-    for step_ns, found in ((50_000_000, False), (-50_000_000, False), (50_000_001, True), (-50_000_001, True)):
-        clocks = Clocks(reading_ns=0)
-        clocks.offset += step_ns
-        assert bool(clocks.check()) is found
-        # Nor does it matter that the process was held up between the readings before.
-        assert clocks.check(late_ns=SECOND) is None
-
-
 def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
     clocks = Clocks(reading_ns=0)
     # The system's clock is read 10 ms after the monotonic one and 10 ms before it is read again.
@@ -271,13 +264,8 @@ def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
 
 def test_a_following_error_is_a_fault_once_after_it_was_within_its_limit_with_the_amplifier_on():
     following = ErrorWatch(1e-5)
-    assert following.check(1e-3, amplifier_on=True) is None  # not yet there
-    assert following.check(1e-6, amplifier_on=True) is None
-    fault, words = following.check(-2e-5, amplifier_on=True)
-    assert fault is Fault.FOLLOWING_ERROR and "-20.0 µm" in words
-    assert following.check(-2e-5, amplifier_on=True) is None
-    following.check(0.0, amplifier_on=True)
-    assert following.check(1.0, amplifier_on=False) is None
-    assert following.check(1.0, amplifier_on=True) is None
-    following.check(0.0, amplifier_on=True)
-    assert following.check(math.nan, amplifier_on=True) is not None
+    samples = [(1e-3, True, False), (1e-6, True, False), (-2e-5, True, True), (-2e-5, True, False)]
+    samples += [(0.0, True, False), (1.0, False, False), (1.0, True, False), (0.0, True, False), (math.nan, True, True)]
+    findings = [following.check(error, amplifier_on=on) for error, on, _ in samples]
+    assert [bool(finding) for finding in findings] == [found for _, _, found in samples]
+    assert findings[2][0] is Fault.FOLLOWING_ERROR and "-20.0 µm" in findings[2][1]

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from waiting import comes_true
@@ -45,14 +46,9 @@ class Stand:
         self.processes.mkdir()
         self.notes.mkdir()
         self.queues.write_text("ff\n")
-        root = str(Path(cpus.__file__).parents[2])
+        paths = {"root": Path(cpus.__file__).parents[2], "processes": self.processes, "queues": self.queues}
         self.server.write_text(
-            SERVER.format(
-                root=root,
-                processes=str(self.processes),
-                queues=str(self.queues),
-                notes=str(self.notes),
-            )
+            SERVER.format(**{name: str(path) for name, path in paths.items()}, notes=str(self.notes))
         )
         self._started = []
 
@@ -61,11 +57,8 @@ class Stand:
         process = self._start("import time; time.sleep(60)")
         if cpus:
             os.sched_setaffinity(process.pid, cpus)
-        self.show(process.pid)
+        (self.processes / str(process.pid)).symlink_to(f"/proc/{process.pid}")
         return process.pid
-
-    def show(self, pid):
-        (self.processes / str(pid)).symlink_to(f"/proc/{pid}")
 
     def node(self, cpus=None):
         """A node that keeps others off; returns it with what it said."""
@@ -74,19 +67,13 @@ class Stand:
         return node, node.stdout.readline().strip() or node.stderr.read().strip().splitlines()[-1]
 
     def _start(self, code):
-        process = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = subprocess.Popen([sys.executable, "-c", code], text=True, **pipes)
         self._started.append(process)
         return process
 
     def back(self, pid, cpus):
         return comes_true(lambda: os.sched_getaffinity(pid) == cpus)
-
-    def close(self):
-        for process in self._started:
-            process.kill()
-            process.communicate()
 
 
 @pytest.fixture
@@ -95,7 +82,9 @@ def stand(tmp_path):
         pytest.skip("one CPU has nothing to share out")
     made = Stand(tmp_path)
     yield made
-    made.close()
+    for process in made._started:
+        process.kill()
+        process.communicate()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
@@ -109,6 +98,10 @@ def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number)
     assert os.sched_getaffinity(bound) == {stand.cpu}
     assert int(stand.queues.read_text(), 16) == 0xFF & ~(1 << stand.cpu)
     child = stand.bystander(rest)
+    node.send_signal(number)
+    # A node that is started again takes over from the one that has ended.
+    node, said = stand.node()
+    assert said.startswith("kept 2 threads") and os.sched_getaffinity(free) == rest
     node.send_signal(number)
     assert stand.back(free, stand.all) and stand.back(child, stand.all)
     assert os.sched_getaffinity(elsewhere) == rest
@@ -131,14 +124,11 @@ def test_what_a_killed_guard_left_behind_is_seen_and_corrected_by_the_next_node(
     assert os.sched_getaffinity(free) == rest and stand.queues.read_text().strip() != "ff"
 
     node, said = stand.node()
-    assert said.startswith("kept 0 threads")
-    assert cpus.left_behind() == set()
+    assert said.startswith("kept 0 threads") and cpus.left_behind() == set()
     node.kill()
     assert stand.back(free, stand.all)
-    assert comes_true(lambda: stand.queues.read_text().strip() == "ff")
-    assert os.sched_getaffinity(elsewhere) == rest
-    assert comes_true(lambda: not list(stand.notes.iterdir()))
-    assert cpus.left_behind() == set()
+    assert comes_true(lambda: stand.queues.read_text().strip() == "ff" and not list(stand.notes.iterdir()))
+    assert os.sched_getaffinity(elsewhere) == rest and cpus.left_behind() == set()
 
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
@@ -154,9 +144,7 @@ def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypat
     (stand.notes / cpu_guard.note_name(os.getuid(), "x")).touch()
     assert cpus.left_behind() == set()
     cpu_guard.write_note(note, [], "ff")
-    boot = stand.notes / "boot"
-    boot.write_text("another\n")
-    monkeypatch.setattr(cpu_guard, "_BOOT", boot)
+    monkeypatch.setattr(cpu_guard, "_BOOT", stand.queues)  # another text
     assert cpus.left_behind() == set()
 
 
@@ -170,41 +158,20 @@ def test_a_cpu_of_another_node_all_cpus_and_the_last_without_a_loop_are_refused(
     assert "another node keeps them free for itself" in stand.node()[1]
 
 
-def test_the_node_that_is_started_again_takes_over_from_the_killed_one(stand):
-    bystander = stand.bystander()
-    for _ in range(3):
-        node, said = stand.node()
-        assert said.startswith("kept 1 threads")
-        assert os.sched_getaffinity(bystander) == stand.all - {stand.cpu}
-        node.kill()
-    assert stand.back(bystander, stand.all)
-
-
 def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
-    bystander = stand.bystander()
+    stand.bystander()
     monkeypatch.setattr(cpu_guard, "_PROCESSES", stand.processes)
-
-    def refuse(*_):
-        raise PermissionError
-
-    monkeypatch.setattr(os, "sched_setaffinity", refuse)
+    monkeypatch.setattr(os, "sched_setaffinity", Mock(side_effect=PermissionError))
     assert cpu_guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
-    assert os.sched_getaffinity(bystander) == stand.all
 
 
 def test_guards_of_several_graphs_give_back_their_own_cpus_in_any_order(tmp_path, monkeypatch):
     mask = tmp_path / "mask"
     monkeypatch.setattr(cpu_guard, "_WORK_QUEUES", mask)
     mask.write_text("f\n")
-    before = {}
-    for cpu in (3, 2):
-        before[cpu] = cpu_guard._queues()
-        cpu_guard._set_queues({cpu})
-    assert mask.read_text() == "3"
-    cpu_guard._set_queues({3}, before[3])
-    assert mask.read_text() == "b"
-    cpu_guard._set_queues({2}, before[2])
-    assert mask.read_text() == "f"
+    for cpus_and_before, then in ((({3},), "7"), (({2},), "3"), (({3}, "f"), "b"), (({2}, "7"), "f")):
+        cpu_guard._set_queues(*cpus_and_before)
+        assert mask.read_text() == then
 
 
 def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
@@ -220,6 +187,7 @@ def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
 
 @pytest.fixture
 def own_names(monkeypatch):
+    """Names of claims that no other process uses."""
     monkeypatch.setattr(cpus, "_LOOPS", f"test_loops/{os.getpid()}/")
     monkeypatch.setattr(cpus, "_CHOICE", f"test_choice/{os.getpid()}")
     monkeypatch.setattr(cpus, "_held", [])
@@ -234,14 +202,14 @@ def other(cpu, graph, process=1):
     return claim(f"{cpus._LOOPS}{cpu}/{graph}/{process}")
 
 
-@pytest.mark.usefixtures("own_names")
-def test_graphs_take_different_cpus_from_the_last_one_down():
+def test_graphs_take_different_cpus_from_the_last_one_down_and_wait_a_moment_for_one_that_chooses(own_names):
+    with claim(cpus._CHOICE), pytest.raises(OSError, match="choosing"):
+        loop_cpu("0/a", CPUS)
     assert [loop_cpu(graph, CPUS) for graph in ("0/a", "0/b", "1/a")] == [3, 2, 1]
     assert loop_cpus() == {1, 2, 3}
 
 
-@pytest.mark.usefixtures("own_names")
-def test_all_processes_of_a_graph_have_the_same_cpu_for_as_long_as_one_of_them_lives():
+def test_all_processes_of_a_graph_have_the_same_cpu_for_as_long_as_one_of_them_lives(own_names):
     first = loop_cpu("a", CPUS)
     # That process asks again, and another one of the graph comes while a second graph has begun.
     mark = claimed(cpus._LOOPS)[0].split("/")[1]
@@ -252,8 +220,7 @@ def test_all_processes_of_a_graph_have_the_same_cpu_for_as_long_as_one_of_them_l
     assert loop_cpu("a", CPUS) == first
 
 
-@pytest.mark.usefixtures("own_names")
-def test_where_each_cpu_has_a_loop_a_graph_takes_the_permitted_one_with_the_fewest():
+def test_where_each_cpu_has_a_loop_a_graph_takes_the_permitted_one_with_the_fewest(own_names):
     loops = [other(0, "a"), other(0, "b"), other(1, "c"), other(1, "c", 2), other(1, "d"), other(2, "e"), other(3, "f")]
     assert loop_cpu("g", CPUS) == 3
     loops[-1].close()
@@ -261,15 +228,7 @@ def test_where_each_cpu_has_a_loop_a_graph_takes_the_permitted_one_with_the_fewe
     assert loop_cpu("i", {0}) == 0
 
 
-@pytest.mark.usefixtures("own_names")
-def test_a_process_that_chooses_for_ever_is_not_waited_for():
-    with claim(cpus._CHOICE), pytest.raises(OSError, match="choosing"):
-        loop_cpu("a", CPUS)
-    assert loop_cpu("a", CPUS) == 3
-
-
-@pytest.mark.usefixtures("own_names")
-def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back():
+def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back(own_names):
     permitted = os.sched_getaffinity(0)
     if len(permitted) < 2:
         pytest.skip("one CPU has nothing to share out")
@@ -286,17 +245,15 @@ def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back():
     [
         ({0}, {1}, True, {0, 1}),
         ({0, 1}, {1}, False, {0}),
-        # Another loop may be at work on its CPU.
-        ({0}, {0, 1}, True, {0}),
-        # A thread that has no other CPU keeps it.
-        ({1}, {1}, False, {1}),
+        ({0}, {0, 1}, True, {0}),  # another loop may be at work on its CPU
+        ({1}, {1}, False, {1}),  # a thread that has no other CPU keeps it
     ],
 )
 def test_a_client_may_compute_on_the_cpu_of_a_loop_at_rest(monkeypatch, own, loops, used, then):
     monkeypatch.setattr(cpus, "kept_free", lambda: {1})
     monkeypatch.setattr(cpus, "loop_cpus", lambda: loops)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: own)
     taken = [own]
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: own)
     monkeypatch.setattr(os, "sched_setaffinity", lambda pid, wanted: taken.append(wanted))
     cpus.use_kept_free(used)
     assert taken[-1] == then

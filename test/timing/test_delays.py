@@ -46,13 +46,10 @@ def test_taking_starts_anew_and_nothing_has_no_percentile():
         assert [math.isnan(found) for found in NOTHING.percentiles_us(percents)] == [True] * len(percents)
 
 
-def test_a_duration_below_32_ns_is_known_exactly():
+def test_a_duration_below_32_ns_is_known_exactly_and_one_beyond_18_minutes_counts_as_18():
     for duration in range(32):
         assert dict(recorded([duration]).counts) == {duration: 1}
     assert dict(recorded([-7]).counts) == {0: 1}
-
-
-def test_what_is_longer_than_the_longest_bin_counts_as_18_minutes():
     longest = recorded([2**40 - 1])
     assert recorded([2**41]) == longest
     assert longest.largest_us == pytest.approx(2**40 * 1e-3)
@@ -92,77 +89,52 @@ def test_samples_lost_within_ten_seconds_are_counted(stamps, lost):
     assert gaps.lost == lost
 
 
-class Scheduler:
-    """A folder as /proc/PID/task, with what the scheduler counts for each thread."""
+def test_the_longest_wait_of_a_thread_from_look_to_look_counts_once_it_was_seen_and_while_it_lives(tmp_path):
+    waited_ns = {}
 
-    def __init__(self, folder):
-        self.folder = folder
-        self.waited_ns = {}
-
-    def wait(self, thread, ns):
-        self.waited_ns[thread] = self.waited_ns.get(thread, 0) + ns
-        (self.folder / thread).mkdir(exist_ok=True)
+    def wait(thread, ns):
+        waited_ns[thread] = waited_ns.get(thread, 0) + ns
+        (tmp_path / thread).mkdir(exist_ok=True)
         # The scheduler writes no new file: who has it open reads the new numbers.
-        file = self.folder / thread / "schedstat"
+        file = tmp_path / thread / "schedstat"
         with open(file, "r+" if file.exists() else "w") as output:
-            output.write(f"123456789 {self.waited_ns[thread]} 42\n")
+            output.write(f"123456789 {waited_ns[thread]} 42\n")
 
-
-@pytest.fixture
-def scheduler(tmp_path):
-    scheduler = Scheduler(tmp_path)
-    scheduler.wait("11", 5_000_000_000)
-    scheduler.wait("12", 1_000_000_000)
-    return scheduler
-
-
-@pytest.fixture
-def cpu_wait(scheduler):
-    cpu_wait = CpuWait(scheduler.folder)
+    wait("11", 5_000_000_000)
+    wait("12", 1_000_000_000)
+    cpu_wait = CpuWait(tmp_path)
     assert cpu_wait.take_us() == 0.0
-    yield cpu_wait
-    for file in cpu_wait._files.values():
-        file.close()
-
-
-def test_the_longest_wait_of_any_thread_from_look_to_look_counts(scheduler, cpu_wait):
-    scheduler.wait("11", 3_000_000)
-    cpu_wait.look()
-    scheduler.wait("12", 180_000_000)
-    cpu_wait.look()
-    scheduler.wait("11", 7_000_000)
+    for thread, ns in (("11", 3_000_000), ("12", 180_000_000), ("11", 7_000_000)):
+        wait(thread, ns)
+        cpu_wait.look()
     assert cpu_wait.take_us() == pytest.approx(180_000.0)
     assert cpu_wait.take_us() == 0.0
-
-
-def test_what_a_thread_waited_before_it_was_first_seen_and_one_that_has_ended_do_not_count(scheduler, cpu_wait):
-    scheduler.wait("13", 900_000_000)
-    (scheduler.folder / "11" / "schedstat").write_text("")
-    scheduler.wait("12", 4_000_000)
+    wait("13", 900_000_000)
+    (tmp_path / "11" / "schedstat").write_text("")  # ended
+    wait("12", 4_000_000)
     assert cpu_wait.take_us() == pytest.approx(4_000.0)
-    scheduler.wait("13", 2_000_000)
+    wait("13", 2_000_000)
     assert cpu_wait.take_us() == pytest.approx(2_000.0)
-
-
-def test_a_system_without_these_counts_has_no_waits(tmp_path):
+    for file in cpu_wait._files.values():
+        file.close()
+    # A system without these counts.
     assert CpuWait(tmp_path / "absent").take_us() == 0.0
 
 
 def test_linux_counts_a_process_that_others_keep_from_its_cpu():
     """Two threads that both want one CPU wait for each other."""
     cpu = min(os.sched_getaffinity(0))
-    code = (
-        "import hashlib, os, sys, threading\n"
-        "from straightcomp_ros.timing.delays import CpuWait\n"
-        f"os.sched_setaffinity(0, {{{cpu}}})\n"
-        "data = bytes(1 << 20)\n"
-        "waited = CpuWait()\n"
-        # A digest of much data is made without the interpreter's lock.
-        "threads = [threading.Thread(target=lambda: [hashlib.sha256(data) for _ in range(200)]) for _ in range(2)]\n"
-        "[thread.start() for thread in threads]\n"
-        "waited.take_us()\n"
-        "[thread.join(0.05) or waited.look() for thread in threads]\n"
-        "print(waited.take_us())\n"
-    )
+    # A digest of much data is made without the interpreter's lock.
+    code = f"""
+import hashlib, os, threading
+from straightcomp_ros.timing.delays import CpuWait
+os.sched_setaffinity(0, {{{cpu}}})
+waited, data = CpuWait(), bytes(1 << 20)
+threads = [threading.Thread(target=lambda: [hashlib.sha256(data) for _ in range(200)]) for _ in range(2)]
+[thread.start() for thread in threads]
+waited.take_us()
+[thread.join(0.05) or waited.look() for thread in threads]
+print(waited.take_us())
+"""
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert float(printed.stdout) > 0.0

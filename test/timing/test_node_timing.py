@@ -37,16 +37,16 @@ def levels_of(*reports):
 CLEAN, LOSSY, BROKEN = (2000, 0, 0, 0, False), (2000, 1, 0, 0, False), (2000, 0, 0, 0, True)
 
 
-def test_one_lost_sample_is_a_warning_until_five_reports_were_clean():
-    assert levels_of(CLEAN, LOSSY, *[CLEAN] * 6) == [Level.OK, *[Level.WARN] * 5, Level.OK, Level.OK]
-
-
-def test_a_loss_that_repeats_starts_the_five_clean_reports_anew():
-    assert levels_of(LOSSY, *[CLEAN] * 3, LOSSY, *[CLEAN] * 5)[4:] == [Level.WARN] * 5 + [Level.OK]
-
-
-def test_an_error_lasts_as_long_as_it_does_and_leaves_a_warning():
-    assert levels_of(BROKEN, BROKEN, *[CLEAN] * 5) == [Level.ERROR] * 2 + [Level.WARN] * 4 + [Level.OK]
+@pytest.mark.parametrize(
+    ("reports", "levels"),
+    [
+        ([CLEAN, LOSSY, *[CLEAN] * 6], [Level.OK, *[Level.WARN] * 5, Level.OK, Level.OK]),
+        ([LOSSY, *[CLEAN] * 3, LOSSY, *[CLEAN] * 5], [*[Level.WARN] * 9, Level.OK]),
+        ([BROKEN, BROKEN, *[CLEAN] * 5], [*[Level.ERROR] * 2, *[Level.WARN] * 4, Level.OK]),
+    ],
+)
+def test_a_loss_or_an_error_is_a_warning_until_five_reports_in_a_row_were_clean(reports, levels):
+    assert levels_of(*reports) == levels
 
 
 def test_the_words_give_what_is_new_since_the_last_report_and_a_loss_before_late_cycles():
@@ -83,11 +83,8 @@ def test_overruns_of_one_percent_and_ten_milliseconds_of_stalls_are_allowed(repo
 def test_short_gaps_are_overruns_and_long_ones_stalls_at_every_rate(rate):
     missed = MissedPeriods(10**9 // rate)
     below, beyond = rate // 500 - 1, rate // 500
-    missed.count(below)
-    missed.count(0)
-    assert missed.report() == {"overruns": below, "stalls": 0, "stalled_ms": 0}
-    missed.count(beyond)
-    missed.count(10 * beyond)
+    for count in (below, 0, beyond, 10 * beyond):
+        missed.count(count)
     assert missed.report() == {"overruns": below, "stalls": 2, "stalled_ms": 22}
 
 
@@ -114,31 +111,19 @@ def test_a_summary_has_the_percentiles_and_counts_of_its_window_alone():
     assert summary.timer_error.largest_us == inside.max() * 1e-3
     assert summary.timer_error.percentiles_us([99])[0] == pytest.approx(np.percentile(inside, 99) * 1e-3, rel=0.06)
     assert summary.latency is NOTHING
+    # Without the report at one end; a single report, or two of the same time, have no rate.
+    assert summarise(reports, 2 * 10**9 + 1, 7 * 10**9).overruns == 4
+    assert summarise(reports, 2 * 10**9, 7 * 10**9 - 1).overruns == 4
+    assert math.isnan(summarise(reports[:1]).rate_hz) and math.isnan(summarise(reports[:1] * 2).rate_hz)
 
 
-def test_a_window_holds_the_reports_at_both_of_its_ends():
-    reports, _ = reports_of(5)
-    assert summarise(reports, 10**9, 3 * 10**9).overruns == 2
-    assert summarise(reports, 10**9 + 1, 3 * 10**9).overruns == 1
-    assert summarise(reports, 10**9, 3 * 10**9 - 1).overruns == 1
-
-
-def test_what_a_first_report_does_not_count_yet_began_at_zero():
-    (first, *_, last), _ = reports_of(4)
-    del first.values["overruns"]
-    assert summarise([first, last]).overruns == 3
-
-
-def test_who_was_held_up_before_the_window_was_not_held_up_in_it():
+def test_the_first_report_of_a_window_marks_its_beginning_and_counts_from_zero_what_it_does_not_have():
     reports, _ = reports_of(4)
+    del reports[0].values["overruns"]
     for report, waited in zip(reports, ("900", "20", "50", "10"), strict=True):
         report.values[CPU_WAIT] = report.values["timer_error_max_us"] = waited
-    assert summarise(reports).held_up.no_cpu_us == 50.0
-
-
-def test_neither_one_report_nor_two_of_the_same_time_have_a_rate():
-    (report,), _ = reports_of(1)
-    assert math.isnan(summarise([report]).rate_hz) and math.isnan(summarise([report, report]).rate_hz)
+    summary = summarise(reports)
+    assert summary.overruns == 3 and summary.held_up.no_cpu_us == 50.0
 
 
 def test_a_driver_counts_from_the_first_report_with_its_amplifier_on_to_the_last():
@@ -165,29 +150,29 @@ def test_a_value_that_another_program_wrote_counts_as_absent_and_ends_no_summary
 
 
 @pytest.mark.parametrize(
-    ("nodes", "words"),
+    ("scheduling", "nodes", "words", "remedy"),
     [
         (
-            {"driver": HeldUp(1e3, 2e3, REFUSED), "controller": HeldUp(180e3, 200e3, REFUSED)},
-            "the controller got no CPU for 180 ms; real-time priority is not permitted; remedy: straightcomp doctor",
+            REFUSED,
+            {"driver": (1e3, 2e3), "controller": (180e3, 200e3)},
+            "the controller got no CPU for 180 ms",
+            "doctor",
         ),
         (
-            {"driver": HeldUp(7e3, 8e3, NORMAL), "controller": HeldUp(180e3, 200e3, NORMAL)},
-            "the controller got no CPU for 180 ms, the driver got no CPU for 7 ms; real-time priority was not "
-            "requested; remedy: the parameter realtime.priority",
+            NORMAL,
+            {"driver": (7e3, 8e3), "controller": (180e3, 200e3)},
+            "the controller got no CPU for 180 ms, the driver got no CPU for 7 ms",
+            "the parameter realtime.priority",
         ),
         # Other programs do not hold up a node of real-time priority.
-        (
-            {"driver": HeldUp(200e3, 300e3, "FIFO 40"), "controller": HeldUp(100.0, 20e3, "FIFO 40")},
-            "the driver was late by 300 ms, and no other program had its CPU: the kernel, the disk or the hypervisor "
-            "held it up; remedy: straightcomp doctor",
-        ),
-        ({"driver": HeldUp(3e3, 4e3, NORMAL), "controller": HeldUp()}, ""),
-        ({}, ""),
+        ("FIFO 40", {"driver": (200e3, 300e3), "controller": (100.0, 20e3)}, "the driver was late by 300 ms", "doctor"),
+        (NORMAL, {"driver": (3e3, 4e3), "controller": (0.0, 0.0)}, "", ""),
+        (NORMAL, {}, "", ""),
     ],
 )
-def test_what_delayed_the_nodes_for_long_is_named_with_the_remedy(nodes, words):
-    assert blamed(nodes) == words
+def test_what_delayed_the_nodes_for_long_is_named_with_the_remedy(scheduling, nodes, words, remedy):
+    named = blamed({name: HeldUp(*delays, scheduling) for name, delays in nodes.items()})
+    assert named.startswith(words) and named.endswith(remedy) and bool(named) is bool(words)
 
 
 def report(wait_us, late_us, scheduling=NORMAL):

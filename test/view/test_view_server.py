@@ -2,8 +2,9 @@
 
 import json
 import socket
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection
+from itertools import islice
 
 import pytest
 
@@ -27,13 +28,10 @@ def server():
 
 
 def ask(server, method, path, body=None, **headers):
-    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
-    try:
+    with closing(HTTPConnection("127.0.0.1", server.server_port, timeout=30)) as connection:
         connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
         answer = connection.getresponse()
         return answer.status, answer.headers, answer.read()
-    finally:
-        connection.close()
 
 
 def press(server, action, **headers):
@@ -42,26 +40,26 @@ def press(server, action, **headers):
     return status, json.loads(body)["message"]
 
 
-def news(server, count):
+def opened(server):
+    """The open answer with the news; it owns its socket."""
     connection = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
-    try:
-        connection.request("GET", "/news")
-        answer = connection.getresponse()
+    connection.request("GET", "/news")
+    return connection.getresponse()
+
+
+def news(server, count):
+    with opened(server) as answer:
         assert answer.headers["Content-Type"] == "text/event-stream"
-        found = []
-        while len(found) < count:
-            line = answer.readline()
-            assert line
-            if line.startswith(b"data: "):
-                found.append(json.loads(line[6:]))
-        return found
-    finally:
-        connection.close()
+        lines = (line for line in iter(answer.readline, b"") if line.startswith(b"data: "))
+        return [json.loads(line[6:]) for line in islice(lines, count)]
 
 
-def test_the_page_needs_nothing_from_elsewhere(server):
+def test_the_page_is_for_this_machine_under_its_own_names_and_needs_nothing_from_elsewhere(server):
     status, headers, body = ask(server, "GET", "/")
     text = body.decode()
+    for host, answered in (("evil.example", 403), ("localhost", 200)):
+        assert ask(server, "GET", "/", Host=f"{host}:{server.server_port}")[0] == answered
+    assert server.server_address[0] == "127.0.0.1"
     assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
     assert "http://" not in text and "https://" not in text and "src=" not in text and "@import" not in text
     assert server.token not in text
@@ -99,26 +97,12 @@ def test_whatever_another_page_could_send_is_refused(server, headers, status):
     assert not server.pressed
 
 
-def test_it_is_for_this_machine_under_its_own_names_only(server):
-    assert server.server_address[0] == "127.0.0.1"
-    assert ask(server, "GET", "/", Host=f"evil.example:{server.server_port}")[0] == 403
-    assert ask(server, "GET", "/", Host=f"localhost:{server.server_port}")[0] == 200
-
-
 def test_a_page_gets_in_however_many_others_are_open(server):
-    pages = []
-    try:
+    with ExitStack() as pages:
         for _ in range(20):
-            page = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
-            page.request("GET", "/news")
-            # The answer owns the socket.
-            pages.append(page.getresponse())
-            pages[-1].readline()
+            pages.enter_context(opened(server)).readline()
         assert ask(server, "GET", "/")[0] == 200
         assert len(news(server, 1)) == 1
-    finally:
-        for page in pages:
-            page.close()
 
 
 @pytest.mark.parametrize(
@@ -127,20 +111,15 @@ def test_a_page_gets_in_however_many_others_are_open(server):
 def test_clients_that_are_slow_end_before_a_page_that_gets_news(server, said):
     # News of some kilobytes, to read past those that were sent before the slow clients came.
     server.board.show({"filler": "x" * 4096})
-    page = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
-    page.request("GET", "/news")
-    watched = page.getresponse()
-    slow = [socket.create_connection(("127.0.0.1", server.server_port)) for _ in range(40)]
-    try:
-        for one in slow:
+    with ExitStack() as connections:
+        watched = connections.enter_context(opened(server))
+        for one in [socket.create_connection(("127.0.0.1", server.server_port)) for _ in range(40)]:
+            connections.enter_context(one)
             with suppress(OSError):
                 one.sendall(said)
         assert ask(server, "GET", "/")[0] == 200
         watched.read(1 << 14)
         assert watched.readline()
-    finally:
-        for one in (*slow, watched):
-            one.close()
 
 
 def test_a_peak_of_one_sample_is_kept_and_what_is_not_finite_is_not():
