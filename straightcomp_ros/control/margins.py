@@ -14,10 +14,10 @@ noise, it acts on the small components of the motion as a damping, its statistic
 responses are comparable only between motions of the same velocity. At rest the bristles would instead act as a spring
 of σ0, for motions that are far smaller than F_C/σ0, which is usually less than a count or two of the encoder.
 
-The least margins with which the controller uses a law are less than a design demands (`stability_demands.py`): below
-them a small difference between the machine and its description makes the loop unstable. Each limit costs one set of
-eigenvalues, because gains may change while the loop runs; how far the loop is stable is looked for only where a limit
-is missed.
+The least margins with which the controller uses a law are less than a design demands (`tuning/design/stability.py`):
+below them a small difference between the machine and its description makes the loop unstable. Each limit costs one set
+of eigenvalues, because gains may change while the loop runs; how far the loop is stable is looked for only where a
+limit is missed.
 """
 
 import math
