@@ -41,12 +41,9 @@ def test_a_constant_error_counts_in_the_rms_alone_and_figures_are_shown_in_micro
 
 def test_a_wave_is_measured_from_peak_to_peak(make_record, cosine_map, motion_profile):
     metrics = evaluate(make_record(_wave(motion_profile, 0.2e-6), quantum=1e-12), cosine_map)
-    assert metrics.true_pp == pytest.approx(0.4e-6, rel=1e-3)
-    assert metrics.true_rms == pytest.approx(0.2e-6 / np.sqrt(2.0), rel=1e-3)
-    assert metrics.encoder_pp == pytest.approx(0.4e-6, rel=1e-3)
-    assert metrics.encoder_rms == pytest.approx(0.2e-6 / np.sqrt(2.0), rel=1e-3)
-    assert metrics.residual_pp == pytest.approx(0.4e-6, rel=0.01)
-    assert metrics.residual_encoder_pp == pytest.approx(0.4e-6, rel=0.01)
+    assert (metrics.true_pp, metrics.encoder_pp) == pytest.approx((0.4e-6, 0.4e-6), rel=1e-3)
+    assert (metrics.true_rms, metrics.encoder_rms) == pytest.approx((0.2e-6 / np.sqrt(2.0),) * 2, rel=1e-3)
+    assert (metrics.residual_pp, metrics.residual_encoder_pp) == pytest.approx((0.4e-6, 0.4e-6), rel=0.01)
 
 
 def test_an_error_that_changes_sign_with_the_direction_shows_only_over_both(make_record, cosine_map, motion_profile):
@@ -58,21 +55,18 @@ def test_an_error_that_changes_sign_with_the_direction_shows_only_over_both(make
     assert metrics.residual_pp == pytest.approx(0.2e-6, rel=1e-3)
 
 
-def test_the_pause_counts_in_the_error_and_not_in_the_straightness(make_record, cosine_map, motion_profile):
+def test_the_pause_counts_in_the_error_only_and_what_is_outside_the_motion_nowhere(
+    make_record, cosine_map, motion_profile
+):
     forward, backward = find_motion(make_record()).strokes
     error = np.zeros(motion_profile[0].size)
+    error[:100] = error[-100:] = np.nan
+    assert evaluate(make_record(error), cosine_map).true_pp == pytest.approx(0.0, abs=1e-15)
     error[(forward.stop + backward.start) // 2] = 1e-6
     metrics = evaluate(make_record(error), cosine_map)
     assert metrics.true_pp == pytest.approx(1e-6)
     assert metrics.true_pp_forward == metrics.true_pp_backward == pytest.approx(0.0, abs=1e-15)
     assert metrics.residual_pp == pytest.approx(0.0, abs=1e-15)
-
-
-def test_what_happens_before_and_after_the_motion_does_not_count(make_record, cosine_map, motion_profile):
-    error = np.zeros(motion_profile[0].size)
-    error[:100] = error[-100:] = np.nan
-    metrics = evaluate(make_record(error), cosine_map)
-    assert metrics.true_pp == pytest.approx(0.0, abs=1e-15)
 
 
 def test_the_uncompensated_straightness_is_that_of_the_guide(make_record, cosine_map):
@@ -123,25 +117,15 @@ def test_what_is_not_finite_is_refused_with_its_place(make_record, cosine_map, c
 REST, LEG = 0.25, 1.76 / 0.3 + 1.5
 
 
-def _times(record: StrokeRecord, start, stop):
-    return float(record.time[start]), float(record.time[stop - 1])
-
-
-def test_a_cycle_is_a_forward_and_a_backward_stroke(make_record):
+def test_a_cycle_is_a_forward_and_a_backward_stroke_and_the_pause_lies_in_the_window_only(make_record):
     record = make_record()
     motion = find_motion(record)
     forward, backward = motion.strokes
     assert (forward.direction, backward.direction) == ("forward", "backward")
     # Drawn in by 1 µm, which at 0.2 m/s² takes 3.2 ms.
     for stroke, begin in ((forward, REST), (backward, 2.0 * REST + LEG)):
-        start, stop = _times(record, stroke.start, stroke.stop)
-        assert begin < start < begin + 4.5e-3
-        assert begin + LEG - 4.5e-3 < stop < begin + LEG
-
-
-def test_the_window_holds_the_pause_and_the_strokes_do_not(make_record):
-    motion = find_motion(make_record())
-    forward, backward = motion.strokes
+        assert begin < record.time[stroke.start] < begin + 4.5e-3
+        assert begin + LEG - 4.5e-3 < record.time[stroke.stop - 1] < begin + LEG
     assert motion.window == slice(forward.start, backward.stop)
     samples = motion.samples()
     assert samples.size == motion.samples("forward").size + motion.samples("backward").size
@@ -159,20 +143,16 @@ def test_a_jitter_of_the_encoder_makes_no_stroke(make_record, seed):
     assert motion.window.start == pytest.approx(find_motion(record).window.start, abs=4)
 
 
-def test_lost_samples_do_not_split_a_stroke(make_record):
+def test_lost_samples_do_not_split_a_stroke_and_a_record_that_begins_in_motion_counts_from_its_beginning(make_record):
     record = make_record()
-    kept = np.random.default_rng(2).random(record.time.size) > 0.3
-    columns = {name: values[kept] for name, values in record.columns().items()}
-    assert len(find_motion(StrokeRecord(law="x", **columns)).strokes) == 2
 
+    def motion(kept):
+        return find_motion(StrokeRecord(law="x", **{name: values[kept] for name, values in record.columns().items()}))
 
-def test_a_record_that_begins_in_motion_counts_from_its_beginning(make_record):
-    record = make_record()
-    columns = {name: values[4000:10_000] for name, values in record.columns().items()}
-    motion = find_motion(StrokeRecord(law="x", **columns))
-    assert motion.window.start <= 1 and motion.window.stop >= 5999
-    assert [stroke.direction for stroke in motion.strokes] == ["forward"]
-    assert motion.samples("backward").size == 0
+    assert len(motion(np.random.default_rng(2).random(record.time.size) > 0.3).strokes) == 2
+    begun = motion(slice(4000, 10_000))
+    assert begun.window.start <= 1 and begun.window.stop >= 5999
+    assert [stroke.direction for stroke in begun.strokes] == ["forward"] and begun.samples("backward").size == 0
 
 
 def test_a_stage_that_stands_is_refused(make_record):
@@ -212,28 +192,21 @@ def stroke(friction: float, noise: float = 0.0, lost: float = 0.0) -> tuple[NDAr
     return time, np.round(y / 1e-7) * 1e-7, current
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.007, 0.02])
-def test_friction_is_half_the_hysteresis_and_stiffness_the_slope(friction: float) -> None:
-    found = force_balance(*stroke(friction))
-    assert found.friction == pytest.approx(friction, abs=2e-5)
-    assert found.stiffness == pytest.approx(STIFFNESS, rel=2e-3)
+@pytest.mark.parametrize(
+    ("stage", "error", "stiffness_error"),
+    [*(((friction,), 2e-5, 2e-3) for friction in (0.0, 0.007, 0.02)), ((0.007, 0.003, 0.1), 1.5e-4, 0.02)],
+)
+def test_friction_is_half_the_hysteresis_and_stiffness_the_slope_despite_noise(stage, error, stiffness_error) -> None:
+    found = force_balance(*stroke(*stage))
+    assert found.friction == pytest.approx(stage[0], abs=error)
+    assert found.stiffness == pytest.approx(STIFFNESS, rel=stiffness_error)
 
 
-def test_noise_and_missing_currents_hardly_matter() -> None:
-    found = force_balance(*stroke(0.007, noise=0.003, lost=0.1))
-    assert found.friction == pytest.approx(0.007, abs=1.5e-4)
-    assert found.stiffness == pytest.approx(STIFFNESS, rel=0.02)
-
-
-def test_a_platform_that_rests_tells_nothing() -> None:
+def test_a_platform_that_rests_or_goes_one_way_shows_no_friction() -> None:
     time, y, current = stroke(0.007)
-    assert math.isnan(force_balance(time, 0.05 * y, current).friction)
-    assert math.isnan(force_balance(time[:200], y[:200], current[:200]).friction)
-
-
-def test_a_platform_that_only_goes_one_way_does_not_tell_friction_from_an_offset() -> None:
-    time = np.arange(0.0, 6.0, 1.0 / RATE)
-    assert math.isnan(force_balance(time, 1e-5 * time, -667e-5 * time).friction)
+    one_way = 1e-5 * time
+    for case in ((time, 0.05 * y, current), (time[:200], y[:200], current[:200]), (time, one_way, -667.0 * one_way)):
+        assert math.isnan(force_balance(*case).friction)
 
 
 def test_ten_percent_more_friction_of_a_simulated_stage_is_seen_as_nearly_that() -> None:

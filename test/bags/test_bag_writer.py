@@ -4,6 +4,7 @@ import errno
 import sys
 import tracemalloc
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import yaml
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from recording import LAYOUTS, START_NS, Recording, add_streams, information, messages
+from recording import LAYOUTS, START_NS, Recording, add_streams, information, messages, write
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 
@@ -29,10 +30,10 @@ COMPRESSIONS = ("zstd", "lz4", "none")
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_rosbags_opens_the_folder_and_finds_every_message(record, compression):
+def test_rosbags_and_mcap_find_every_message_with_its_times_type_and_qos(record, compression):
     bag = record(compression=compression, chunk_size=4096)
     with Reader(bag.directory) as reader:
-        found = [(connection.topic, time, data) for connection, time, data in reader.messages()]
+        found = [(connection.topic, data, time) for connection, time, data in reader.messages()]
         assert reader.message_count == len(bag.messages)
         assert {connection.digest for connection in reader.connections} == {
             definition(stream.layout.type_name).type_hash for stream in STREAMS
@@ -40,14 +41,7 @@ def test_rosbags_opens_the_folder_and_finds_every_message(record, compression):
         for connection in reader.connections:
             assert connection.ext.offered_qos_profiles[0].reliability == QosReliability.BEST_EFFORT
             assert connection.msgdef.data == definition(connection.msgtype).text
-    assert sorted(found, key=lambda entry: entry[1:]) == sorted(
-        ((message.topic, message.log_time, message.data) for message in bag.messages), key=lambda entry: entry[1:]
-    )
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_mcap_reads_every_message_with_both_times(record, compression):
-    bag = record(compression=compression, chunk_size=4096)
+    assert sorted(found) == sorted(message[:3] for message in bag.messages)
     with open(bag.file, "rb") as file:
         reader = make_reader(file, validate_crcs=True)
         found = [
@@ -55,19 +49,15 @@ def test_mcap_reads_every_message_with_both_times(record, compression):
             for _, channel, message in reader.iter_messages(log_time_order=False)
         ]
         statistics = reader.get_summary().statistics
-        profile = reader.get_header().profile
-    assert found == [(m.topic, m.data, m.log_time, m.publish_time) for m in bag.messages]
-    assert profile == "ros2"
-    assert statistics.message_count == len(bag.messages)
-    assert statistics.message_start_time == min(message.log_time for message in bag.messages)
-    assert statistics.message_end_time == max(message.log_time for message in bag.messages)
-    with open(bag.file, "rb") as file:
+        assert reader.get_header().profile == "ros2"
+        file.seek(0)
         chunks = [
-            record
-            for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records
-            if isinstance(record, Chunk)
+            one for one in StreamReader(file, emit_chunks=True, validate_crcs=True).records if isinstance(one, Chunk)
         ]
-    assert statistics.chunk_count == len(chunks) > 1
+    assert found == bag.messages and statistics.message_count == len(bag.messages)
+    times = [message.log_time for message in bag.messages]
+    assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
+    assert statistics.chunk_count == chunks > 1
 
 
 def test_metadata_yaml_has_the_fields_of_version_9(record):
@@ -105,10 +95,8 @@ def test_metadata_yaml_has_the_fields_of_version_9(record):
         "offered_qos_profiles": [profile],
     }
     # rosbag2 reads no anchors; it looks into the file when it is given that alone.
-    assert "&id" not in text and sorted(path.name for path in bag.directory.iterdir()) == [
-        "metadata.yaml",
-        "run_0.mcap",
-    ]
+    assert "&id" not in text
+    assert {path.name for path in bag.directory.iterdir()} == {"metadata.yaml", "run_0.mcap"}
     serialized = read_metadata(bag.file)["rosbag2"]["serialized_metadata"]
     assert yaml.safe_load(serialized) == information(bag.directory)
 
@@ -141,8 +129,7 @@ def test_the_bag_is_finished_when_an_exception_ends_the_block(tmp_path, error):
     written = messages(20)
     with pytest.raises(error), BagWriter(tmp_path / "bag") as bag:
         add_streams(bag)
-        for message in written:
-            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+        write(bag, written)
         raise error
     with Reader(tmp_path / "bag") as reader:
         assert reader.message_count == len(written)
@@ -174,7 +161,7 @@ def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
                 try:
                     sys.setprofile(interrupt)
                     for message in written:
-                        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+                        bag.write(*message)
                         taken += 1
                 finally:
                     sys.setprofile(None)
@@ -204,7 +191,7 @@ def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_pat
 
         def write(count):
             for message in messages(count):
-                bag.write(message.topic, message.data, message.log_time, message.publish_time)
+                bag.write(*message)
                 if message.topic == f"/{STREAMS[-1].topic}":
                     bag.flush()
 
@@ -217,15 +204,19 @@ def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_pat
     assert after - before < 2.0 * chunks * entry
 
 
-def test_a_bag_is_closed_once_and_takes_no_messages_after_that(tmp_path):
+def test_a_bag_is_closed_once_and_a_message_of_an_unknown_topic_or_after_the_end_is_refused(tmp_path):
     bag = BagWriter(tmp_path / "bag")
     add_streams(bag)
+    bag.write_all(messages(10))
+    with pytest.raises(BagError, match="'/unknown' was not added"):
+        bag.write_all([*messages(10), ("/unknown", b"", 1, 1)])
     bag.close()
     before = bag.path.read_bytes()
     bag.close()
     assert bag.path.read_bytes() == before
-    with pytest.raises(BagError, match="is closed"):
-        bag.write("/encoder", b"", 0, 0)
+    for late in (lambda: bag.write("/encoder", b"", 0, 0), lambda: bag.write_all(messages(1))):
+        with pytest.raises(BagError, match="is closed"):
+            late()
 
 
 def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made(record, tmp_path):
@@ -293,13 +284,11 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
     kept, rest = written[:100], written[100:]
     bag = BagWriter(tmp_path / "bag", compression="none", chunk_size=50_000)
     add_streams(bag)
-    for message in kept:
-        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    write(bag, kept)
     bag.flush()
     bag._output._file = SmallDisk(bag._output._file, bag.path.stat().st_size + 40_000)
     with pytest.raises(BagError, match="cannot be written: No space left on device; free space"):
-        for message in rest:
-            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+        write(bag, rest)
     with pytest.raises(BagError, match=r"the disk took no more, the last \d+ messages are lost"):
         bag.close()
     with Reader(tmp_path / "bag") as reader:
@@ -309,17 +298,13 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
 
 
 def test_messages_written_together_make_the_file_that_single_ones_make(tmp_path):
-    some = [(m.topic, m.data, m.log_time, m.publish_time) for m in messages(400)]
+    some = messages(400)
     stored = {}
     for name, together in (("single", False), ("together", True)):
         with BagWriter(tmp_path / name, chunk_size=20_000, max_duration=0.05) as bag:
             add_streams(bag)
             for first in range(0, len(some), 37):
-                if together:
-                    bag.write_all(some[first : first + 37])
-                else:
-                    for message in some[first : first + 37]:
-                        bag.write(*message)
+                (bag.write_all if together else partial(write, bag))(some[first : first + 37])
         with Reader(tmp_path / name) as reader:
             stored[name] = [(connection.topic, time, data) for connection, time, data in reader.messages()]
         stored[name, "files"] = information(tmp_path / name)["files"]
@@ -327,17 +312,6 @@ def test_messages_written_together_make_the_file_that_single_ones_make(tmp_path)
     assert [file["message_count"] for file in stored["together", "files"]] == [
         file["message_count"] for file in stored["single", "files"]
     ]
-
-
-def test_one_wrong_message_among_many_is_refused_by_its_topic(tmp_path):
-    some = [(m.topic, m.data, m.log_time, m.publish_time) for m in messages(10)]
-    with BagWriter(tmp_path / "bag") as bag:
-        add_streams(bag)
-        bag.write_all(some)
-        with pytest.raises(BagError, match="'/unknown' was not added"):
-            bag.write_all([*some, ("/unknown", b"", 1, 1)])
-    with pytest.raises(BagError, match="is closed"):
-        bag.write_all(some)
 
 
 COUNT = 1200
@@ -361,18 +335,6 @@ def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does
     assert found["duration"]["nanoseconds"] == max(times) - min(times)
 
 
-def test_a_topic_of_one_file_only_is_counted_right_in_the_whole(tmp_path):
-    with BagWriter(tmp_path / "run", max_duration=1.0) as bag:
-        for topic in ("/always", "/late"):
-            bag.add_topic(topic, ENCODER.layout.type_name, TopicQos("best_effort"))
-        for second in range(3):
-            bag.write("/always", ENCODER.layout.pack(second, 0.0, 0.0, 0.0, 0.0), second * 10**9, second * 10**9)
-        bag.write("/late", ENCODER.layout.pack(2, 0.0, 0.0, 0.0, 0.0), 2 * 10**9, 2 * 10**9)
-    found = information(tmp_path / "run")
-    counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
-    assert len(found["files"]) == 3 and counts == {"/always": 3, "/late": 1}
-
-
 def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
     with BagWriter(tmp_path / "run") as bag:
         bag.add_topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort"))
@@ -384,15 +346,17 @@ def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
     assert [index.uncompressed_size >> 16 for index in summary.chunk_indexes][:4] == [8, 8, 8, 8]
 
 
-def test_a_bag_is_one_file_if_nothing_else_is_asked_for(tmp_path):
-    data = messages(1)[0].data
-    with BagWriter(tmp_path / "run") as bag:
-        add_streams(bag)
-        for day in range(3):
-            for message in range(200):
-                time_ns = 86_400_000_000_000 * day + message
-                bag.write("/encoder", data, time_ns, time_ns)
-    assert [file.name for file in bag_files(tmp_path / "run")] == ["run_0.mcap"]
+def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_one_file_in_the_whole(tmp_path):
+    data, day = messages(1)[0].data, 86_400_000_000_000
+    for name, limit, files in (("one", {}, 1), ("three", {"max_duration": 1.0}, 3)):
+        with BagWriter(tmp_path / name, **limit) as bag:
+            for topic in ("/always", "/late"):
+                bag.add_topic(topic, ENCODER.layout.type_name, TopicQos("best_effort"))
+            write(bag, [("/always", data, day * number, day * number) for number in range(3)])
+            bag.write("/late", data, 2 * day, 2 * day)
+        found = information(tmp_path / name)
+        counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
+        assert len(found["files"]) == len(bag_files(tmp_path / name)) == files and counts == {"/always": 3, "/late": 1}
 
 
 def test_a_bag_is_split_by_size(record):
@@ -452,7 +416,7 @@ def test_a_file_that_cannot_be_opened_leaves_a_finished_bag_of_those_before(tmp_
         for message in written:
             if message.log_time - written[0].log_time > 0.3e9:
                 monkeypatch.setattr(McapOutput, "__init__", refuse)
-            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+            bag.write(*message)
     monkeypatch.undo()
     found = information(tmp_path / "full")
     assert found["relative_file_paths"] == ["full_0.mcap", "full_1.mcap"]
