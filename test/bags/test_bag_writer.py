@@ -57,7 +57,7 @@ def test_rosbags_and_mcap_find_every_message_with_its_times_type_and_qos(record,
     assert found == bag.messages and statistics.message_count == len(bag.messages)
     times = [message.log_time for message in bag.messages]
     assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
-    assert statistics.chunk_count == chunks > 1
+    assert statistics.chunk_count == len(chunks) > 1
 
 
 def test_metadata_yaml_has_the_fields_of_version_9(record):
