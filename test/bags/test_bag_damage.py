@@ -68,7 +68,7 @@ def test_a_bag_cut_off_anywhere_is_refused_or_read_and_recovered_up_to_the_cut(r
         assert warned
         assert_prefix(streams, whole)
         counts.append(sum(map(len, streams.values())))
-        if number % 20 == 0 or size == len(content) - 9:
+        if number % 7 == 0 or size == len(content) - 9:
             result = recover(cut, tmp_path / f"new{size}")
             with Reader(tmp_path / f"new{size}") as reader:
                 saved = [(one.topic, time_ns, bytes(data)) for one, time_ns, data in reader.messages()]
