@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -37,6 +39,31 @@ def cosine_map() -> StraightnessMap:
     """A guide of 20 µm peak to peak: two and a half waves of a cosine."""
     x = np.linspace(0.0, STROKE, 353)
     return StraightnessMap(Survey((Run("1", "forward", x, 10e-6 * np.cos(2.0 * np.pi * 2.5 * x / STROKE)),)))
+
+
+@pytest.fixture(scope="session")
+def evaluation_of() -> Callable[..., BagEvaluation]:
+    """A function that makes the evaluation of a bag of this record without losses, with other values where named."""
+
+    def made(record: StrokeRecord, **changes: object) -> BagEvaluation:
+        every = np.round(record.time * 1e9).astype(np.int64)
+        values = {
+            "record": record,
+            "expected_samples": len(every),
+            "received_samples": len(every),
+            "lost_references": 0,
+            "lost_commands": 0,
+            "latency": np.full(100, 250e-6),
+            "lateness": np.zeros(100),
+            "stamps": every,
+            "amplifier_on": np.ones(len(every), bool),
+            "parameters": {"controller": {"stage.actuator.current_limit": 0.5}},
+        } | changes
+        x = record.x[np.isin(every, values["stamps"])]
+        run = encoder_run(values["stamps"], x, values["amplifier_on"], int(values["stamps"][-1]))
+        return BagEvaluation(**values, encoder=run)
+
+    return made
 
 
 RecordMaker = Callable[..., StrokeRecord]

@@ -55,25 +55,18 @@ def test_the_run_begins_when_the_amplifier_is_switched_on_and_has_every_stream(t
     assert (found.expected_samples, found.received_samples, found.lost_samples) == (30, 30, 0)
     assert (found.lost_references, found.lost_commands) == (0, 0)
     assert found.amplifier_on.all() and len(found.stamps) == 30 and found.parameters == {}
+    assert found.latency == pytest.approx(1e-4 * np.arange(1, COUNT, 2))
+    assert found.lateness == pytest.approx(1e-5 * np.arange(COUNT))
+    assert found.latency_us(100) == pytest.approx(3900.0) and found.latency_us(0) == pytest.approx(100.0)
 
 
-def test_a_real_machine_tells_no_truth_and_an_older_driver_no_delays(tmp_path):
+def test_without_truth_delays_or_an_amplifier_that_is_on_the_bag_is_a_run_all_the_same(tmp_path):
     found = evaluate_bag(recorded(tmp_path / "bag", without=(TRUTH, DRIVER_STATE)))
     assert found.record.true_x is found.record.true_y is found.record.guide is None
     assert len(found.record.x) == 30
     assert len(found.latency) == len(found.lateness) == 0 and math.isnan(found.latency_us(50))
-
-
-def test_a_bag_in_which_the_amplifier_is_never_on_is_a_run_as_a_whole(tmp_path):
-    found = evaluate_bag(recorded(tmp_path / "bag", order=range(10)))
+    found = evaluate_bag(recorded(tmp_path / "off", order=range(10)))
     assert len(found.record.x) == 10 and not found.amplifier_on.any()
-
-
-def test_delays_are_those_that_were_recorded(tmp_path):
-    found = evaluate_bag(recorded(tmp_path / "bag"))
-    odd = np.arange(1, COUNT, 2)
-    assert found.latency == pytest.approx(1e-4 * odd) and found.lateness == pytest.approx(1e-5 * np.arange(COUNT))
-    assert found.latency_us(100) == pytest.approx(3900.0) and found.latency_us(0) == pytest.approx(100.0)
 
 
 def test_what_is_missing_of_each_stream_is_counted_up_to_its_last(tmp_path):

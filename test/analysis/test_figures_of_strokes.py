@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval, assess
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
-from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_page import blocks
 from straightcomp_ros.analysis.html_report import (
     _BINS,
@@ -33,22 +32,6 @@ from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_f
 from straightcomp_ros.straightness.survey import Run, Survey
 
 
-def evaluation_of(record):
-    stamps = np.round(record.time * 1e9).astype(np.int64)
-    return BagEvaluation(
-        record=record,
-        expected_samples=len(stamps),
-        received_samples=len(stamps),
-        lost_references=0,
-        lost_commands=0,
-        latency=np.full(10, 1e-4),
-        lateness=np.zeros(10),
-        stamps=stamps,
-        amplifier_on=np.ones(len(stamps), bool),
-        parameters={},
-    )
-
-
 def one_way(deviation, y=0.0, r=0.0, truth=None):
     """A stroke at 0.2 m/s over 0.4 m, sampled each millisecond."""
     time = np.arange(2001) * 1e-3
@@ -58,43 +41,31 @@ def one_way(deviation, y=0.0, r=0.0, truth=None):
     return record, find_motion(record).strokes[0]
 
 
-class Map:
-    def __init__(self, deviation):
-        self.deviations = deviation
-
-    def evaluate(self, x):
-        return -self.deviations(x), 0.0 * x, 0.0 * x
+def guide_map(deviation):
+    return SimpleNamespace(deviations=deviation, evaluate=lambda x: (-deviation(x), 0.0 * x, 0.0 * x))
 
 
 def bow(x):
     return 8e-6 * x * (0.4 - x) / 0.04
 
 
-def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after():
-    time = np.arange(2001) * 1e-3
-    record, stroke = one_way(bow, y=-0.5 * bow(0.2 * time), r=-0.5 * bow(0.2 * time) + 1e-6 * np.sin(40.0 * time))
-    figures = stroke_figures(record, Map(bow), None, stroke)
-    assert figures.direction == "forward"
-    assert figures.travel == pytest.approx(0.4, abs=1e-3) and figures.duration == pytest.approx(2.0, abs=0.01)
-    assert figures.start == pytest.approx(0.0, abs=0.01)
-    assert figures.before_end_points == pytest.approx(8e-6, rel=1e-2)
-    assert figures.before_least_squares == pytest.approx(8e-6, rel=1e-2)
-    assert figures.after_end_points == pytest.approx(4e-6, rel=1e-2)
-    assert figures.after_least_squares == pytest.approx(4e-6, rel=1e-2)
+def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_those_of_the_truth_where_it_is_known():
+    x = 0.2 * np.arange(2001) * 1e-3
+    record, stroke = one_way(bow, y=-0.5 * bow(x), r=-0.5 * bow(x) + 1e-6 * np.sin(200.0 * x))
+    figures = stroke_figures(record, guide_map(bow), None, stroke)
+    assert figures.direction == "forward" and figures.true_pp is figures.true_rms is None
+    assert (figures.travel, figures.duration, figures.start) == pytest.approx((0.4, 2.0, 0.0), abs=0.01)
+    assert figures.travel == pytest.approx(0.4, abs=1e-3)
+    assert (figures.before_end_points, figures.before_least_squares) == pytest.approx((8e-6, 8e-6), rel=1e-2)
+    assert (figures.after_end_points, figures.after_least_squares) == pytest.approx((4e-6, 4e-6), rel=1e-2)
     assert figures.encoder_pp == pytest.approx(2e-6, rel=1e-2)
     assert figures.encoder_rms == pytest.approx(1e-6 / math.sqrt(2.0), rel=0.05)
-    assert figures.true_pp is None and figures.true_rms is None
-
-
-def test_where_the_truth_is_known_the_figures_are_those_of_the_truth():
-    record, stroke = one_way(bow, truth=-bow(0.2 * np.arange(2001) * 1e-3))
-    straight = Map(lambda x: 0.0 * x)
-    truth = true_error(record, straight)
-    figures = stroke_figures(record, straight, truth, stroke)
+    record, stroke = one_way(bow, truth=-bow(x))
+    straight = guide_map(lambda x: 0.0 * x)
+    figures = stroke_figures(record, straight, true_error(record, straight), stroke)
     # r is zero, and the platform moves by the bow: the workpiece is straight, the error as large as the bow.
-    assert figures.before_end_points == pytest.approx(8e-6, rel=1e-2)
+    assert (figures.before_end_points, figures.true_pp) == pytest.approx((8e-6, 8e-6), rel=1e-2)
     assert figures.after_end_points == pytest.approx(0.0, abs=1e-12)
-    assert figures.true_pp == pytest.approx(8e-6, rel=1e-2)
     assert figures.true_rms == pytest.approx(8e-6 * math.sqrt(8.0 / 15.0), rel=1e-2)
 
 
@@ -102,14 +73,13 @@ def test_a_shift_of_less_than_a_millimetre_is_no_stroke_and_a_longer_one_is():
     time = np.arange(3000) * 1e-3
     for length, found in ((0.9e-3, False), (1.2e-3, True), (-1.2e-3, True)):
         x = length * np.clip((time - 1.0) / 0.2, 0.0, 1.0)
-        if found:
-            (stroke,) = motion_of(time, x).strokes
-            assert stroke.direction == ("forward" if length > 0.0 else "backward")
-            assert time[stroke.start] == pytest.approx(1.0, abs=0.003)
-            assert time[stroke.stop - 1] == pytest.approx(1.2, abs=0.003)
-        else:
+        if not found:
             with pytest.raises(MetricsError, match="does not move"):
                 motion_of(time, x)
+            continue
+        (stroke,) = motion_of(time, x).strokes
+        assert stroke.direction == ("forward" if length > 0.0 else "backward")
+        assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.2), abs=0.003)
 
 
 def test_the_first_of_several_faults_is_the_one_that_is_named():
@@ -268,19 +238,15 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
     assert (low, high) == pytest.approx((-0.15 - 0.2 * math.sqrt(2.0), -0.15 + 0.2 * math.sqrt(2.0)))
 
 
-def test_a_built_map_tells_its_ends_in_millimetres_and_its_runs():
+def test_a_built_map_has_its_ends_in_millimetres_and_its_runs():
     x = np.linspace(0.05, 0.45, 41)
     runs = (Run("1", "forward", x, bow(x)), Run("1", "backward", x, bow(x) + 2e-7))
     figures = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False)).figures()
-    assert (figures["points"], figures["first_mm"], figures["last_mm"]) == (
-        41,
-        pytest.approx(50.0),
-        pytest.approx(450.0),
-    )
-    assert (figures["forward_runs"], figures["backward_runs"], figures["rejected_runs"]) == (1, 1, 0)
-    assert figures["correction_pp_um"] == pytest.approx(np.ptp(bow(x)) * 1e6)
+    expected = {"points": 41, "first_mm": 50.0, "last_mm": 450.0}
+    expected |= {"forward_runs": 1, "backward_runs": 1, "rejected_runs": 0}
+    expected |= {"correction_pp_um": np.ptp(bow(x)) * 1e6, "reversal_max_um": 0.2}
+    assert {name: figures[name] for name in expected} == pytest.approx(expected)
     assert figures["straightness_end_points_um"] == pytest.approx(8.0, rel=0.01)
-    assert figures["reversal_max_um"] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("count", [5, 100, 5000, 60_000, 60_007])
@@ -296,7 +262,7 @@ def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count)
     assert np.median(np.abs(thinned)) < 5.0
 
 
-def test_the_curves_of_the_report_are_in_micrometres_over_millimetres_seconds_and_hertz(make_record, motion_profile):
+def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, evaluation_of):
     record = make_record(1e-6 * np.sin(2 * np.pi * 50 * motion_profile[0]), quantum=1e-9)
     found = assess(Path("bag"), evaluation_of(record))
     before, forward, backward = _straightness(found).data
@@ -315,7 +281,7 @@ def test_the_curves_of_the_report_are_in_micrometres_over_millimetres_seconds_an
     assert min(spectrum.x) > 0.0
 
 
-def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
+def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record, evaluation_of):
     record = make_record(0.2e-6)
     late = replace(record, time=record.time + 100.0)
     found, other = (assess(Path(name), evaluation_of(one)) for name, one in (("a", record), ("b", late)))
@@ -327,7 +293,7 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
 
 
-def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record):
+def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record, evaluation_of):
     record = make_record(0.2e-6)
     latency, lateness = np.array([100e-6, 130e-6, 131e-6, 900e-6]), np.array([20e-6] * 5)
     evaluation = replace(evaluation_of(record), latency=latency, lateness=lateness)

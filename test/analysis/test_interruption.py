@@ -8,6 +8,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from rewritten_bag import SMC, rewritten
 
+from straightcomp_ros.analysis.interruption import stalls_of
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE
@@ -34,22 +35,14 @@ def off(topic, stamp, numbers):
     return stamp, numbers
 
 
-def law_ends(at, amplifier=off):
+@pytest.mark.parametrize(("at", "amplifier"), [(0.5, off), (FORWARD, None), (3.0, off)])
+def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, capsys, at, amplifier):
     def change(topic, stamp, numbers):
         if stamp < at * S:
             return stamp, numbers
-        return None if topic in LAW else amplifier(topic, stamp, numbers)
+        return None if topic in LAW else amplifier(topic, stamp, numbers) if amplifier else (stamp, numbers)
 
-    return change
-
-
-def on(topic, stamp, numbers):
-    return stamp, numbers
-
-
-@pytest.mark.parametrize(("at", "amplifier"), [(0.5, off), (FORWARD, on), (3.0, off)])
-def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, capsys, at, amplifier):
-    bag = rewritten(SMC, tmp_path / "b", law_ends(at, amplifier))
+    bag = rewritten(SMC, tmp_path / "b", change)
     code, found = judged(bag, capsys)
     assert (code, found["verdict"]) == (1, "interrupted")
     assert found["lost_commands"] > 1000 and found["lost_references"] == found["lost_commands"]
@@ -61,41 +54,37 @@ def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_coun
     assert rows[-1].verdict == "interrupted" and {row.verdict for row in rows[:-1]} <= {"in_order"}
 
 
-def test_streams_that_end_some_milliseconds_apart_do_not_interrupt_a_recording_stopped_in_motion(tmp_path, capsys):
-    def change(topic, stamp, numbers):
-        return (stamp, numbers) if stamp < (0.99 if topic in LAW else 1.0) * S else None
-
-    code, found = judged(rewritten(SMC, tmp_path / "b", change), capsys)
-    assert (code, found["verdict"], found["lost_commands"]) == (0, "in_order", 0)
+def when(condition, change):
+    """``change`` of the samples for which ``condition(topic, stamp)`` holds."""
+    return lambda topic, stamp, numbers: change(topic, stamp, numbers) if condition(topic, stamp) else (stamp, numbers)
 
 
-def off_for_some_samples(topic, stamp, numbers):
-    return off(topic, stamp, numbers) if S <= stamp < 1.05 * S else (stamp, numbers)
-
-
-def driver_ends(topic, stamp, numbers):
-    return (stamp, numbers) if stamp < (1.0 if topic in LAW else 0.999) * S else None
-
-
-def x_jumps(topic, stamp, numbers):
-    return stamp, [numbers[0] + 0.1, *numbers[1:]] if topic == ENCODER.topic and stamp >= S else numbers
+def ends(law_s, others_s):
+    return when(lambda topic, stamp: stamp >= (law_s if topic in LAW else others_s) * S, lambda *_: None)
 
 
 def begins_at_zero(topic, stamp, numbers):
     return (stamp if stamp < 0.01 * S else stamp + 1_790_000_000 * S), numbers, stamp + 1_790_000_000 * S
 
 
+X_JUMPS = when(lambda topic, stamp: topic == ENCODER.topic and stamp >= S, lambda _, t, n: (t, [n[0] + 0.1, *n[1:]]))
+
+
 @pytest.mark.parametrize(
     ("change", "verdict"),
     [
-        (off_for_some_samples, "interrupted"),
-        (driver_ends, "interrupted"),
-        (x_jumps, "interrupted"),
+        (when(lambda topic, stamp: S <= stamp < 1.05 * S, off), "interrupted"),
+        (ends(1.0, 0.999), "interrupted"),
+        (X_JUMPS, "interrupted"),
         (begins_at_zero, "clock_jumped"),
+        # Stopped in motion, streams end some milliseconds apart.
+        (ends(0.99, 1.0), "in_order"),
     ],
 )
 def test_what_breaks_a_motion_is_named(tmp_path, capsys, change, verdict):
-    assert judged(rewritten(SMC, tmp_path / "b", change), capsys)[1]["verdict"] == verdict
+    code, found = judged(rewritten(SMC, tmp_path / "b", change), capsys)
+    assert found["verdict"] == verdict
+    assert verdict != "in_order" or (code, found["lost_commands"]) == (0, 0)
 
 
 def jump_from(at, by, log_too=False):
@@ -107,19 +96,19 @@ def jump_from(at, by, log_too=False):
 
 
 @pytest.mark.parametrize(
-    ("by", "log_too"),
-    [(-3 * 86400.0, False), (-1.0, True), (-0.05, True), (-0.05, False), (0.05, True), (3600.0, False)],
+    ("at", "by", "log_too"),
+    [
+        *((FORWARD, *jump) for jump in ((-3 * 86400.0, False), (-1.0, True), (-0.05, True))),
+        *((FORWARD, *jump) for jump in ((-0.05, False), (0.05, True), (3600.0, False))),
+        *((*jump, False) for jump in ((0.01, 1.0), (2.25, -1.0), (2.25, 86400.0))),  # at rest
+    ],
 )
-def test_a_clock_that_jumps_in_motion_is_named(tmp_path, capsys, by, log_too):
-    code, found = judged(rewritten(SMC, tmp_path / "b", jump_from(FORWARD, by, log_too)), capsys)
+def test_a_clock_that_jumps_is_named(tmp_path, capsys, at, by, log_too):
+    code, found = judged(rewritten(SMC, tmp_path / "b", jump_from(at, by, log_too)), capsys)
     assert code == 1
     # Set back so far, no stroke may be left of what was put in another order.
-    assert "clock_jumped" in (found["verdict"] if isinstance(found, dict) else found.replace(" ", "_"))
-
-
-@pytest.mark.parametrize(("at", "by"), [(0.01, 1.0), (2.25, -1.0), (2.25, 86400.0)])
-def test_a_clock_that_jumps_at_rest_is_named_where_the_recording_has_its_own(tmp_path, capsys, at, by):
-    assert judged(rewritten(SMC, tmp_path / "b", jump_from(at, by)), capsys)[0] == 1
+    in_motion = at == FORWARD
+    assert not in_motion or "clock_jumped" in (found["verdict"] if isinstance(found, dict) else found.replace(" ", "_"))
 
 
 def test_a_pause_of_the_recording_at_rest_is_no_jump_no_loss_and_no_stall(tmp_path, capsys):
@@ -158,12 +147,59 @@ def test_strokes_on_both_sides_of_a_jump_of_x_are_found_and_a_jump_is_no_stroke(
 
 
 def test_a_recording_that_is_cut_off_at_rest_with_the_amplifier_on_is_interrupted(tmp_path, capsys):
-    def change(topic, stamp, numbers):
-        return (stamp, numbers) if stamp < 2.25 * S else None
-
-    bag = rewritten(SMC, tmp_path / "b", change)
+    bag = rewritten(SMC, tmp_path / "b", ends(2.25, 2.25))
     assert judged(bag, capsys)[1]["verdict"] == "in_order"
     (file,) = bag.glob("*.mcap")
     # Without the summary: the logger was killed.
     file.write_bytes(file.read_bytes()[:-200])
     assert judged(bag, capsys)[1]["verdict"] == "interrupted"
+
+
+PERIOD_NS, T = 500_000, 5e-4
+SAMPLES = np.arange(2000, dtype=np.int64) * PERIOD_NS
+
+
+def driver(**changes: dict[int, float]) -> dict[str, np.ndarray]:
+    """The driver's record of a quiet run, with other values at some samples."""
+    columns = {
+        "command_latency": np.full(SAMPLES.size, 150e-6),
+        "lateness": np.full(SAMPLES.size, 40e-6),
+        "enabled": np.ones(SAMPLES.size),
+    }
+    for name, values in changes.items():
+        for place, value in values.items():
+            columns[name][place] = value
+    return columns
+
+
+LEFT = np.delete(SAMPLES, range(1000, 1010))
+ANSWERED = np.delete(SAMPLES, [*range(300, 303), *range(1990, 2000)])
+SILENT, OFF = dict.fromkeys(range(400, 420), np.nan), dict.fromkeys(range(400, 420), 0.0)
+IN_BATCHES = dict.fromkeys((k for k in range(2000) if k % 4), np.nan)
+NONE = SAMPLES[:0]
+
+
+@pytest.mark.parametrize(
+    ("samples", "answered", "of_driver", "columns", "expected"),
+    [
+        pytest.param(SAMPLES, SAMPLES, SAMPLES, driver(), None, id="quiet"),
+        pytest.param(SAMPLES, SAMPLES, NONE, {}, None, id="quiet, and no driver recorded"),
+        pytest.param(LEFT, LEFT, NONE, {}, (999 * T, 1010 * T), id="lost: from the sample before to the one after"),
+        pytest.param(SAMPLES, ANSWERED, NONE, {}, (300 * T, 303 * T), id="no command, but after the last one"),
+        *(
+            pytest.param(SAMPLES, SAMPLES, SAMPLES, driver(**changes), expected, id=what)
+            for what, changes, expected in (
+                ("late command", {"command_latency": {700: 5e-3, 900: 600e-6}}, (700 * T - 5.5e-3, 700 * T)),
+                ("late sample", {"lateness": {700: 5e-3, 900: 500e-6}}, (700 * T, 700 * T + 5e-3)),
+                ("silent controller", {"command_latency": SILENT}, (399 * T, 419 * T)),
+                ("silent with the amplifier off", {"command_latency": SILENT, "enabled": OFF}, None),
+                ("one silent sample", {"command_latency": {400: np.nan}}, None),
+                ("same delay always", {"command_latency": dict.fromkeys(range(2000), 5.0 * T)}, None),
+                ("answers in batches", {"command_latency": IN_BATCHES}, None),
+            )
+        ),
+    ],
+)
+def test_a_stall_is_found_in_lost_samples_missing_and_late_commands(samples, answered, of_driver, columns, expected):
+    found = stalls_of(samples, answered, of_driver, columns)
+    assert found == ([] if expected is None else [pytest.approx(expected)])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.analysis.map_building import (
     Choices,
@@ -16,8 +17,10 @@ from straightcomp_ros.analysis.map_building import (
     _from_neighbours,
     build,
     build_from_series,
+    is_series,
     recognise,
     series_of_bag,
+    series_of_csv,
 )
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
@@ -29,6 +32,8 @@ from straightcomp_ros.straightness.survey_runs import disagreement, repeatabilit
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"
 LENGTH = 0.4
+START_NS = 1_700_000_000_000_000_000
+JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 def guide(x):
@@ -49,28 +54,22 @@ def series(time, x, deviation):
     return Series("made up", time, x, deviation, 0, {})
 
 
-def runs(values, directions):
-    x = np.arange(len(values[0])) * 0.01
-    return Survey(
-        tuple(Run(str(i), way, x, np.array(row)) for i, (row, way) in enumerate(zip(values, directions, strict=True)))
-    )
+def test_repeatability_of_two_runs_each_way_is_that_of_iso_230_2_and_one_run_each_way_has_a_reversal_only():
+    def of(ways, values):
+        x = np.arange(25) * 0.01
+        rows = np.outer(values, np.ones(25)) * 1e-6
+        made = (Run(str(number), way, x, row) for number, (way, row) in enumerate(zip(ways, rows, strict=True)))
+        return repeatability(Survey(tuple(made)), x, rows)
 
-
-def test_repeatability_of_two_runs_each_way_is_that_of_iso_230_2():
     # One point is worth checking by hand: forward 1 and 3 µm, backward 0 and 0 µm.
-    survey = runs(np.array([[1.0] * 25, [3.0] * 25, [0.0] * 25, [0.0] * 25]) * 1e-6, ["forward"] * 2 + ["backward"] * 2)
-    found = repeatability(survey, survey.runs[0].x, np.array([run.deviation for run in survey.runs]))
+    found = of(["forward"] * 2 + ["backward"] * 2, [1.0, 3.0, 0.0, 0.0])
     s = math.sqrt(2.0) * 1e-6
     assert found.forward.repeatability == pytest.approx(4 * s)
     assert found.backward.repeatability == pytest.approx(0.0, abs=1e-15)
     assert found.reversal == pytest.approx(np.full(25, 2e-6))
     assert found.bidirectional == pytest.approx(max(2 * s + 2e-6, 4 * s))
     assert found.short_of_the_standard
-
-
-def test_one_run_each_way_has_a_reversal_but_no_repeatability():
-    survey = runs(np.array([[1.0] * 25, [0.0] * 25]) * 1e-6, ["forward", "backward"])
-    found = repeatability(survey, survey.runs[0].x, np.array([run.deviation for run in survey.runs]))
+    found = of(["forward", "backward"], [1.0, 0.0])
     assert found.bidirectional is None and found.forward.repeatability is None
     assert found.to_display()["reversal_max_um"] == pytest.approx(1.0)
 
@@ -190,32 +189,21 @@ def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):
 
 
 def other_bag(path, *, unit=1e6, header=True):
-    """A survey with somebody else's types: an axis by the name of `carriage`, a sensor that counts µm downwards."""
-    from rosbags.typesys import Stores, get_typestore
-
+    """A survey with another maker's types: an axis by the name of `carriage`, a sensor that counts µm downwards."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
-    time_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    time, x = driven(0.0, LENGTH, 0.0, rate=100.0)
+    sensor_type = "geometry_msgs/msg/PointStamped" if header else "std_msgs/msg/Float64"
     with BagWriter(path) as bag:
-        bag.add_topic("/axes", "sensor_msgs/msg/JointState")
-        sensor_type = "geometry_msgs/msg/PointStamped" if header else "std_msgs/msg/Float64"
-        bag.add_topic("/probe", sensor_type)
-        for t, a in zip(time, x, strict=True):
-            ns = 1_700_000_000_000_000_000 + round(t * 1e9)
-            stamp = header_type(time_type(*divmod(ns, 10**9)), "")
-            empty = np.empty(0)
-            joint = types["sensor_msgs/msg/JointState"](
-                stamp, ["spindle", "carriage"], np.array([1.0, a]), empty, empty
-            )
-            bag.write("/axes", bytes(store.serialize_cdr(joint, "sensor_msgs/msg/JointState")), ns, ns)
+        for topic, kind in (("/axes", JOINT_STATE), ("/probe", sensor_type)):
+            bag.add_topic(topic, kind)
+        for t, a in zip(*driven(0.0, LENGTH, 0.0, rate=100.0), strict=True):
+            ns = START_NS + round(t * 1e9)
+            stamp = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
+            joints = ["spindle", "carriage"], np.array([1.0, a]), np.empty(0), np.empty(0)
+            bag.write("/axes", bytes(store.serialize_cdr(types[JOINT_STATE](stamp, *joints), JOINT_STATE)), ns, ns)
             reading = -guide(a) * unit
-            if header:
-                point = types["geometry_msgs/msg/Point"](0.0, reading, 0.0)
-                message = types[sensor_type](stamp, point)
-            else:
-                message = types[sensor_type](reading)
-            bag.write("/probe", bytes(store.serialize_cdr(message, sensor_type)), ns, ns)
+            content = (stamp, types["geometry_msgs/msg/Point"](0.0, reading, 0.0)) if header else (reading,)
+            bag.write("/probe", bytes(store.serialize_cdr(types[sensor_type](*content), sensor_type)), ns, ns)
 
 
 @pytest.mark.parametrize("header, field", [(True, "point.y"), (False, "data")])
@@ -224,9 +212,8 @@ def test_topics_and_types_of_others_are_named_by_options(tmp_path, capsys, heade
     arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", "--unit", "um", "--json"]
     assert main([*arguments, "--invert", "--sensor", f"/probe:{field}"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert np.array(found["mean_um"]) == pytest.approx(
-        (guide(np.array(found["x_mm"]) * 1e-3) - guide(np.array(found["x_mm"]) * 1e-3).mean()) * 1e6, abs=0.02
-    )
+    true = guide(np.array(found["x_mm"]) * 1e-3) * 1e6
+    assert np.array(found["mean_um"]) == pytest.approx(true - true.mean(), abs=0.02)
     assert ("by time of sending" in found["provenance"]["sensor"]) is not header
 
 
@@ -248,14 +235,116 @@ def test_what_cannot_be_read_is_named(tmp_path, capsys, options, words):
     assert words in " ".join(capsys.readouterr().err.split())
 
 
-def test_platform_motion_is_taken_off_where_the_sensor_rides_on_it(tmp_path):
-    time, x = driven(0.0, LENGTH, rate=100.0)
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/encoder", ENCODER.layout.type_name)
-        bag.add_topic("/displacement", ENCODER.layout.type_name)
-        for t, a in zip(time, x, strict=True):
-            ns, y = 10**18 + round(t * 1e9), 3e-6 * math.sin(5.0 * t)
-            bag.write("/encoder", ENCODER.layout.pack(ns, a, y, math.nan, math.nan), ns, ns)
-            bag.write("/displacement", DISPLACEMENT.layout.pack(ns, float(guide(a)) + y), ns, ns)
-    found = series_of_bag(tmp_path / "bag", sensor=Sensor(on_platform=True))
-    assert found.deviation == pytest.approx(guide(found.x), abs=1e-12)
+SPEED = 0.2
+
+
+def survey_bag(path, stage_s, readings_s, reading, y=lambda t: 0.0 * t):
+    """A bag of a stage at x = SPEED t, sampled at ``stage_s``, and of ``reading(t)`` at ``readings_s``."""
+    rows = [(ENCODER, t, (SPEED * t, float(y(t)), np.nan, np.nan)) for t in stage_s]
+    rows += [(DISPLACEMENT, t, (float(reading(t)),)) for t in readings_s]
+    with BagWriter(path) as bag:
+        for stream in (ENCODER, DISPLACEMENT):
+            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+        for stream, t, numbers in rows:
+            ns = START_NS + round(t * 1e9)
+            bag.write(f"/{stream.topic}", stream.layout.pack(ns, *numbers), ns, ns)
+    return path
+
+
+SECOND = np.arange(0.0, 1.0001, 0.01)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, -0.02])
+def test_a_reading_belongs_to_the_x_of_the_time_before_its_delay(tmp_path, delay):
+    # The sensor shows at t what was there at t − delay: with the right delay deviation and x agree again.
+    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: 1e-6 * SPEED * (t - delay))
+    found = series_of_bag(bag, sensor=Sensor(delay=delay))
+    assert found.deviation == pytest.approx(1e-6 * found.x, abs=1e-15)
+    assert found.unusable == round(abs(delay) / 0.01)
+    assert (f"{delay * 1e3:g} ms old" in found.inputs["sensor"]) is (delay != 0.0)
+
+
+def test_the_delay_of_the_platforms_y_is_that_of_the_reading(tmp_path):
+    def y(t):
+        return 3e-6 * t * t
+
+    bag = survey_bag(tmp_path / "bag", np.arange(0.0, 1.0, 0.001), SECOND, lambda t: 1e-6 + y(t - 0.05), y)
+    found = series_of_bag(bag, sensor=Sensor(delay=0.05, on_platform=True))
+    assert found.deviation == pytest.approx(1e-6, abs=1e-11)
+    assert "on the platform" in found.inputs["sensor"]
+
+
+def test_unit_and_sign_of_the_sensor_are_those_that_are_named(tmp_path):
+    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: 2.0 * t)
+    assert series_of_bag(bag, sensor=Sensor(unit="mm")).deviation[-1] == pytest.approx(2e-3)
+    inverted = series_of_bag(bag, sensor=Sensor(unit="um", inverted=True))
+    assert inverted.deviation[-1] == pytest.approx(-2e-6)
+    assert "inverted" in inverted.inputs["sensor"] and "in um" in inverted.inputs["sensor"]
+    plain = series_of_bag(bag)
+    assert plain.inputs["sensor"].endswith("in m") and plain.inputs["stage"].endswith("position[stage_x]")
+
+
+def test_x_is_not_interpolated_over_more_than_a_tenth_of_a_second(tmp_path):
+    for gap, unusable in ((0.1, 0), (0.11, 10), (0.12, 11)):
+        for begin in (0.0, 0.4, 1.0 - gap):
+            stage = np.array([t for t in SECOND if not begin + 0.0001 < t < begin + gap - 0.0001])
+            bag = survey_bag(tmp_path / f"bag{gap}{begin}", stage, SECOND, lambda t: 1e-6)
+            found = series_of_bag(bag)
+            assert found.unusable == unusable
+            assert found.x == pytest.approx(SPEED * found.time, abs=1e-9)
+
+
+def test_samples_are_put_in_order_and_readings_before_and_after_the_stages_are_left_out(tmp_path):
+    found = series_of_bag(survey_bag(tmp_path / "bag", SECOND[20:81], SECOND, lambda t: 1e-6))
+    assert found.x[[0, -1]] == pytest.approx([SPEED * 0.2, SPEED * 0.8])
+    assert len(found.x) == 61 and found.unusable == 40
+    assert found.time[0] == 0.0 and found.time[-1] == pytest.approx(0.6)
+    shuffled = np.random.default_rng(1).permutation(np.concatenate([SECOND, SECOND[:30]]))
+    found = series_of_bag(survey_bag(tmp_path / "disorder", shuffled, shuffled[::-1], lambda t: 1e-6 * t))
+    assert found.time == pytest.approx(SECOND) and found.deviation == pytest.approx(1e-6 * SECOND)
+
+
+def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(tmp_path):
+    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: np.nan if t > 0.025 else 1e-6)
+    assert (len(series_of_bag(bag).x), series_of_bag(bag).unusable) == (3, 98)
+    bag = survey_bag(tmp_path / "less", SECOND, SECOND, lambda t: np.nan if t > 0.015 else 1e-6)
+    with pytest.raises(SurveyError, match="2 common samples"):
+        series_of_bag(bag)
+    with pytest.raises(SurveyError, match="1 common samples"):
+        series_of_bag(survey_bag(tmp_path / "one", SECOND[:1], SECOND, lambda t: 1e-6))
+
+
+def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
+    path = tmp_path / "series.csv"
+    path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.5,2,20\n6.0,3,30\n")
+    assert is_series(path)
+    (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
+    assert not is_series(tmp_path / "points.csv")
+    found = series_of_csv(path)
+    assert found.time.tolist() == [0.0, 0.5, 1.0]
+    assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])
+    assert found.unusable == 0
+
+
+@pytest.mark.parametrize(
+    "rows, words",
+    [
+        ("0,1,1\n1,2,2\n", "2 rows"),
+        ("0,1,1\n2,2,2\n1,3,3\n", "line 4: time_s 1 after 2"),
+        ("0,1,1\n2,2,2\n2,3,3\n", "line 4: time_s 2 after 2"),
+        ("0,1,1\n1,2\n2,3,3\n", "line 3: 2 cells"),
+    ],
+)
+def test_a_recording_as_csv_that_is_none_is_refused(tmp_path, rows, words):
+    path = tmp_path / "series.csv"
+    path.write_text("time_s,x_mm,deviation_um\n" + rows)
+    with pytest.raises(SurveyError, match=words):
+        series_of_csv(path)
+
+
+def test_where_the_platforms_y_was_not_recorded_a_reading_on_it_says_nothing(tmp_path):
+    hole = [t for t in np.arange(0.0, 1.0001, 0.001) if not 0.4 < t < 0.6]
+    bag = survey_bag(tmp_path / "bag", hole, SECOND, lambda t: 2e-6, lambda t: 1e-6)
+    found = series_of_bag(bag, sensor=Sensor(on_platform=True))
+    assert found.unusable == 19 and found.deviation == pytest.approx(1e-6)
+    assert not np.any((found.x > 0.41 * SPEED) & (found.x < 0.59 * SPEED))

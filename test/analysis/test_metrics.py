@@ -1,12 +1,17 @@
 """The figures of a run, on records whose figures are known."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.metrics import MetricsError, evaluate
-from straightcomp_ros.analysis.record import find_motion
+from straightcomp_ros.analysis.metrics import evaluate, force_balance
+from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, find_motion
+from straightcomp_ros.offline.simulation import Simulation
 
 
 def _wave(profile, amplitude):
@@ -36,12 +41,9 @@ def test_a_constant_error_counts_in_the_rms_alone_and_figures_are_shown_in_micro
 
 def test_a_wave_is_measured_from_peak_to_peak(make_record, cosine_map, motion_profile):
     metrics = evaluate(make_record(_wave(motion_profile, 0.2e-6), quantum=1e-12), cosine_map)
-    assert metrics.true_pp == pytest.approx(0.4e-6, rel=1e-3)
-    assert metrics.true_rms == pytest.approx(0.2e-6 / np.sqrt(2.0), rel=1e-3)
-    assert metrics.encoder_pp == pytest.approx(0.4e-6, rel=1e-3)
-    assert metrics.encoder_rms == pytest.approx(0.2e-6 / np.sqrt(2.0), rel=1e-3)
-    assert metrics.residual_pp == pytest.approx(0.4e-6, rel=0.01)
-    assert metrics.residual_encoder_pp == pytest.approx(0.4e-6, rel=0.01)
+    assert (metrics.true_pp, metrics.encoder_pp) == pytest.approx((0.4e-6, 0.4e-6), rel=1e-3)
+    assert (metrics.true_rms, metrics.encoder_rms) == pytest.approx((0.2e-6 / np.sqrt(2.0),) * 2, rel=1e-3)
+    assert (metrics.residual_pp, metrics.residual_encoder_pp) == pytest.approx((0.4e-6, 0.4e-6), rel=0.01)
 
 
 def test_an_error_that_changes_sign_with_the_direction_shows_only_over_both(make_record, cosine_map, motion_profile):
@@ -53,21 +55,18 @@ def test_an_error_that_changes_sign_with_the_direction_shows_only_over_both(make
     assert metrics.residual_pp == pytest.approx(0.2e-6, rel=1e-3)
 
 
-def test_the_pause_counts_in_the_error_and_not_in_the_straightness(make_record, cosine_map, motion_profile):
+def test_the_pause_counts_in_the_error_only_and_what_is_outside_the_motion_nowhere(
+    make_record, cosine_map, motion_profile
+):
     forward, backward = find_motion(make_record()).strokes
     error = np.zeros(motion_profile[0].size)
+    error[:100] = error[-100:] = np.nan
+    assert evaluate(make_record(error), cosine_map).true_pp == pytest.approx(0.0, abs=1e-15)
     error[(forward.stop + backward.start) // 2] = 1e-6
     metrics = evaluate(make_record(error), cosine_map)
     assert metrics.true_pp == pytest.approx(1e-6)
     assert metrics.true_pp_forward == metrics.true_pp_backward == pytest.approx(0.0, abs=1e-15)
     assert metrics.residual_pp == pytest.approx(0.0, abs=1e-15)
-
-
-def test_what_happens_before_and_after_the_motion_does_not_count(make_record, cosine_map, motion_profile):
-    error = np.zeros(motion_profile[0].size)
-    error[:100] = error[-100:] = np.nan
-    metrics = evaluate(make_record(error), cosine_map)
-    assert metrics.true_pp == pytest.approx(0.0, abs=1e-15)
 
 
 def test_the_uncompensated_straightness_is_that_of_the_guide(make_record, cosine_map):
@@ -113,3 +112,109 @@ def test_what_is_not_finite_is_refused_with_its_place(make_record, cosine_map, c
     values[5000] = value
     with pytest.raises(MetricsError, match=rf"record: {column} is {value} at sample 5000 \(2.5 s\)"):
         evaluate(dataclasses.replace(record, **{column: values}), cosine_map)
+
+
+REST, LEG = 0.25, 1.76 / 0.3 + 1.5
+
+
+def test_a_cycle_is_a_forward_and_a_backward_stroke_and_the_pause_lies_in_the_window_only(make_record):
+    record = make_record()
+    motion = find_motion(record)
+    forward, backward = motion.strokes
+    assert (forward.direction, backward.direction) == ("forward", "backward")
+    # Drawn in by 1 µm, which at 0.2 m/s² takes 3.2 ms.
+    for stroke, begin in ((forward, REST), (backward, 2.0 * REST + LEG)):
+        assert begin < record.time[stroke.start] < begin + 4.5e-3
+        assert begin + LEG - 4.5e-3 < record.time[stroke.stop - 1] < begin + LEG
+    assert motion.window == slice(forward.start, backward.stop)
+    samples = motion.samples()
+    assert samples.size == motion.samples("forward").size + motion.samples("backward").size
+    pause = np.arange(forward.stop, backward.start)
+    assert pause.size > 0.24 / 5e-4 and not np.isin(pause, samples).any()
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_jitter_of_the_encoder_makes_no_stroke(make_record, seed):
+    record = make_record()
+    jitter = np.random.default_rng(seed).integers(-2, 3, record.x.size) * 1e-7
+    motion = find_motion(dataclasses.replace(record, x=record.x + jitter))
+    assert [stroke.direction for stroke in motion.strokes] == ["forward", "backward"]
+    assert motion.window.start == pytest.approx(find_motion(record).window.start, abs=4)
+
+
+def test_lost_samples_do_not_split_a_stroke_and_a_record_that_begins_in_motion_counts_from_its_beginning(make_record):
+    record = make_record()
+
+    def motion(kept):
+        return find_motion(StrokeRecord(law="x", **{name: values[kept] for name, values in record.columns().items()}))
+
+    assert len(motion(np.random.default_rng(2).random(record.time.size) > 0.3).strokes) == 2
+    begun = motion(slice(4000, 10_000))
+    assert begun.window.start <= 1 and begun.window.stop >= 5999
+    assert [stroke.direction for stroke in begun.strokes] == ["forward"] and begun.samples("backward").size == 0
+
+
+def test_a_stage_that_stands_is_refused(make_record):
+    record = make_record()
+    with pytest.raises(MetricsError, match=r"does not move: x stays within 0.0002 mm"):
+        find_motion(dataclasses.replace(record, x=np.where(np.arange(record.x.size) % 2 == 0, 0.5, 0.5 + 2e-7)))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"current": np.zeros(2)}, r"current has shape \(2,\), time has \(3,\)"),
+        ({"time": np.zeros((1, 3))}, r"time has shape \(1, 3\)"),
+        ({"true_y": np.zeros(3)}, "true_y only"),
+        (dict.fromkeys(("time", "x", "y", "r", "current"), np.array([0.0, 1.0])), "2 samples"),
+    ],
+)
+def test_columns_that_make_no_record_are_refused(change, words):
+    columns = dict.fromkeys(("time", "x", "y", "r", "current"), np.zeros(3)) | change
+    with pytest.raises(MetricsError, match=words):
+        find_motion(StrokeRecord(law="x", **columns))
+
+
+RATE = 2000.0
+STIFFNESS = 667.0
+
+
+def stroke(friction: float, noise: float = 0.0, lost: float = 0.0) -> tuple[NDArray[np.float64], ...]:
+    """Three waves of ± 10 µm in six seconds, read in counts of 0.1 µm."""
+    random = np.random.default_rng(1)
+    time = np.arange(0.0, 6.0, 1.0 / RATE)
+    y = 10e-6 * np.sin(np.pi * time)
+    current = (
+        0.01 - STIFFNESS * y + friction * np.sign(np.cos(np.pi * time)) + noise * random.standard_normal(time.size)
+    )
+    current[random.random(time.size) < lost] = np.nan
+    return time, np.round(y / 1e-7) * 1e-7, current
+
+
+@pytest.mark.parametrize(
+    ("stage", "error", "stiffness_error"),
+    [*(((friction,), 2e-5, 2e-3) for friction in (0.0, 0.007, 0.02)), ((0.007, 0.003, 0.1), 1.5e-4, 0.02)],
+)
+def test_friction_is_half_the_hysteresis_and_stiffness_the_slope_despite_noise(stage, error, stiffness_error) -> None:
+    found = force_balance(*stroke(*stage))
+    assert found.friction == pytest.approx(stage[0], abs=error)
+    assert found.stiffness == pytest.approx(STIFFNESS, rel=stiffness_error)
+
+
+def test_a_platform_that_rests_or_goes_one_way_shows_no_friction() -> None:
+    time, y, current = stroke(0.007)
+    one_way = 1e-5 * time
+    for case in ((time, 0.05 * y, current), (time[:200], y[:200], current[:200]), (time, one_way, -667.0 * one_way)):
+        assert math.isnan(force_balance(*case).friction)
+
+
+def test_ten_percent_more_friction_of_a_simulated_stage_is_seen_as_nearly_that() -> None:
+    found = []
+    for factor in (1.0, 1.1):
+        coils: list[float] = []
+        simulation = Simulation({"driver": {"simulated.truth.friction": factor}})
+        record = simulation.run(observe=lambda sample, *_, coils=coils: coils.append(sample.current))
+        found.append(force_balance(record.time, record.y, np.array(coils)))
+    assert found[1].friction / found[0].friction == pytest.approx(1.1, abs=0.02)
+    assert found[0].friction == pytest.approx(0.0075, abs=0.001)

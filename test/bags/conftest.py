@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from recording import Recording, add_streams, messages
+from recording import Recording, add_streams, messages, write
 
 from straightcomp_ros.bags.writer import BagWriter
 
@@ -19,8 +19,7 @@ def record(tmp_path: Path) -> Callable[..., Recording]:
             add_streams(bag)
             bag.attach("parameters.yaml", "application/yaml", b"rate: 2000\n")
             bag.add_metadata("survey", {"guide": "synthetic", "points": "177"})
-            for message in written:
-                bag.write(message.topic, message.data, message.log_time, message.publish_time)
+            write(bag, written)
         return Recording(tmp_path / name, written)
 
     return recorded

@@ -4,7 +4,7 @@ import random
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -16,8 +16,7 @@ LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 START_NS = 1_700_000_000_123_456_789
 
 
-@dataclass(frozen=True)
-class Written:
+class Written(NamedTuple):
     """One message as it was handed to the writer."""
 
     topic: str
@@ -53,6 +52,20 @@ def messages(count: int, seed: int = 0) -> list[Written]:
             log_time = stamp + source.randrange(100_000)
             written.append(Written(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), log_time, stamp))
     return written
+
+
+def write(bag: BagWriter, written: list[Written]) -> None:
+    for message in written:
+        bag.write(*message)
+
+
+def records(content: bytes, opcode: int) -> list[int]:
+    """Offsets of the records of this kind in an MCAP file."""
+    position, found = 8, []
+    while position < len(content) - 8:
+        found += [position] * (content[position] == opcode)
+        position += 9 + int.from_bytes(content[position + 1 : position + 9], "little")
+    return found
 
 
 def add_streams(bag: BagWriter, namespace: str = "") -> None:

@@ -2,7 +2,9 @@
 
 import os
 import random
+import re
 import signal
+import struct
 import subprocess
 import sys
 import warnings
@@ -10,11 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording import LAYOUTS, add_streams, messages
+from mcap.opcode import Opcode
+from recording import LAYOUTS, add_streams, messages, records, write
+from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.mcap_input import McapInput, Record
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.recovery import _checked, recover
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.contract import STREAMS
 
 
 def read(path):
@@ -47,18 +54,26 @@ def assert_whole(found, whole):
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_a_bag_cut_off_anywhere_is_refused_or_read_up_to_the_cut_with_a_warning(record, tmp_path, compression):
+def test_a_bag_cut_off_anywhere_is_refused_or_read_and_recovered_up_to_the_cut(record, tmp_path, compression):
     bag = record(count=60, compression=compression, chunk_size=6000)
     content, whole = bag.file.read_bytes(), read_streams(bag.directory, LAYOUTS)
+    every = {(message.topic, message.log_time, message.data) for message in bag.messages}
     cut = tmp_path / "cut.mcap"
     counts = []
-    for size in [*range(0, len(content), 997), *range(len(content) - 45, len(content))]:
+    for number, size in enumerate([*range(0, len(content), 997), *range(len(content) - 45, len(content))]):
         cut.write_bytes(content[:size])
         streams, warned = read(cut)
-        if streams is not None:
-            assert warned
-            assert_prefix(streams, whole)
-            counts.append(sum(map(len, streams.values())))
+        if streams is None:
+            continue
+        assert warned
+        assert_prefix(streams, whole)
+        counts.append(sum(map(len, streams.values())))
+        if number % 7 == 0 or size == len(content) - 9:
+            result = recover(cut, tmp_path / f"new{size}")
+            with Reader(tmp_path / f"new{size}") as reader:
+                saved = [(one.topic, time_ns, bytes(data)) for one, time_ns, data in reader.messages()]
+            assert set(saved) <= every and len(saved) == len(set(saved)) == result.saved.total() == counts[-1]
+            assert result.lost is None and result.unfinished
     assert counts == sorted(counts)
     assert counts[-1] == len(bag.messages)
 
@@ -114,12 +129,10 @@ def test_random_bytes_behind_the_magic_are_refused(tmp_path):
 def test_a_chunk_that_never_reached_the_disk_ends_the_reading(record, tmp_path):
     bag = BagWriter(tmp_path / "bag")
     add_streams(bag)
-    for message in messages(10):
-        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    write(bag, messages(10))
     bag.flush()
     size = bag.path.stat().st_size
-    for message in messages(10):
-        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    write(bag, messages(10))
     bag.flush()
     content = bag.path.read_bytes()
     bag.close()
@@ -159,12 +172,11 @@ def test_a_killed_recording_loses_the_open_chunk_at_most(tmp_path):
 import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-from recording import add_streams, messages
+from recording import add_streams, messages, write
 from straightcomp_ros.bags.writer import BagWriter
 bag = BagWriter(Path({str(tmp_path / "bag")!r}), chunk_size={chunk_size})
 add_streams(bag)
-for message in messages(100):
-    bag.write(message.topic, message.data, message.log_time, message.publish_time)
+write(bag, messages(100))
 os.kill(os.getpid(), signal.SIGKILL)
 """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -182,3 +194,155 @@ os.kill(os.getpid(), signal.SIGKILL)
         for values in LAYOUTS["encoder"].unpack(message.data)[1][:1]
     ]
     assert streams["encoder"].columns["x"].tobytes() == np.array(x).tobytes()
+
+
+FRAME_SIZE = 9
+# Within a chunk: two times, size, CRC, the name of the compression.
+SIZE_AT, CRC_AT, NAME_AT = 16, 24, 32
+
+
+def read_everything(path):
+    return read_streams(path, LAYOUTS)
+
+
+class Bag:
+    """The bytes of a bag, to be changed in places."""
+
+    def __init__(self, file):
+        self.file, self.content = file, bytearray(file.read_bytes())
+
+    def record(self, opcode, which=0):
+        """Offset of the ``which``-th record of this kind."""
+        return records(self.content, opcode)[which]
+
+    def add(self, offset, number, size=4):
+        value = int.from_bytes(self.content[offset : offset + size], "little") + number
+        self.content[offset : offset + size] = (value % 256**size).to_bytes(size, "little")
+
+    def without_crc_of_the_summary(self):
+        footer = self.record(Opcode.FOOTER)
+        self.content[footer + FRAME_SIZE + 16 : footer + FRAME_SIZE + 20] = bytes(4)
+        return self
+
+    def without_crc_of_the_data(self):
+        end = self.record(Opcode.DATA_END) + FRAME_SIZE
+        self.content[end : end + 4] = bytes(4)
+        return self
+
+    def refusal(self, reader=read_everything):
+        """Where the damage is said to be, and what it is."""
+        self.file.write_bytes(self.content)
+        with warnings.catch_warnings(), pytest.raises(BagError) as refused:
+            warnings.simplefilter("error")
+            reader(self.file)
+        said = re.fullmatch(r"bag (.*) is damaged at byte (\d+): (.*); copy the bag again.*", str(refused.value))
+        assert said is not None and said[1] == str(self.file), refused.value
+        return int(said[2]), said[3]
+
+
+@pytest.fixture
+def bag(record):
+    return Bag(record(count=40, chunk_size=6000, compression="zstd").file)
+
+
+NO_RECORD = "no record starts here, or it is longer than the file"
+
+
+def _wrong(opcode, which, at, number, size=1):
+    """Add ``number`` to ``size`` bytes at ``at`` of a record, from its end if negative; returns the record's place."""
+
+    def change(bag):
+        place = bag.record(opcode, which)
+        (length,) = struct.unpack_from("<Q", bag.content, place + 1)
+        bag.add(place + at + (FRAME_SIZE + length if at < 0 else 0), number, size)
+        return place
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_wrong(Opcode.CHUNK, 1, FRAME_SIZE + CRC_AT, 1), "the checksum of a chunk is wrong"),
+        (
+            _wrong(Opcode.CHUNK, 0, FRAME_SIZE + NAME_AT + 3, 2),
+            "a chunk cannot be unpacked (compression is 'zstf': allowed are zstd, lz4 and none)",
+        ),
+        (_wrong(Opcode.CHUNK, 2, 1, 1 << 40, 8), NO_RECORD),
+        *((_wrong(Opcode.CHUNK, 2, 0, opcode - Opcode.CHUNK), NO_RECORD) for opcode in (0x00, 0x10, 0x7F)),
+        (_wrong(Opcode.ATTACHMENT, 0, -6, 1), "the checksum of an attachment is wrong"),
+    ],
+)
+def test_damage_is_reported_with_its_byte_and_what_is_wrong_there(bag, change, words):
+    place = change(bag)
+    reader = read_attachments if "attachment" in words else read_everything
+    assert bag.refusal(reader) == (place, words)
+
+
+def test_a_chunk_without_a_checksum_is_covered_by_that_of_the_data_section(bag):
+    chunk = bag.record(Opcode.CHUNK, 1)
+    bag.content[chunk + FRAME_SIZE + CRC_AT : chunk + FRAME_SIZE + CRC_AT + 4] = bytes(4)
+    assert bag.refusal() == (0, "the checksum of the data section is wrong")
+    bag.without_crc_of_the_data().file.write_bytes(bag.content)
+    assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
+
+
+@pytest.mark.parametrize("compression", ["lz4", "none"])
+def test_a_chunk_of_another_length_than_it_says(record, compression):
+    bag = Bag(record(count=40, chunk_size=6000, compression=compression).file)
+    chunk = bag.record(Opcode.CHUNK, 2)
+    (size,) = struct.unpack_from("<Q", bag.content, chunk + FRAME_SIZE + SIZE_AT)
+    bag.add(chunk + FRAME_SIZE + SIZE_AT, 1)
+    assert bag.refusal() == (chunk, f"a chunk has {size} bytes, not {size + 1}")
+
+
+def test_an_applications_own_records_are_passed_over(bag):
+    start = bag.record(Opcode.CHUNK, 1)
+    bag.content[start:start] = struct.pack("<BQ", 0x80, 3) + b"own"
+    # The places in the summary are behind it now, and nobody needs them.
+    footer = bag.without_crc_of_the_summary().record(Opcode.FOOTER)
+    bag.add(footer + FRAME_SIZE, FRAME_SIZE + 3, 8)
+    bag.file.write_bytes(bag.content)
+    assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
+
+
+def test_messages_beside_the_chunks_are_read_in_their_place(record):
+    bag = Bag(record(count=40, chunk_size=6000, compression="none").file)
+    whole = read_streams(bag.file, LAYOUTS)
+    for which in (0, 2):
+        chunk = bag.record(Opcode.CHUNK, which)
+        (length,) = struct.unpack_from("<Q", bag.content, chunk + 1)
+        # The name of no compression is empty, and the length of the records follows.
+        inside = bag.content[chunk + FRAME_SIZE + NAME_AT + 8 : chunk + FRAME_SIZE + length]
+        bag.content[chunk : chunk + FRAME_SIZE + length] = inside
+        footer = bag.without_crc_of_the_summary().record(Opcode.FOOTER)
+        bag.add(footer + FRAME_SIZE, len(inside) - FRAME_SIZE - length, 8)
+    bag.without_crc_of_the_data().file.write_bytes(bag.content)
+    found = read_streams(bag.file, LAYOUTS)
+    assert found.keys() == whole.keys()
+    for topic, stream in found.items():
+        assert np.array_equal(stream.log_time, whole[topic].log_time)
+
+
+def test_a_file_with_more_or_fewer_messages_than_its_statistics_say(bag):
+    count = 40 * len(STREAMS)
+    bag.add(bag.without_crc_of_the_summary().record(Opcode.STATISTICS) + FRAME_SIZE, 5, 8)
+    assert bag.refusal() == (0, f"it holds {count} messages, and its statistics say {count + 5}")
+
+
+def test_a_file_is_closed_when_it_is_refused(tmp_path):
+    path = tmp_path / "empty.mcap"
+    path.write_bytes(b"")
+    with warnings.catch_warnings(), pytest.raises(BagError, match="is empty: the recording was never started"):
+        warnings.simplefilter("error", ResourceWarning)
+        McapInput(path)
+    with pytest.raises(BagError, match=r"nowhere\.mcap cannot be read: No such file or directory; check the path"):
+        McapInput(tmp_path / "nowhere.mcap")
+
+
+def test_the_shortest_message_is_one_without_data():
+    # Channel, number and two times make 22 bytes.
+    for length in (22, 23):
+        assert _checked(None, Record(Opcode.MESSAGE, 0, bytes(length))) == (bytes(length), length)
+    with pytest.raises(ValueError, match="too short"):
+        _checked(None, Record(Opcode.MESSAGE, 0, bytes(21)))

@@ -44,30 +44,39 @@ def test_records_of_other_kinds_are_stepped_over_wherever_they_stand(size):
     assert found(other + first + second, index(1, at), index(7, at + len(first))) == {1: [at], 7: [at + len(first)]}
 
 
-def test_a_record_that_ends_beyond_its_chunk_is_damage():
+def test_a_record_beyond_its_chunk_or_a_message_without_its_fields_is_damage_and_one_without_content_is_not():
     data = message(1, 10)
     # The last ones are too short for a length, and nothing is read beyond the end.
     for wrong in (data[:-1], data + record(OTHER, bytes(5))[:-1], data + b"\0", data + record(OTHER, b"")[:-1]):
         with pytest.raises(ValueError, match="longer than its place"):
             message_places(wrong, [])
-
-
-def test_a_message_without_its_fields_is_too_short_and_one_without_content_is_not():
     assert found(record(MESSAGE, bytes(22))) == {0: [0]}
     with pytest.raises(ValueError, match="too short"):
         message_places(record(MESSAGE, bytes(21)), [])
 
 
 def test_indexes_are_believed_only_where_they_fill_the_chunk():
-    first, second = message(1, 10), message(2, 0)
-    data, at = first + second, len(message(1, 10))
-    truth = {1: [0], 2: [at]}
-    for indexes in ([index(2, at), index(1, 0)], [index(1, 0)], [index(2, at)], [index(1, at), index(2, 0)]):
-        assert found(data, *indexes) == truth
-    # The order in an index does not matter.
-    assert found(first + first, index(1, len(first), 0)) == {1: [0, len(first)]}
-    # An index may list a channel without messages.
-    assert {k: v for k, v in found(data, index(1, 0), index(2, at), index(3)).items() if v} == truth
+    sizes = ((1, 10), (2, 0), (1, 30), (2, 7))
+    data = b"".join(message(*one) for one in sizes)
+    truth = {1: [0, 72], 2: [41, 133]}
+    first, second = index(1, 0, 72), index(2, 41, 133)
+    # The order in an index does not matter, and an index may list a channel without messages.
+    for indexes in ([first, second], [second, index(1, 72, 0)], [first, second, index(3)]):
+        assert {channel: places for channel, places in found(data, *indexes).items() if places} == truth
+    for wrong in (
+        [],
+        [first],
+        [second],
+        [first, index(2, 41)],
+        [index(1, 0, 73), second],
+        [index(2, 0, 72), index(1, 41, 133)],
+        [index(1, 0, 72, 72), second],
+        [index(1, 0, 2**63), second],
+        [first, first],
+        [first[:-3], second],
+        [b""],
+    ):
+        assert found(data, *wrong) == truth
 
 
 def test_records_in_a_summary_are_given_by_kind_and_a_cut_is_told():

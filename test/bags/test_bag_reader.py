@@ -1,6 +1,5 @@
 """Reading streams: to the last bit what rosbags decodes, whoever wrote the bag."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags import reader as columns
-from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.reader import StreamColumns, meaningful, read_streams, values_at
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
@@ -64,6 +62,10 @@ def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(record, c
     streams = read_streams(bag.directory, LAYOUTS)
     assert list(streams) == list(LAYOUTS)
     assert not without_layouts
+    for array in [getattr(one, name) for one in streams.values() for name in ("log_time", "publish_time", "stamp")]:
+        assert array.dtype == np.int64
+    for array in [array for one in streams.values() for array in one.columns.values()]:
+        assert array.dtype == np.float64 and array.flags.writeable and array.flags.c_contiguous
     with Reader(bag.directory) as reader:
         for stream in STREAMS:
             own = [message for message in bag.messages if message.topic == f"/{stream.topic}"]
@@ -100,15 +102,6 @@ def test_any_stamp_and_any_numbers_come_back(tmp_path_factory, samples):
     assert encoder.stamp.tolist() == [sample[0] for sample in samples]
     for index, name in enumerate(ENCODER.layout.columns):
         assert bits(encoder.columns[name]) == bits([sample[1 + index] for sample in samples])
-
-
-def test_columns_have_their_types_and_own_their_memory(record):
-    encoder = read_streams(record().directory, ENCODER_ONLY)["encoder"]
-    for array in (encoder.log_time, encoder.publish_time, encoder.stamp):
-        assert array.dtype == np.int64
-    for array in encoder.columns.values():
-        assert array.dtype == np.float64
-        assert array.flags.writeable and array.flags.c_contiguous
 
 
 def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_layouts):
@@ -209,35 +202,6 @@ def test_a_topic_without_messages_is_left_out(tmp_path):
     assert list(read_streams(tmp_path / "bag", LAYOUTS)) == ["encoder"]
 
 
-def test_a_message_index_that_is_wrong_is_not_believed():
-    records = b"".join(
-        struct.pack("<BQHIQQ", 5, 22 + size, channel, 0, 0, 0) + bytes(size)
-        for channel, size in ((1, 10), (2, 0), (1, 30), (2, 7))
-    )
-    truth = {1: [0, 72], 2: [41, 133]}
-
-    def index(channel, *offsets):
-        flat = [value for offset in offsets for value in (0, offset)]
-        return struct.pack(f"<HI{len(flat)}Q", channel, 8 * len(flat), *flat)
-
-    right = [index(1, 0, 72), index(2, 41, 133)]
-    wrong = [
-        [],
-        right[:1],
-        [index(1, 0, 72), index(2, 41)],
-        [index(1, 0, 73), index(2, 41, 133)],
-        [index(2, 0, 72), index(1, 41, 133)],
-        [index(1, 0, 72, 72), index(2, 41, 133)],
-        [index(1, 0, 2**63), index(2, 41, 133)],
-        [right[0], right[0]],
-        [right[0][:-3], right[1]],
-        [b""],
-    ]
-    for indexes in (right, *wrong):
-        found = {channel: places.tolist() for channel, places in message_places(records, indexes).items()}
-        assert found == truth
-
-
 def test_a_message_that_rclpy_serialises_is_read(tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     serialization = pytest.importorskip("rclpy.serialization")
@@ -250,20 +214,14 @@ def test_a_message_that_rclpy_serialises_is_read(tmp_path):
     assert command.columns["control_current"].tolist() == [0.25]
 
 
-WANTED = np.array([10, 20, 30, 40], np.int64)
+def test_each_sample_gets_the_first_value_of_its_own_stamp_and_none_of_another_or_of_a_stream_without_values():
+    def stream(stamps, values):
+        stamp = np.array(stamps, np.int64)
+        return StreamColumns(stamp, stamp, stamp, {"y": np.array(values)})
 
-
-def stream(stamps: list[int], values: list[float]) -> StreamColumns:
-    stamp = np.array(stamps, np.int64)
-    return StreamColumns(stamp, stamp, stamp, {"y": np.array(values)})
-
-
-def test_each_sample_gets_the_first_value_of_its_own_stamp_and_none_of_another():
+    wanted = np.array([10, 20, 30, 40], np.int64)
     recorded = stream([30, 15, 10, 30, 45], [3.0, 1.5, 1.0, 9.0, 4.5])
-    np.testing.assert_array_equal(values_at(recorded, "y", WANTED), [1.0, np.nan, 3.0, np.nan])
-
-
-def test_a_stream_that_is_empty_or_missing_has_no_values():
+    np.testing.assert_array_equal(values_at(recorded, "y", wanted), [1.0, np.nan, 3.0, np.nan])
     for none in (None, stream([], [])):
-        assert np.isnan(values_at(none, "y", WANTED)).all()
-    assert values_at(stream([10], [1.0]), "y", WANTED[:0]).size == 0
+        assert np.isnan(values_at(none, "y", wanted)).all()
+    assert values_at(stream([10], [1.0]), "y", wanted[:0]).size == 0

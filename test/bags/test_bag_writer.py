@@ -4,18 +4,24 @@ import errno
 import sys
 import tracemalloc
 import warnings
+from functools import partial
 
+import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from recording import LAYOUTS, START_NS, add_streams, information, messages
+from recording import LAYOUTS, START_NS, Recording, add_streams, information, messages, write
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.fields import Field, read_field
+from straightcomp_ros.bags.folder import bag_files
+from straightcomp_ros.bags.mcap_output import McapOutput
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
+from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import TopicQos, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
@@ -24,10 +30,10 @@ COMPRESSIONS = ("zstd", "lz4", "none")
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_rosbags_opens_the_folder_and_finds_every_message(record, compression):
+def test_rosbags_and_mcap_find_every_message_with_its_times_type_and_qos(record, compression):
     bag = record(compression=compression, chunk_size=4096)
     with Reader(bag.directory) as reader:
-        found = [(connection.topic, time, data) for connection, time, data in reader.messages()]
+        found = [(connection.topic, data, time) for connection, time, data in reader.messages()]
         assert reader.message_count == len(bag.messages)
         assert {connection.digest for connection in reader.connections} == {
             definition(stream.layout.type_name).type_hash for stream in STREAMS
@@ -35,14 +41,7 @@ def test_rosbags_opens_the_folder_and_finds_every_message(record, compression):
         for connection in reader.connections:
             assert connection.ext.offered_qos_profiles[0].reliability == QosReliability.BEST_EFFORT
             assert connection.msgdef.data == definition(connection.msgtype).text
-    assert sorted(found, key=lambda entry: entry[1:]) == sorted(
-        ((message.topic, message.log_time, message.data) for message in bag.messages), key=lambda entry: entry[1:]
-    )
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_mcap_reads_every_message_with_both_times(record, compression):
-    bag = record(compression=compression, chunk_size=4096)
+    assert sorted(found) == sorted(message[:3] for message in bag.messages)
     with open(bag.file, "rb") as file:
         reader = make_reader(file, validate_crcs=True)
         found = [
@@ -50,18 +49,14 @@ def test_mcap_reads_every_message_with_both_times(record, compression):
             for _, channel, message in reader.iter_messages(log_time_order=False)
         ]
         statistics = reader.get_summary().statistics
-        profile = reader.get_header().profile
-    assert found == [(m.topic, m.data, m.log_time, m.publish_time) for m in bag.messages]
-    assert profile == "ros2"
-    assert statistics.message_count == len(bag.messages)
-    assert statistics.message_start_time == min(message.log_time for message in bag.messages)
-    assert statistics.message_end_time == max(message.log_time for message in bag.messages)
-    with open(bag.file, "rb") as file:
+        assert reader.get_header().profile == "ros2"
+        file.seek(0)
         chunks = [
-            record
-            for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records
-            if isinstance(record, Chunk)
+            one for one in StreamReader(file, emit_chunks=True, validate_crcs=True).records if isinstance(one, Chunk)
         ]
+    assert found == bag.messages and statistics.message_count == len(bag.messages)
+    times = [message.log_time for message in bag.messages]
+    assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
     assert statistics.chunk_count == len(chunks) > 1
 
 
@@ -100,10 +95,8 @@ def test_metadata_yaml_has_the_fields_of_version_9(record):
         "offered_qos_profiles": [profile],
     }
     # rosbag2 reads no anchors; it looks into the file when it is given that alone.
-    assert "&id" not in text and sorted(path.name for path in bag.directory.iterdir()) == [
-        "metadata.yaml",
-        "run_0.mcap",
-    ]
+    assert "&id" not in text
+    assert {path.name for path in bag.directory.iterdir()} == {"metadata.yaml", "run_0.mcap"}
     serialized = read_metadata(bag.file)["rosbag2"]["serialized_metadata"]
     assert yaml.safe_load(serialized) == information(bag.directory)
 
@@ -136,8 +129,7 @@ def test_the_bag_is_finished_when_an_exception_ends_the_block(tmp_path, error):
     written = messages(20)
     with pytest.raises(error), BagWriter(tmp_path / "bag") as bag:
         add_streams(bag)
-        for message in written:
-            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+        write(bag, written)
         raise error
     with Reader(tmp_path / "bag") as reader:
         assert reader.message_count == len(written)
@@ -169,7 +161,7 @@ def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
                 try:
                     sys.setprofile(interrupt)
                     for message in written:
-                        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+                        bag.write(*message)
                         taken += 1
                 finally:
                     sys.setprofile(None)
@@ -199,7 +191,7 @@ def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_pat
 
         def write(count):
             for message in messages(count):
-                bag.write(message.topic, message.data, message.log_time, message.publish_time)
+                bag.write(*message)
                 if message.topic == f"/{STREAMS[-1].topic}":
                     bag.flush()
 
@@ -212,15 +204,19 @@ def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_pat
     assert after - before < 2.0 * chunks * entry
 
 
-def test_a_bag_is_closed_once_and_takes_no_messages_after_that(tmp_path):
+def test_a_bag_is_closed_once_and_a_message_of_an_unknown_topic_or_after_the_end_is_refused(tmp_path):
     bag = BagWriter(tmp_path / "bag")
     add_streams(bag)
+    bag.write_all(messages(10))
+    with pytest.raises(BagError, match="'/unknown' was not added"):
+        bag.write_all([*messages(10), ("/unknown", b"", 1, 1)])
     bag.close()
     before = bag.path.read_bytes()
     bag.close()
     assert bag.path.read_bytes() == before
-    with pytest.raises(BagError, match="is closed"):
-        bag.write("/encoder", b"", 0, 0)
+    for late in (lambda: bag.write("/encoder", b"", 0, 0), lambda: bag.write_all(messages(1))):
+        with pytest.raises(BagError, match="is closed"):
+            late()
 
 
 def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made(record, tmp_path):
@@ -288,13 +284,11 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
     kept, rest = written[:100], written[100:]
     bag = BagWriter(tmp_path / "bag", compression="none", chunk_size=50_000)
     add_streams(bag)
-    for message in kept:
-        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    write(bag, kept)
     bag.flush()
     bag._output._file = SmallDisk(bag._output._file, bag.path.stat().st_size + 40_000)
     with pytest.raises(BagError, match="cannot be written: No space left on device; free space"):
-        for message in rest:
-            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+        write(bag, rest)
     with pytest.raises(BagError, match=r"the disk took no more, the last \d+ messages are lost"):
         bag.close()
     with Reader(tmp_path / "bag") as reader:
@@ -304,17 +298,13 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
 
 
 def test_messages_written_together_make_the_file_that_single_ones_make(tmp_path):
-    some = [(m.topic, m.data, m.log_time, m.publish_time) for m in messages(400)]
+    some = messages(400)
     stored = {}
     for name, together in (("single", False), ("together", True)):
         with BagWriter(tmp_path / name, chunk_size=20_000, max_duration=0.05) as bag:
             add_streams(bag)
             for first in range(0, len(some), 37):
-                if together:
-                    bag.write_all(some[first : first + 37])
-                else:
-                    for message in some[first : first + 37]:
-                        bag.write(*message)
+                (bag.write_all if together else partial(write, bag))(some[first : first + 37])
         with Reader(tmp_path / name) as reader:
             stored[name] = [(connection.topic, time, data) for connection, time, data in reader.messages()]
         stored[name, "files"] = information(tmp_path / name)["files"]
@@ -324,12 +314,114 @@ def test_messages_written_together_make_the_file_that_single_ones_make(tmp_path)
     ]
 
 
-def test_one_wrong_message_among_many_is_refused_by_its_topic(tmp_path):
-    some = [(m.topic, m.data, m.log_time, m.publish_time) for m in messages(10)]
-    with BagWriter(tmp_path / "bag") as bag:
+COUNT = 1200
+
+
+@pytest.fixture
+def split(record) -> Recording:
+    return record(COUNT, "split", max_duration=0.2, chunk_size=20_000)
+
+
+def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does(split):
+    files = bag_files(split.directory)
+    assert [file.name for file in files] == ["split_0.mcap", "split_1.mcap", "split_2.mcap"]
+    found = information(split.directory)
+    assert found["relative_file_paths"] == [file.name for file in files]
+    assert [entry["path"] for entry in found["files"]] == found["relative_file_paths"]
+    assert sum(entry["message_count"] for entry in found["files"]) == found["message_count"] == len(split.messages)
+    assert all(entry["duration"]["nanoseconds"] < 0.2e9 for entry in found["files"])
+    times = [message.log_time for message in split.messages]
+    assert found["starting_time"]["nanoseconds_since_epoch"] == min(times)
+    assert found["duration"]["nanoseconds"] == max(times) - min(times)
+
+
+def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
+    with BagWriter(tmp_path / "run") as bag:
+        bag.add_topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort"))
+        data = bytes(64 * 1024 - 31)  # with the head of its record 64 KiB
+        for stamp in range(33):
+            bag.write("/encoder", data, stamp, stamp)
+    with open(bag_files(tmp_path / "run")[0], "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert [index.uncompressed_size >> 16 for index in summary.chunk_indexes][:4] == [8, 8, 8, 8]
+
+
+def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_one_file_in_the_whole(tmp_path):
+    data, day = messages(1)[0].data, 86_400_000_000_000
+    for name, limit, files in (("one", {}, 1), ("three", {"max_duration": 1.0}, 3)):
+        with BagWriter(tmp_path / name, **limit) as bag:
+            for topic in ("/always", "/late"):
+                bag.add_topic(topic, ENCODER.layout.type_name, TopicQos("best_effort"))
+            write(bag, [("/always", data, day * number, day * number) for number in range(3)])
+            bag.write("/late", data, 2 * day, 2 * day)
+        found = information(tmp_path / name)
+        counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
+        assert len(found["files"]) == len(bag_files(tmp_path / name)) == files and counts == {"/always": 3, "/late": 1}
+
+
+def test_a_bag_is_split_by_size(record):
+    recording = record(COUNT, "large", max_size=60_000, chunk_size=20_000, compression="none")
+    sizes = [file.stat().st_size for file in bag_files(recording.directory)]
+    assert len(sizes) > 3
+    # The chunk that made it so, its index, and the file's own end.
+    assert all(60_000 <= size < 110_000 for size in sizes[:-1])
+
+
+def test_other_readers_and_ours_see_all_messages_in_their_order(split):
+    with Reader(split.directory) as reader:
+        theirs = [(c.topic, bytes(data)) for c, _, data in reader.messages()]
+    # rosbags reads by log time.
+    assert sorted(theirs) == sorted((message.topic, message.data) for message in split.messages)
+    streams = read_streams(split.directory, LAYOUTS)
+    assert all(len(stream) == COUNT for stream in streams.values())
+    assert (np.diff(streams["encoder"].stamp) == 500_000).all()
+    assert len(read_field(split.directory, Field("encoder", "position[stage_x]")).stamp) == COUNT
+    assert len(read_messages(split.directory, "encoder").data) == COUNT
+    assert read_metadata(split.directory)["survey"]["points"] == "177"
+    assert read_attachments(split.directory)["parameters.yaml"] == b"rate: 2000\n"
+
+
+def test_a_missing_file_is_named_and_recover_saves_the_others(split, tmp_path):
+    (split.directory / "split_1.mcap").unlink()
+    with pytest.raises(BagError, match=r"lacks split_1\.mcap"):
+        read_streams(split.directory, LAYOUTS)
+    (split.directory / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match=r"lacks split_1\.mcap"):
+        read_streams(split.directory, LAYOUTS)
+    result = recover(split.directory, tmp_path / "saved")
+    assert not result.whole and result.lost is None
+    assert ("split_1.mcap", 0, 0, "the file is missing") in result.gaps
+    assert 0 < result.saved["/encoder"] < COUNT
+
+
+def test_the_last_file_of_a_killed_recording_may_be_cut_off_or_empty(split, tmp_path):
+    (split.directory / "metadata.yaml").unlink()
+    last = split.directory / "split_2.mcap"
+    last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
+    with pytest.warns(UserWarning, match="split_2.mcap was not finished"):
+        stream = read_streams(split.directory, LAYOUTS)["encoder"]
+    assert 800 <= len(stream) < COUNT
+    result = recover(split.directory, tmp_path / "saved")
+    assert result.unfinished == ["split_2.mcap"]
+    assert result.saved["/encoder"] == len(stream)
+    assert len(bag_files(tmp_path / "saved")) == 1
+    last.write_bytes(b"")
+    assert len(read_streams(split.directory, LAYOUTS)["encoder"]) == 800
+
+
+def test_a_file_that_cannot_be_opened_leaves_a_finished_bag_of_those_before(tmp_path, monkeypatch):
+    written = messages(COUNT)
+    with pytest.raises(BagError, match="No space"), BagWriter(tmp_path / "full", max_duration=0.2) as bag:
         add_streams(bag)
-        bag.write_all(some)
-        with pytest.raises(BagError, match="'/unknown' was not added"):
-            bag.write_all([*some, ("/unknown", b"", 1, 1)])
-    with pytest.raises(BagError, match="is closed"):
-        bag.write_all(some)
+        for message in written:
+            if message.log_time - written[0].log_time > 0.3e9:
+                monkeypatch.setattr(McapOutput, "__init__", refuse)
+            bag.write(*message)
+    monkeypatch.undo()
+    found = information(tmp_path / "full")
+    assert found["relative_file_paths"] == ["full_0.mcap", "full_1.mcap"]
+    assert len(read_streams(tmp_path / "full", LAYOUTS)["encoder"]) == found["message_count"] // len(STREAMS)
+
+
+def refuse(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")

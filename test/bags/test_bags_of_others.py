@@ -15,16 +15,19 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from recording import LAYOUTS
+from recording import LAYOUTS, messages, records
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as SqliteWriter
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags import reader as columns
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.offline.audit import audit
 
 SAMPLE = next((Path(__file__).resolve().parents[2] / "bags" / "smc").glob("*.mcap"))
@@ -58,92 +61,65 @@ def sample() -> list[One]:
     return found
 
 
-class Variant:
-    """How a writer makes its channels and messages of ours."""
-
-    channels = 1
-    encoding = "ros2msg"
-
-    def __init__(self, **writer: object) -> None:
-        self.writer = {"compression": CompressionType.ZSTD, "chunk_size": 100_000, **writer}
-
-    def name(self, topic: str) -> str:
-        return topic
-
-    def text(self, one: One) -> bytes:
-        return one.text
-
-    def data(self, one: One) -> bytes:
-        return one.data
-
-    def write(self, messages: list[One], path: Path, parameters: bool = True) -> Path:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            writer = Writer(file, **self.writer)
-            writer.start("ros2")
-            if parameters:
-                text = read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT]
-                writer.add_attachment(0, 0, PARAMETERS_ATTACHMENT, "application/yaml", text)
-            channels: dict[tuple[str, int], int] = {}
-            for number, one in enumerate(messages):
-                key = one.topic, number * self.channels // len(messages)
-                if key not in channels:
-                    schema = writer.register_schema(one.type_name, self.encoding, self.text(one))
-                    channels[key] = writer.register_channel(self.name(one.topic), "cdr", schema)
-                writer.add_message(channels[key], one.log_time, self.data(one), one.publish_time)
-            writer.finish()
-        return path
-
-
-def _with(base: dict[str, object] | None = None, **methods: object) -> Variant:
-    return type("Made", (Variant,), methods)(**(base or {}))
+def written(
+    messages,
+    path,
+    *,
+    channel=lambda *_: 0,
+    encoding="ros2msg",
+    name=str,
+    text=None,
+    data=None,
+    parameters=True,
+    **how,
+) -> Path:
+    """Our messages as another writer stores them; ``channel(number, count)`` tells channels of a topic apart."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        to = Writer(file, **{"compression": CompressionType.ZSTD, "chunk_size": 100_000} | how)
+        to.start("ros2")
+        if parameters:
+            attached = read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT]
+            to.add_attachment(0, 0, PARAMETERS_ATTACHMENT, "application/yaml", attached)
+        channels: dict[tuple[str, int], int] = {}
+        for number, one in enumerate(messages):
+            key = one.topic, channel(number, len(messages))
+            if key not in channels:
+                schema = to.register_schema(one.type_name, encoding, text(one) if text else one.text)
+                channels[key] = to.register_channel(name(one.topic), "cdr", schema)
+            to.add_message(channels[key], one.log_time, data(one) if data else one.data, one.publish_time)
+        to.finish()
+    return path
 
 
 IDL = b"module sensor_msgs {};"
 READ_AS_IT_IS = {
-    "plain": Variant(),
-    "lz4": Variant(compression=CompressionType.LZ4),
-    "unchunked": Variant(use_chunking=False),
-    "no index": Variant(index_types=IndexType.NONE),
-    "no message index": Variant(index_types=IndexType.ALL ^ IndexType.MESSAGE, enable_crcs=False),
-    "checksum of the data": Variant(enable_data_crcs=True),
-    "two channels": _with(channels=2),
-    "three channels": _with(channels=3),
-    "channels in turn": _with(write=lambda self, messages, path: in_turn(messages, path)),
-    "no definitions": _with(text=lambda self, one: b""),
-    "one without definition": _with(text=lambda self, one: b"" if one.topic == "/encoder" else one.text),
-    "ros2idl": _with(encoding="ros2idl", text=lambda self, one: IDL),
-    "no slash": _with(name=lambda self, topic: topic[1:]),
-    "no repeated schemas": Variant(repeat_schemas=False),
-    "no repeated channels": Variant(repeat_channels=False),
-    "no repeated schemas, unchunked": Variant(repeat_schemas=False, use_chunking=False),
-    "no statistics": Variant(use_statistics=False),
-    "neither schemas, channels nor statistics": Variant(
-        repeat_schemas=False, repeat_channels=False, use_statistics=False
+    "plain": {},
+    "lz4": {"compression": CompressionType.LZ4},
+    "unchunked": {"use_chunking": False},
+    "no index": {"index_types": IndexType.NONE},
+    "no message index": {"index_types": IndexType.ALL ^ IndexType.MESSAGE, "enable_crcs": False},
+    "checksum of the data": {"enable_data_crcs": True},
+    "two channels": {"channel": lambda number, count: number * 2 // count},
+    "three channels": {"channel": lambda number, count: number * 3 // count},
+    "channels in turn": {"channel": lambda number, _: number // 6 % 2},
+    "no definitions": {"text": lambda one: b""},
+    "one without definition": {"text": lambda one: b"" if one.topic == "/encoder" else one.text},
+    "ros2idl": {"encoding": "ros2idl", "text": lambda one: IDL},
+    "no slash": {"name": lambda topic: topic[1:]},
+    "no repeated schemas": {"repeat_schemas": False},
+    "no repeated channels": {"repeat_channels": False},
+    "no repeated schemas, unchunked": {"repeat_schemas": False, "use_chunking": False},
+    "no statistics": {"use_statistics": False},
+    "neither schemas, channels nor statistics": dict.fromkeys(
+        ("repeat_schemas", "repeat_channels", "use_statistics"), False
     ),
 }
 
 
-def in_turn(messages: list[One], path: Path) -> Path:
-    """Each topic on two channels that take turns from message to message."""
-
-    class Turns(Variant):
-        channels = 2
-
-        def name(self, topic: str) -> str:
-            return topic.rstrip("+")
-
-    twice = [One(one.topic + "+" * (number // 6 % 2), *vars_of(one)) for number, one in enumerate(messages)]
-    return Turns.write(Turns(), twice, path)
-
-
-def vars_of(one: One) -> tuple[object, ...]:
-    return tuple(vars(one).values())[1:]
-
-
 @pytest.mark.parametrize("kind", READ_AS_IT_IS)
 def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole(sample, tmp_path, kind):
-    bag = READ_AS_IT_IS[kind].write(sample, tmp_path / "b" / "b_0.mcap").parent
+    bag = written(sample, tmp_path / "b" / "b_0.mcap", **READ_AS_IT_IS[kind]).parent
     streams = read_streams(bag, LAYOUTS)
     for topic, layout in LAYOUTS.items():
         own = [one for one in sample if one.topic == f"/{topic}"]
@@ -161,7 +137,7 @@ def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole(sa
 
 @pytest.mark.parametrize("kind", ["no definitions", "ros2idl", "no slash", "no repeated schemas", "three channels"])
 def test_of_such_a_bag_that_was_cut_off_all_whole_messages_are_saved(sample, tmp_path, kind):
-    path = READ_AS_IT_IS[kind].write(sample, tmp_path / "b" / "b_0.mcap")
+    path = written(sample, tmp_path / "b" / "b_0.mcap", **READ_AS_IT_IS[kind])
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.warns(UserWarning, match="not finished"):
         whole = read_streams(path, LAYOUTS)
@@ -187,7 +163,7 @@ def test_a_topic_of_two_types_is_named_and_what_is_not_copied_counts_as_lost(tmp
 
 @pytest.mark.parametrize("compress", [zstandard.compress, lz4.frame.compress])
 def test_messages_that_are_compressed_one_by_one_are_named_by_every_verb(sample, tmp_path, compress, capsys):
-    bag = _with(data=lambda self, one: compress(one.data)).write(sample, tmp_path / "b" / "b_0.mcap").parent
+    bag = written(sample, tmp_path / "b" / "b_0.mcap", data=lambda one: compress(one.data)).parent
     name = "zstd" if compress is zstandard.compress else "lz4"
     information = {"compression_format": name, "compression_mode": "MESSAGE", "relative_file_paths": ["b_0.mcap"]}
     for listed in (False, True):
@@ -210,18 +186,16 @@ def test_messages_that_are_compressed_one_by_one_are_named_by_every_verb(sample,
 @pytest.mark.parametrize("where", ["message", "chunk without checksum"])
 def test_a_flipped_bit_that_only_the_checksum_of_the_data_section_covers_is_found(sample, tmp_path, where):
     kind = (
-        Variant(use_chunking=False, enable_data_crcs=True)
+        {"use_chunking": False, "enable_data_crcs": True}
         if where == "message"
-        else Variant(compression=CompressionType.NONE)
+        else {"compression": CompressionType.NONE}
     )
-    path = kind.write(sample, tmp_path / "b_0.mcap")
+    path = written(sample, tmp_path / "b_0.mcap", **kind)
     content = bytearray(path.read_bytes())
     if where != "message":
-        place = MAGIC
-        while content[place] != Opcode.CHUNK:
-            place += 9 + int.from_bytes(content[place + 1 : place + 9], "little")
+        place = records(content, Opcode.CHUNK)[0]
         content[place + 9 + 24 : place + 9 + 28] = bytes(4)
-        end = max(offset for offset, opcode in frames(bytes(content)) if opcode == Opcode.DATA_END)
+        end = records(content, Opcode.DATA_END)[-1]
         content[end + 9 : end + 13] = zlib.crc32(content[:end]).to_bytes(4, "little")
     assert path.write_bytes(content) and len(read_streams(path, LAYOUTS)["encoder"]) == CYCLES
     wanted = next(one for one in sample[300:] if one.topic == "/encoder")
@@ -234,22 +208,10 @@ def test_a_flipped_bit_that_only_the_checksum_of_the_data_section_covers_is_foun
     assert not result.whole and "checksum" in result.gaps[0][3] and result.saved.total() == len(sample)
 
 
-MAGIC = 8
-
-
-def frames(content: bytes) -> list[tuple[int, int]]:
-    """Offset and opcode of each record of a file."""
-    found, place = [], MAGIC
-    while place < len(content) - MAGIC:
-        found.append((place, content[place]))
-        place += 9 + int.from_bytes(content[place + 1 : place + 9], "little")
-    return found
-
-
 def test_statistics_that_count_too_few_are_no_negative_loss(sample, tmp_path):
-    path = Variant(enable_crcs=False).write(sample, tmp_path / "b_0.mcap")
+    path = written(sample, tmp_path / "b_0.mcap", enable_crcs=False)
     content = bytearray(path.read_bytes())
-    place = next(offset for offset, opcode in frames(bytes(content)) if opcode == Opcode.STATISTICS) + 9
+    place = records(content, Opcode.STATISTICS)[0] + 9
     content[place : place + 8] = (len(sample) - 10).to_bytes(8, "little")
     counts = place + 8 + 2 + 4 * 4 + 16 + 4
     content[counts + 2 : counts + 10] = (CYCLES - 10).to_bytes(8, "little")
@@ -309,8 +271,10 @@ def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encod
         rows = [("/probe", 10 + n, data) for n, data in enumerate(messages)]
         bag = sqlite_bag(tmp_path / "b_0.db3", {"/probe": TRACER}, rows, [(TRACER, encoding, text)])
     else:
-        bag = _with(encoding=encoding).write(
-            [One("/probe", TRACER, text.encode(), data, 10, 10) for data in messages], tmp_path / "b_0.mcap"
+        bag = written(
+            [One("/probe", TRACER, text.encode(), data, 10, 10) for data in messages],
+            tmp_path / "b_0.mcap",
+            encoding=encoding,
         )
     assert read_field(bag, Field("/probe", "point.y")).values.tolist() == [0.5, 1.5, 2.5]
 
@@ -318,7 +282,7 @@ def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encod
 @pytest.mark.parametrize("text", [b"", b" \n", b"acme_msgs/Other other\n"])
 def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text, fresh_types):
     _, messages = custom_messages()
-    bag = Variant().write([One("/probe", TRACER, text, data, 10, 10) for data in messages], tmp_path / "b_0.mcap")
+    bag = written([One("/probe", TRACER, text, data, 10, 10) for data in messages], tmp_path / "b_0.mcap")
     with pytest.raises(BagError, match=f"'{TRACER}', which the bag does not describe"):
         read_field(bag, Field("/probe", "point.y"))
 
@@ -369,7 +333,13 @@ ROLLING = [f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range
 
 
 @pytest.mark.parametrize(
-    ("names", "listed"), [(ROLLING, True), (ROLLING, False), (["zulu.mcap", "alpha.mcap", "mike.mcap"], True)]
+    ("names", "listed"),
+    [
+        (ROLLING, ROLLING),
+        (ROLLING, None),
+        (["zulu.mcap", "alpha.mcap", "mike.mcap"], ["zulu.mcap", "alpha.mcap", "mike.mcap"]),
+        (["z.mcap", "a.mcap", "m.mcap"], ["b_0.mcap", "b_1.mcap", "b_2.mcap"]),  # renamed by a user
+    ],
 )
 def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path, names, listed):
     from straightcomp_ros.fleet.history.bag_places import bags_in
@@ -377,29 +347,20 @@ def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_pat
     bag = tmp_path / "b"
     step = -(-len(sample) // len(names))
     for number, name in enumerate(names):
-        Variant().write(sample[number * step : (number + 1) * step], bag / name, parameters=not number)
+        written(sample[number * step : (number + 1) * step], bag / name, parameters=not number)
     if listed:
-        information = {"relative_file_paths": names, "compression_mode": ""}
+        information = {"relative_file_paths": listed, "compression_mode": ""}
         (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
     found = audit(bag)
     assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
     assert [place.location for place in bags_in(str(tmp_path))] == [str(bag)]
 
 
-def test_files_that_a_user_renamed_are_in_the_order_of_their_messages(sample, tmp_path):
-    for number, name in enumerate(("z.mcap", "a.mcap", "m.mcap")):
-        Variant().write(sample[number * 1600 : (number + 1) * 1600], tmp_path / "b" / name, parameters=not number)
-    information = {"relative_file_paths": ["b_0.mcap", "b_1.mcap", "b_2.mcap"]}
-    (tmp_path / "b" / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
-    found = audit(tmp_path / "b")
-    assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
-
-
 def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, capsys):
     from straightcomp_ros.fleet.history.bag_places import bags_in
 
     for name in ("a_run.mcap", "z_run.mcap"):
-        Variant().write(sample, tmp_path / "b" / name)
+        written(sample, tmp_path / "b" / name)
     for words in (["evaluate"], ["replay"], ["recover"]):
         assert main([*words, str(tmp_path / "b")]) != 0
         said = capsys.readouterr().err
@@ -411,7 +372,7 @@ def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_an
 
 
 def test_the_history_takes_other_names_of_topics(sample, tmp_path, capsys):
-    bag = _with(name=lambda self, topic: f"/machine{topic}s").write(sample, tmp_path / "b" / "b_0.mcap").parent
+    bag = written(sample, tmp_path / "b" / "b_0.mcap", name=lambda topic: f"/machine{topic}s").parent
     store = str(tmp_path / "store")
     remap = [word for topic in LAYOUTS for word in ("--remap", f"{topic}:=/machine/{topic}s")]
     for options, added in (([], 0), (["--again", *remap], 1)):
@@ -420,7 +381,7 @@ def test_the_history_takes_other_names_of_topics(sample, tmp_path, capsys):
 
 
 def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, capsys):
-    bag = Variant().write(sample, tmp_path / "b_0.mcap", parameters=False)
+    bag = written(sample, tmp_path / "b_0.mcap", parameters=False)
     file = tmp_path / "parameters.yaml"
     file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
     assert main(["replay", str(bag)]) != 0
@@ -434,11 +395,11 @@ def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, ca
 # Sizes that records declare
 
 
-def mcap_of(*records: tuple[int, bytes]) -> bytes:
+def mcap_of(*content: tuple[int, bytes]) -> bytes:
     """A file with these records of the data section."""
-    parts = [(Opcode.HEADER, bytes(8)), *records, (Opcode.DATA_END, bytes(4)), (Opcode.FOOTER, bytes(20))]
+    parts = [(Opcode.HEADER, bytes(8)), *content, (Opcode.DATA_END, bytes(4)), (Opcode.FOOTER, bytes(20))]
     magic = b"\x89MCAP0\r\n"
-    return magic + b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in parts) + magic
+    return magic + b"".join(struct.pack("<BQ", opcode, len(one)) + one for opcode, one in parts) + magic
 
 
 def chunk_of(compression: bytes, data: bytes, size: int) -> tuple[int, bytes]:
@@ -476,3 +437,53 @@ def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, capsys):
             read()
         except BagError as error:
             assert str(path) in str(error)
+
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    with SqliteWriter(tmp_path / "other", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        names = {f"/{stream.topic}": f"/machine/{stream.topic}" for stream in STREAMS}
+        connections = {
+            topic: writer.add_connection(names[topic], LAYOUTS[topic[1:]].type_name, typestore=STORE) for topic in names
+        }
+        for message in messages(7000):
+            writer.write(connections[message.topic], message.log_time, message.data)
+    return tmp_path / "other"
+
+
+def test_its_streams_come_back_to_the_bit_and_by_the_fast_path(bag, monkeypatch):
+    monkeypatch.setattr(columns, "read_by_names", None)
+    streams = read_streams(bag, LAYOUTS)
+    for stream in STREAMS:
+        own = [message for message in messages(7000) if message.topic == f"/{stream.topic}"]
+        expected = np.array([stream.layout.unpack(message.data)[1] for message in own])
+        found = np.array(list(streams[stream.topic].columns.values())).T
+        assert found.tobytes() == expected.tobytes()
+        assert streams[stream.topic].log_time.tolist() == [message.log_time for message in own]
+    assert read_attachments(bag) == {}
+
+
+def test_other_topic_names_are_given_by_remap(bag):
+    layouts = {"encoder": LAYOUTS["encoder"]}
+    plain, remapped = read_streams(bag, layouts), read_streams(bag, layouts, {"encoder": "/machine/encoder"})
+    assert plain["encoder"].columns["x"].tobytes() == remapped["encoder"].columns["x"].tobytes()
+    with pytest.raises(BagError, match="has no topic '/axes' for 'encoder'; it has /machine/command"):
+        read_streams(bag, layouts, {"encoder": "/axes"})
+
+
+def test_a_damaged_file_is_refused(bag):
+    path = next(bag.glob("*.db3"))
+    content = path.read_bytes()
+    path.write_bytes(content[:2000] + b"\xff" * 5000 + content[7000:])
+    with pytest.raises(BagError, match="is no SQLite bag of rosbag2, or is damaged"):
+        read_streams(bag, LAYOUTS)
+
+
+def test_a_bag_without_our_topics_is_refused_with_those_that_it_has_and_none_is_recovered(bag, tmp_path):
+    with pytest.raises(BagError, match="is stored as sqlite3; this needs MCAP"):
+        recover(bag, tmp_path / "new")
+    with pytest.raises(BagError, match=r"has no messages on nothing; its topics are /machine/command"):
+        read_streams(bag, {"nothing": LAYOUTS["encoder"]})

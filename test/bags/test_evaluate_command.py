@@ -1,14 +1,21 @@
 """`straightcomp evaluate` on finished, unfinished and damaged bags."""
 
+import contextlib
 import json
 import random
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
@@ -16,9 +23,11 @@ OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    path = tmp_path_factory.mktemp("bags") / "run"
-    assert main(["simulate", "--bag", str(path), "--json", *OPTIONS]) == 0
-    return path
+    """The bag of a simulated run; its printed figures are in figures.json."""
+    folder = tmp_path_factory.mktemp("bags")
+    with (folder / "figures.json").open("w") as file, contextlib.redirect_stdout(file):
+        assert main(["simulate", "--bag", str(folder / "run"), "--json", *OPTIONS]) == 0
+    return folder / "run"
 
 
 def figures(capsys, *arguments) -> dict:
@@ -26,9 +35,10 @@ def figures(capsys, *arguments) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-def test_its_figures_are_those_of_the_simulation(bag, capsys):
+def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_change(bag, capsys):
     assert main(["simulate", "--json", *OPTIONS]) == 0
     simulated = json.loads(capsys.readouterr().out)
+    assert json.loads(bag.with_name("figures.json").read_text()) == simulated
     evaluated = figures(capsys, bag)
     for name in simulated.keys() & evaluated.keys() - {"law", "samples"}:
         assert evaluated[name] == pytest.approx(simulated[name], abs=1e-6), name
@@ -100,3 +110,19 @@ def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
 def test_two_bags_are_put_side_by_side(bag, capsys):
     found = figures(capsys, bag, "--compare", bag)
     assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
+
+
+CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
+VALUES = {"controller": {"control.law": "linear"}, "stage": {**CYCLE, "drive.delay": 0.5}}
+
+
+def test_the_bag_of_a_simulated_run_evaluates_to_the_same_record(tmp_path: Path) -> None:
+    simulation = Simulation(VALUES)
+    with SimulatedRun(tmp_path / "bag", by_node(VALUES), simulation.delay) as run:
+        record = simulation.run(observe=run.add)
+    evaluation = evaluate_bag(tmp_path / "bag")
+    assert evaluation.record.law == "linear"
+    for name, column in record.columns().items():
+        np.testing.assert_allclose(evaluation.record.columns()[name], column, rtol=0, atol=1e-12, err_msg=name)
+    assert (evaluation.lost_samples, evaluation.lost_commands) == (0, 0)
+    assert evaluation.latency_us(50) == pytest.approx(250.0)
