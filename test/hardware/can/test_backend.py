@@ -4,10 +4,10 @@ moves."""
 import contextlib
 import itertools
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from can_boards import FOREIGN_FILE, GUIDE, PERIOD, SPLIT_FILE, STAGE, START, board_of
 from forgery import forged
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
@@ -22,17 +22,8 @@ from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from trials.firmware_board import FirmwareBoard
 
-STAGE = StageParameters()
-GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
-PERIOD = STAGE.period_ns
-START = 10**18
 TIMEOUT = 0.005
 
 
@@ -126,12 +117,6 @@ def world(request, fd):
         yield world
 
 
-def test_enable_is_refused_before_the_board_has_spoken():
-    world = World(True)
-    with pytest.raises(HardwareError, match="nothing has come from the board"):
-        world.host.enable()
-
-
 def test_the_board_switches_on_when_asked_and_off_when_asked(world):
     world.run(0.2)
     assert world.host.state is State.OFF and math.isnan(world.samples[-1].current)
@@ -209,7 +194,7 @@ def made(request):
     with contextlib.ExitStack() as stack:
 
         def world(file):
-            can = node_parameters("driver", shipped_parameters(stage=str(file))).can
+            can = board_of(file)
             program = str(request.getfixturevalue("firmware_of")(can) / request.param) if request.param else ""
             return stack.enter_context(contextlib.closing(World(can.fd, dbc=can.dbc, wire=can.wire, firmware=program)))
 
@@ -219,7 +204,7 @@ def made(request):
 @pytest.fixture
 def foreign(made):
     """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
-    return made(share_path("config/board_motorola.yaml"))
+    return made(FOREIGN_FILE)
 
 
 def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words(foreign):
@@ -246,7 +231,7 @@ def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_w
 @pytest.fixture
 def split(made):
     """A board with a message for each axis, to which the host sends switches and current in two."""
-    return made(Path(__file__).with_name("split.yaml"))
+    return made(SPLIT_FILE)
 
 
 def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_any_other(split):
@@ -356,8 +341,7 @@ def test_an_off_that_was_lost_is_said_again(world):
 def test_a_current_beyond_the_boards_range_trips_it(world):
     world.on()
     world.run(0.001, current=1.5)
-    assert world.board.fault is BoardFault.CURRENT_RANGE
-    assert world.board.machine.applied_current == 0.0
+    assert world.board.fault is BoardFault.CURRENT_RANGE and world.board.machine.applied_current == 0.0
 
 
 @pytest.mark.parametrize("enable", [0b00, 0b11])
@@ -425,34 +409,27 @@ def test_a_command_that_was_not_sent_neither_counts_nor_acts(world):
     world.on()
     world.host.write(0.1, world.now)
     commands = received(world, taken=False)
-    world.host.write(0.3, world.now)
-    world.host.write(0.4, world.now)
+    for current in (0.3, 0.4):
+        world.host.write(current, world.now)
     assert world.host.applied_current == pytest.approx(0.1)
     assert commands[0].alive == commands[1].alive
 
 
-def test_off_and_reset_go_out_with_no_current(world):
-    world.on()
-    world.host.write(0.3, world.now)
-    commands = received(world)
-    world.host.disable()
-    world.host.write(0.3, world.now)
-    assert {(command.enable, command.reset, command.current) for command in commands} == {(False, False, 0)}
-    commands.clear()
-    # Without a fault there is nothing to reset.
-    world.host.reset_fault()
-    assert commands == []
-
-
-def test_the_largest_current_that_fits_its_frame_is_sent_to_either_side(world):
+def test_the_largest_current_that_fits_its_frame_is_sent_and_off_and_reset_go_out_with_none(world):
     world.on()
     commands = received(world)
     for current in (3.2767, -3.2767):
         world.host.write(current, world.now)
-    assert [command.current for command in commands] == pytest.approx([3.2767, -3.2767])
-    for current in (3.2768, -3.2768):
         with pytest.raises(ValueError, match="does not fit its frame"):
-            world.host.write(current, world.now)
+            world.host.write(current + math.copysign(1e-4, current), world.now)
+    assert [command.current for command in commands] == pytest.approx([3.2767, -3.2767])
+    commands.clear()
+    world.host.disable()
+    world.host.write(0.3, world.now)
+    assert [(command.enable, command.reset, command.current) for command in commands] == [(False, False, 0)] * 2
+    # Without a fault there is nothing to reset.
+    world.host.reset_fault()
+    assert len(commands) == 2
 
 
 def test_a_board_that_does_not_switch_on_within_its_time_is_a_fault(world):
@@ -493,6 +470,8 @@ def test_an_amplifier_that_the_board_switches_off_by_itself_is_a_fault(world):
 
 
 def test_what_is_not_ready_says_what_is_missing(world):
+    with pytest.raises(HardwareError, match="nothing has come from the board"):
+        world.host.enable()
     world.run(0.2)
     world.host._receiver.node_state = 4
     with pytest.raises(HardwareError, match="state 4, not 5"):
@@ -517,22 +496,17 @@ def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason(world):
         real.move(trajectory, world.now)
 
 
-def test_counters_show_the_bus_and_of_its_log(world):
+def test_counters_show_bus_log_and_lost_samples_wherever_they_went(world):
     world.on()
     counters = world.host.counters()
     assert counters["can_received"] == len(world.samples) + BLOCK - 1
     assert counters["can_openings"] == 1 and not {"can_link", "can_logged", "can_log"} & set(counters)
     world.host._link.problem = "gone"
-    world.host._link.log = SimpleNamespace(written=7, dropped=2, problem="disk full")
-    counters = world.host.counters()
-    assert counters["can_link"] == "gone"
-    assert (counters["can_logged"], counters["can_log_dropped"], counters["can_log"]) == (7, 2, "disk full")
-    world.host._link.log.problem = ""
-    assert "can_log" not in world.host.counters()
-
-
-def test_samples_that_are_lost_are_counted_wherever_they_went(world):
-    world.run(0.2)
+    for problem in ("disk full", ""):
+        world.host._link.log = SimpleNamespace(written=7, dropped=2, problem=problem)
+        counters = world.host.counters()
+        assert (counters["can_link"], counters["can_logged"], counters["can_log_dropped"]) == ("gone", 7, 2)
+        assert counters.get("can_log", "") == problem
     world.to_host = False
     world.run(0.002)
     world.to_host = True

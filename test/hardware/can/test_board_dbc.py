@@ -2,9 +2,9 @@
 
 import dataclasses
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from can_boards import BARE, FOREIGN_FILE, GUIDE, SPLIT, SPLIT_FILE, board_of
 
 from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.can_parameters import (
@@ -19,26 +19,14 @@ from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from trials.can_servo import run_servo_trial
 
-MEANING = str(share_path("config/board_motorola.yaml"))
-SPLIT_FILE = Path(__file__).with_name("split.yaml")
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
 
 
-def board_of(file, **changes):
-    """The driver's parameters `can` of a stage file, with others by their name; "/" stands for a dot."""
-    values = shipped_parameters(stage=str(file))
-    values["driver"] |= {"hardware": "can"} | {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
-    return node_parameters("driver", values).can
-
-
 def driver(**changes):
-    return board_of(MEANING, **changes)
+    return board_of(FOREIGN_FILE, **changes)
 
 
 def foreign(**changes):
@@ -47,10 +35,10 @@ def foreign(**changes):
 
 @pytest.fixture
 def edited(tmp_path):
-    """``edited(old, new)`` is a copy of the foreign DBC file with a change."""
+    """``edited(old, new)`` is a copy of the foreign DBC file, or of another, with a change."""
 
-    def edit(old, new):
-        text = share_path("config/board_motorola.dbc").read_text()
+    def edit(old, new, file=FOREIGN_FILE):
+        text = file.with_suffix(".dbc").read_text()
         assert old in text
         file = tmp_path / "edited.dbc"
         file.write_text(text.replace(old, new))
@@ -103,12 +91,7 @@ def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_
 
 def test_a_reading_that_is_no_number_is_not_good(edited):
     plain = foreign(
-        dbc=edited('(1,0) [-2000|2000] "mm"', '(1,0) [0|0] "mm"'),
-        **{
-            "wire/protection/sample/profile": "none",
-            "wire/protection/sample/crc": "",
-            "wire/protection/sample/data_id": "",
-        },
+        dbc=edited('(1,0) [-2000|2000] "mm"', '(1,0) [0|0] "mm"'), **unprotected("sample", crc="", data_id="")
     )
     payload = bytearray(plain.sample.pack(REPORT, 0))
     assert plain.sample.unpack(bytes(payload)).good
@@ -117,69 +100,78 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("file", "parameter", "changes", "words"),
     [
-        ({"dbc": "nowhere.dbc"}, "'can.dbc': 'nowhere.dbc': No such file"),
-        ({"dbc": MEANING}, "'can.dbc': .* is no valid DBC file"),
+        (FOREIGN_FILE, "dbc", "nowhere.dbc", "'nowhere.dbc': No such file"),
+        (FOREIGN_FILE, "dbc", str(FOREIGN_FILE), "is no valid DBC file"),
+        (FOREIGN_FILE, "wire.x.message", "DSP_MESA", "'DSP_MESA' is not a message of .*did you mean 'DSP_MEAS'"),
+        (FOREIGN_FILE, "wire.y.signal", "POSY", "'POSY' is not a signal of message 'DSP_MEAS' of .*'POS_Y'"),
+        (FOREIGN_FILE, "wire.x.signal", "", "'' is not allowed; the driver needs this signal"),
         (
-            {"wire/x/message": "DSP_MESA"},
-            "'can.wire.x.message': 'DSP_MESA' is not a message of .*did you mean 'DSP_MEAS'",
-        ),
-        ({"wire/y/signal": "POSY"}, "'can.wire.y.signal': 'POSY' is not a signal of message 'DSP_MEAS' of .*'POS_Y'"),
-        ({"wire/x/signal": ""}, "'can.wire.x.signal': '' is not allowed; the driver needs this signal"),
-        (
+            FOREIGN_FILE,
+            "wire.y.signal",
             {"wire/y/message": "DSP_STATUS", "wire/y/signal": "SUPPLY"},
-            "'can.wire.y.signal': 'SUPPLY' of message 'DSP_STATUS' is not in all frames that it must be in",
+            "not in all frames",
         ),
+        (FOREIGN_FILE, "wire.current.signal", "POS_X", "of message 'DSP_MEAS' is in 'mm'; allowed: A, mA"),
+        (FOREIGN_FILE, "wire.x.factor", 0.0, "0.0 is not allowed"),
         (
-            {"wire/current/signal": "POS_X"},
-            "current.signal': 'POS_X' of message 'DSP_MEAS' is in 'mm'; allowed: A, mA",
-        ),
-        ({"wire/x/factor": 0.0}, r"'can.wire.x.factor': 0.0 is not allowed"),
-        (
+            FOREIGN_FILE,
+            "wire.enable.message",
             {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
-            "'can.wire.enable.message': 'DSP_STATUS' is a message of the board already",
+            "'DSP_STATUS' is a message of the board already",
         ),
-        ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed with message"),
-        ({"wire/amplifier/fault_value": -1}, "'can.wire.amplifier.fault_value': -1 needs"),
+        (FOREIGN_FILE, "wire.counter.signal", {"wire/counter/message": "DSP_STATUS"}, "'' is not allowed with message"),
+        (FOREIGN_FILE, "wire.amplifier.fault_value", -1, "-1 needs"),
+        (FOREIGN_FILE, "wire.amplifier.on_value", 8, "8 does not fit signal 'AMP_STATE'.*allowed: 0 to 3"),
+        (FOREIGN_FILE, "wire.enable.yes_value", 2, "2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1"),
+        (FOREIGN_FILE, "wire.echo.signal", "SET_CURRENT", "of message 'PC_SET' is signed or a float"),
+        (FOREIGN_FILE, "wire.counter.signal", "POS_X", "of message 'DSP_MEAS' is signed or a float"),
         (
-            {"wire/amplifier/on_value": 8},
-            "'can.wire.amplifier.on_value': 8 does not fit signal 'AMP_STATE'.*allowed: 0 to 3",
+            FOREIGN_FILE,
+            "wire.protection.status.crc",
+            "ERROR_CODE",
+            "'DSP_STATUS' is multiplexed; allowed: a signal that",
         ),
+        (FOREIGN_FILE, "wire.protection.sample.crc", "", "'' is not a signal"),
         (
-            {"wire/enable/yes_value": 2},
-            "'can.wire.enable.yes_value': 2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1",
-        ),
-        (
-            {"wire/echo/signal": "SET_CURRENT"},
-            "echo.signal': 'SET_CURRENT' of message 'PC_SET' is signed or a float",
-        ),
-        (
-            {"wire/counter/signal": "POS_X"},
-            "counter.signal': 'POS_X' of message 'DSP_MEAS' is signed or a float",
-        ),
-        (
-            {"wire/protection/status/crc": "ERROR_CODE"},
-            "status.crc': 'ERROR_CODE' of message 'DSP_STATUS' is multiplexed; allowed: a signal that is in every",
-        ),
-        ({"wire/protection/sample/crc": ""}, "'can.wire.protection.sample.crc': '' is not a signal"),
-        (
+            FOREIGN_FILE,
+            "wire.protection.sample.crc",
             {"wire/protection/sample/profile": "e2e_1"},
-            "'can.wire.protection.sample.crc': .* allowed with profile e2e_1",
+            "allowed with profile e2e_1",
+        ),
+        (FOREIGN_FILE, "wire.protection.status.profile", "none", "'none' is not allowed with"),
+        (FOREIGN_FILE, "wire.protection.current", {"wire/protection/current/alive": "MEAS_CNT"}, "is given, but"),
+        (FOREIGN_FILE, "wire.protection.sample.data_id", "x", "'x' is not allowed"),
+        (FOREIGN_FILE, "wire.x.message", {"fd": False}, "'DSP_MEAS' of .* is a message of CAN FD.*'can.fd' is false"),
+        (FOREIGN_FILE, "wire.x.message", {"dbc": ""}, "'DSP_MEAS' is not allowed without a file in 'can.dbc'"),
+        (SPLIT_FILE, "wire.reset.signal", {"wire/reset/message": "DSP_Y"}, "not a signal of message 'DSP_Y'"),
+        (
+            SPLIT_FILE,
+            "wire.reset.message",
+            {"wire/reset/message": "DSP_Y", "wire/reset/signal": "Y_OK"},
+            "'DSP_Y' is a message of the board already",
         ),
         (
-            {"wire/protection/status/profile": "none"},
-            "'can.wire.protection.status.profile': 'none' is not allowed with",
+            SPLIT_FILE,
+            "wire.protection.good",
+            {"wire/protection/good/alive": "Y_CNT"},
+            "is given, but the signals are in",
         ),
-        ({"wire/protection/current/alive": "MEAS_CNT"}, "'can.wire.protection.current': is given, but"),
-        ({"wire/protection/sample/data_id": "x"}, "'can.wire.protection.sample.data_id': 'x' is not allowed"),
-        ({"fd": False}, "'can.wire.x.message': 'DSP_MEAS' of .* is a message of CAN FD.*'can.fd' is false"),
-        ({"dbc": ""}, r"'can.wire.x.message': 'DSP_MEAS' is not allowed without a file in 'can.dbc'"),
+        (SPLIT_FILE, "wire.protection.enable.alive", "SW", "'SW' is not a signal of"),
     ],
 )
-def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_allowed(changes, words):
-    with pytest.raises(ParameterError, match=words):
-        driver(**changes)
+def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_allowed(
+    file, parameter, changes, words
+):
+    changes = changes if isinstance(changes, dict) else {parameter.replace(".", "/"): changes}
+    with pytest.raises(ParameterError, match=rf"'can\.{parameter}': .*{words}"):
+        board_of(file, **changes)
+
+
+def unprotected(group, **changes):
+    """Changes that take a group's profile, and more of it, away."""
+    return {f"wire/protection/{group}/{name}": value for name, value in {"profile": "none", **changes}.items()}
 
 
 def split(**changes):
@@ -205,41 +197,18 @@ def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
 
 
 def test_the_sample_is_numbered_by_the_message_that_has_a_count():
-    wire = split(
-        **{f"wire/protection/sample/{name}": value for name, value in (("profile", "none"), ("crc", ""), ("alive", ""))}
-    )
+    wire = split(**unprotected("sample", crc="", alive=""))
     assert names(wire.parts) == ["DSP_Y", "DSP_X"] and wire.sample_modulus == 15
     assert wire.part_modulus == 0
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        (
-            {"wire/protection/y/profile": "none", "wire/protection/y/crc": ""} | {"dbc": "16"},
-            "'can.wire.protection.y.alive': frames that belong together have the same count, but 'DSP_X' to 15 and "
-            "'DSP_Y' to 16 count otherwise; allowed: moduli with a common divisor >= 4, or ''",
-        ),
-        ({"wire/reset/message": "DSP_Y"}, "'can.wire.reset.signal': 'SW_CLEAR' is not a signal of message 'DSP_Y'"),
-        (
-            {"wire/reset/message": "DSP_Y", "wire/reset/signal": "Y_OK"},
-            "'can.wire.reset.message': 'DSP_Y' is a message of the board already",
-        ),
-        ({"wire/protection/good/alive": "Y_CNT"}, "'can.wire.protection.good': is given, but the signals are in"),
-        ({"wire/protection/enable/alive": "SW"}, "'can.wire.protection.enable.alive': 'SW' is not a signal of"),
-    ],
-)
-def test_messages_that_do_not_go_together_are_refused(changes, words, tmp_path):
-    if "dbc" in changes:
-        file = tmp_path / "sixteen.dbc"
-        file.write_text(
-            SPLIT_FILE.with_suffix(".dbc")
-            .read_text()
-            .replace("Y_CNT : 35|4@0+ (1,0) [0|14]", "Y_CNT : 35|4@0+ (1,0) [0|15]")
-        )
-        changes = changes | {"dbc": str(file)}
-    with pytest.raises(ParameterError, match=words):
-        split(**changes)
+def test_counts_of_frames_that_belong_together_need_a_common_divisor(edited):
+    sixteen = edited("Y_CNT : 35|4@0+ (1,0) [0|14]", "Y_CNT : 35|4@0+ (1,0) [0|15]", SPLIT_FILE)
+    with pytest.raises(
+        ParameterError,
+        match=r"'can.wire.protection.y.alive': .* 'DSP_X' to 15 and 'DSP_Y' to 16 .*allowed: moduli with",
+    ):
+        split(dbc=sixteen, **unprotected("y", crc=""))
 
 
 def test_a_current_limit_beyond_the_command_signal_is_refused(edited):
@@ -272,12 +241,7 @@ def test_a_file_that_was_edited_is_read_again(edited):
 
 def test_an_echo_needs_a_count_of_the_samples():
     with pytest.raises(ParameterError, match=r"'can.wire.echo.signal': needs a count of the samples"):
-        driver(
-            **{
-                f"wire/protection/sample/{name}": value
-                for name, value in (("profile", "none"), ("crc", ""), ("alive", ""), ("data_id", ""))
-            }
-        )
+        driver(**unprotected("sample", crc="", alive="", data_id=""))
 
 
 def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
@@ -288,59 +252,53 @@ def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
         dataclasses.replace(CanParameters(), wire=own.meaning)
 
 
-BARE = board_of(Path(__file__).with_name("bare.yaml"))
-SPLIT = board_of(SPLIT_FILE)
-
-
 def without_counts(can):
     """The board of split.yaml without CRCs, counters and echo."""
     wire = replace(can.wire, protection=ProtectedMessages(), echo=SignalParameters())
     return replace(can, wire=wire)
 
 
-def test_the_packages_own_frames_leave_nothing_open():
+def test_what_the_frames_of_a_board_lack_is_reported_and_the_packages_own_leave_nothing_open():
     assert gaps(CanParameters(fd=False).make_wire()) == gaps(CanParameters(fd=True).make_wire()) == []
-
-
-def test_what_the_frames_of_a_board_lack_is_reported():
-    found = " ".join(gaps(BARE.make_wire()))
-    for words in (
-        "SAMPLE has no CRC",
-        "SAMPLE has no counter",
-        "whether the readings are good",
-        "the commanded one stands for it",
-        "no heartbeat",
-        "SET has no CRC",
-        "SET has no counter",
-        "SET has no echo",
-        "SET has no reset",
+    for wire, lacking in (
+        (foreign(), ["DSP_MEAS counts to 256 only"]),
+        (split(), ["DSP_X counts to 15 only", "DSP_I has no CRC"]),
     ):
-        assert words in found
-    assert [text.split(":")[0] for text in gaps(foreign())] == [
-        "DSP_MEAS counts to 256 only",
-        "there is no heartbeat",
-    ]
+        assert [text.split(":")[0] for text in gaps(wire)] == [*lacking, "there is no heartbeat"]
 
 
-def test_what_messages_of_one_sample_or_one_command_lack_is_reported():
-    assert [text.split(":")[0] for text in gaps(split())] == [
-        "DSP_X counts to 15 only",
-        "DSP_I has no CRC",
-        "there is no heartbeat",
-    ]
-    found = " ".join(gaps(without_counts(SPLIT).make_wire()))
-    for words in (
-        "DSP_Y has no CRC: a damaged sample",
-        "DSP_X and DSP_Y have no counter in each: frames that come within half a period",
-        "DSP_X and DSP_Y have no counter: repeated samples",
-        "PC_SWITCH has no CRC: the board would act",
-        "PC_SWITCH and PC_CURRENT have no counter in each",
-    ):
-        assert words in found
+@pytest.mark.parametrize(
+    ("board", "lacking"),
+    [
+        (BARE, [f"{message} has no {what}" for message in ("SAMPLE", "SET") for what in ("CRC", "counter")]),
+        (
+            BARE,
+            [
+                "SET has no echo",
+                "SET has no reset",
+                "no heartbeat",
+                "whether the readings are good",
+                "the commanded one",
+            ],
+        ),
+        (without_counts(SPLIT), ["DSP_Y has no CRC: a damaged sample", "PC_SWITCH has no CRC: the board would act"]),
+        (
+            without_counts(SPLIT),
+            ["DSP_X and DSP_Y have no counter in each", "DSP_X and DSP_Y have no counter: repeated"],
+        ),
+        (
+            without_counts(SPLIT),
+            ["frames that come within half a period", "PC_SWITCH and PC_CURRENT have no counter in each"],
+        ),
+    ],
+)
+def test_each_check_that_a_boards_messages_do_not_allow_is_reported(board, lacking):
+    found = " ".join(gaps(board.make_wire()))
+    assert all(words in found for words in lacking)
 
 
 def test_what_a_message_between_the_samples_says_without_a_crc_is_reported():
-    found = gaps(foreign(**{"wire/protection/status/profile": "none", "wire/protection/status/crc": ""}))
+    found = gaps(foreign(**unprotected("status", crc="")))
     assert "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed" in found
     assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(split())
     wire = shipped_wire(fd=False)
@@ -353,18 +311,16 @@ def test_what_a_message_between_the_samples_says_without_a_crc_is_reported():
 
 @pytest.mark.parametrize("board", [BARE, without_counts(SPLIT)], ids=["bare", "put together by time"])
 def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must(board):
-    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
-    trial = run_servo_trial({}, guide, board, frames=2000)
+    trial = run_servo_trial({}, GUIDE, board, frames=2000)
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0
     # Lost samples are noticed late, but the servo stays on and the numbers come right again.
-    lossy = run_servo_trial({"drop": 0.002}, guide, board, frames=4000)
+    lossy = run_servo_trial({"drop": 0.002}, GUIDE, board, frames=4000)
     assert lossy.injected["drop"] > 5 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
 
 
 def test_a_fault_that_only_the_code_reports_is_latched_and_cleared():
-    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
-    trial = run_servo_trial({"cut": 0.001}, guide, BARE, frames=4000, seed=2)
+    trial = run_servo_trial({"cut": 0.001}, GUIDE, BARE, frames=4000, seed=2)
     assert trial.injected["cut"] >= 2 and trial.latched and trial.unsafe == trial.unflagged_wrong == 0
     assert trial.on > 0.3
 

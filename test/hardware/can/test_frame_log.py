@@ -18,8 +18,8 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, FrameLog, of_the_board, play, recorded_frames
-from straightcomp_ros.hardware.can.hub import Hub
-from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
+from straightcomp_ros.hardware.can.hub import Hub, addressed
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
@@ -33,10 +33,6 @@ GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FORMATS = pytest.mark.parametrize("ending", [".log", ".blf"])
 START_S = 1_700_000_000.0
 SAMPLES = 1000
-
-
-def until(condition):
-    assert comes_true(condition, 30.0)
 
 
 @contextlib.contextmanager
@@ -85,23 +81,12 @@ OF_BOARD = {0x181, 0x281, 0x381, 0x581, 0x701}
 
 def frames_of_a_moving_board(fd):
     """Half a second of a board whose stage moves."""
-    frames, now = [], [0]
+    frames, now, wire = [], [0], CanParameters(fd=fd).make_wire()
+    machine = SimulatedHardware(SimulatedParameters(), StageParameters(), GUIDE)
 
     def send(identifier, payload, fd):
-        stamp = START_S + now[0] * 1e-9
-        frames.append(
-            can.Message(
-                timestamp=stamp,
-                arbitration_id=identifier,
-                is_extended_id=False,
-                is_fd=fd,
-                bitrate_switch=fd,
-                data=payload,
-            )
-        )
+        frames.append(message_of(addressed(identifier, payload, fd=fd, stamp_ns=round(START_S * 1e9) + now[0])))
 
-    machine = SimulatedHardware(SimulatedParameters(), StageParameters(), GUIDE)
-    wire = CanParameters(fd=fd).make_wire()
     board = Board(machine, wire, 1.0, send, 0, emulator=EmulatorFrames(1, wire), tells_truth=fd)
     machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
     for number in range(SAMPLES):
@@ -133,7 +118,7 @@ def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_pat
     log.start()
     for number in range(2000):
         log.put(message(number))
-    until(lambda: len(copied(log.file, tmp_path / f"killed{ending}")) == 2000)
+    assert comes_true(lambda: len(copied(log.file, tmp_path / f"killed{ending}")) == 2000)
     # The head of a BLF file has the time at which it begins.
     first = copied(log.file, tmp_path / f"killed{ending}")[0]
     assert first.timestamp == pytest.approx(START_S, abs=1e-3)
@@ -171,12 +156,12 @@ def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path, channel):
     link = Link(parameters, [0x381], lambda *_: None, time.time_ns)
     link.start()
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as other, reading(link.wait, 0.05):
-        until(lambda: link.openings == 1)
+        assert comes_true(lambda: link.openings == 1)
         assert link.send(0x301, b"\1\2", fd=True)
         assert other.recv(30).arbitration_id == 0x301
         for number in range(5):
             other.send(message(number))
-        until(lambda: link.log.written == 6)
+        assert comes_true(lambda: link.log.written == 6)
     link.close()
     read = list(recorded_frames(link.log.file))
     assert [(frame.arbitration_id, frame.is_rx) for frame in read] == [(0x301, False)] + [(0x381, True)] * 5

@@ -57,39 +57,37 @@ def until(condition):
     assert comes_true(condition, 20.0)
 
 
-def test_python_can_finds_the_interface_by_its_entry_point():
-    assert INTERFACE in can.interfaces.BACKENDS
+def message(identifier, data=b"", **options):
+    return can.Message(arbitration_id=identifier, data=data, **{"is_extended_id": False, **options})
 
 
 def test_frames_of_all_kinds_arrive_at_the_others_unchanged_and_in_order(hub):
     sent = [
-        can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes(range(8))),
-        can.Message(arbitration_id=0x381, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(64)),
-        can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b""),
-        can.Message(arbitration_id=0x20, is_error_frame=True, is_extended_id=False, data=bytes(8)),
-        can.Message(arbitration_id=0x100, is_remote_frame=True, is_extended_id=False),
-    ] + [can.Message(arbitration_id=k, is_extended_id=False, data=bytes([k % 256])) for k in range(2000)]
+        message(0x181, bytes(range(8))),
+        message(0x381, bytes(64), is_fd=True, bitrate_switch=True),
+        message(0x1ABCDEF0, is_extended_id=True),
+        message(0x20, bytes(8), is_error_frame=True),
+        message(0x100, is_remote_frame=True),
+        *(message(number, bytes([number % 256])) for number in range(2000)),
+    ]
     with hub.bus() as sender, hub.bus() as first, hub.bus() as second:
         until(lambda: len(hub.hub._nodes) == 3)
-        for message in sent:
-            sender.send(message, timeout=5)
+        for one in sent:
+            sender.send(one, timeout=5)
         for receiver in (first, second):
-            for message in sent:
+            for one in sent:
                 arrived = receiver.recv(10)
-                assert message.equals(arrived, timestamp_delta=None, check_channel=False, check_direction=False)
+                assert one.equals(arrived, timestamp_delta=None, check_channel=False, check_direction=False)
                 assert 0 <= time.time() - arrived.timestamp < 60
         assert sender.recv(0) is None and hub.hub.dropped == 0
 
 
 def test_filters_keep_others_frames_away_and_let_error_frames_pass(hub):
-    with (
-        hub.bus() as sender,
-        hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}]) as receiver,
-    ):
+    filters = [{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}]
+    with hub.bus() as sender, hub.bus(can_filters=filters) as receiver:
         until(lambda: len(hub.hub._nodes) == 2)
-        for identifier in (0x180, 0x181, 0x182):
-            sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
-        sender.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        for one in (message(0x180), message(0x181), message(0x182), message(0x40, bytes(8), is_error_frame=True)):
+            sender.send(one)
         assert receiver.recv(10).arbitration_id == 0x181 and receiver.recv(10).is_error_frame
 
 
@@ -98,7 +96,7 @@ def test_a_node_that_does_not_fetch_loses_frames_and_holds_no_other_up(hub):
         until(lambda: len(hub.hub._nodes) == 3)
         for _ in range(100):
             for _ in range(50):
-                sender.send(can.Message(arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(64)), timeout=10)
+                sender.send(message(1, bytes(64), is_fd=True), timeout=10)
             for _ in range(50):
                 assert attentive.recv(10) is not None
         assert hub.hub.dropped > 0
@@ -108,22 +106,21 @@ def test_a_node_whose_frames_no_node_takes_gets_an_error_and_goes_on_when_they_a
     hub = Hub(tmp_path / "bus")
     bus = can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True)
     hub.run(lambda: len(hub._nodes) == 1)
-    message = can.Message(arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(64))
-    sent = 0
+    large, sent = message(1, bytes(64), is_fd=True), 0
     with pytest.raises(can.CanOperationError, match="transmit buffer full"):
         while sent < 1_000_000:
-            bus.send(message)
+            bus.send(large)
             sent += 1
     with pytest.raises(can.CanOperationError, match="transmit buffer full"):
-        bus.send(message, timeout=0.01)
+        bus.send(large, timeout=0.01)
     taking = threading.Thread(target=hub.run, args=(lambda: hub.passed > sent,))
     taking.start()
-    bus.send(message, timeout=60)
+    bus.send(large, timeout=60)
     taking.join()
     assert hub.passed == sent + 1
     hub.close()
     with pytest.raises(can.CanOperationError, match="hub: "):
-        bus.send(message)
+        bus.send(large)
     with pytest.raises(can.CanOperationError, match="hub"):
         bus.recv(1.0)
     bus.shutdown()
@@ -152,7 +149,7 @@ def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_
     hub.run(lambda: len(hub._nodes) == 3)
     for sender, identifiers in ((first, (0x300, 0x100)), (second, (0x200, 0x50))):
         for identifier in identifiers:
-            sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
+            sender.send(message(identifier))
     hub.run(lambda: hub.passed == 4)
     assert [receiver.recv(10).arbitration_id for _ in range(4)] == [0x200, 0x50, 0x300, 0x100]
     for bus in (first, second, receiver):
@@ -184,7 +181,7 @@ def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
     until(lambda: not link.wait(0.0) and link.openings == 2 and not link.problem)
     with hub.bus() as sender:
         until(lambda: len(hub.hub._nodes) == 2)
-        sender.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=[7]))
+        sender.send(message(0x181, b"\7"))
         assert link.wait(10.0) == 1 and arrived == [7]
         assert link.send(0x201, b"\1", fd=False)
         assert sender.recv(10).data == b"\1"
@@ -203,11 +200,9 @@ def test_faults_in_the_hub_reach_the_nodes(tmp_path):
     with hub.bus() as sender, hub.bus() as receiver:
         until(lambda: len(hub.hub._nodes) == 2)
         for number in range(200):
-            sender.send(can.Message(arbitration_id=1, is_extended_id=False, data=[number]))
+            sender.send(message(1, [number]))
         until(lambda: hub.hub.passed == 200)
-        arrived = []
-        while (message := receiver.recv(0.2)) is not None:
-            arrived.append(message.data[0])
+        arrived = [one.data[0] for one in iter(lambda: receiver.recv(0.2), None)]
     hub.close()
     assert arrived == sorted(arrived) and len(arrived) == 200 - faults.injected["drop"] < 150
 
@@ -230,9 +225,9 @@ def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(
     with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as first:
         assert line.receive() == []
         with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as second:
-            first.send(can.Message(arbitration_id=0x301, is_extended_id=False, is_fd=True, data=b"\1\2"))
-            first.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
-            first.send(can.Message(arbitration_id=0x301, is_remote_frame=True, is_extended_id=False))
+            first.send(message(0x301, b"\1\2", is_fd=True))
+            first.send(message(0x40, bytes(8), is_error_frame=True))
+            first.send(message(0x301, is_remote_frame=True))
             # The second node comes in, the frames of the first arrive: those without data are nothing for the board.
             received = line.receive() + line.receive()
             assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
@@ -240,9 +235,9 @@ def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(
             assert second.recv(10).arbitration_id == 0x301
             assert line.send(0x381, bytes(16), True) and line.send(0x701, b"\5", False)
             arrived = [[node.recv(10) for _ in range(4 if node is second else 2)] for node in (first, second)]
-    assert [message.arbitration_id for message in arrived[0]] == [0x381, 0x701]
+    assert [one.arbitration_id for one in arrived[0]] == [0x381, 0x701]
     assert arrived[0][0].is_fd and not arrived[0][1].is_fd
-    assert [message.arbitration_id for message in arrived[1]] == [0x40, 0x301, 0x381, 0x701]
+    assert [one.arbitration_id for one in arrived[1]] == [0x40, 0x301, 0x381, 0x701]
     line.close()
     assert not (tmp_path / "bus").exists()
 
@@ -252,11 +247,11 @@ def test_a_frame_comes_out_of_its_packet_and_out_of_its_message_as_it_was():
         frame = Frame(1_700_000_000_000_001_024, 0x181, flags, bytes(range(size)))
         packet = to_packet(frame)
         assert from_packet(packet) == frame and len(packet) == 13 + size <= LONGEST
-        message = message_of(frame)
+        made = message_of(frame)
         # python-can keeps the time as a float of seconds, which has a quarter of a microsecond at this date.
-        assert frame_of(message)._replace(stamp_ns=frame.stamp_ns) == frame
-        assert abs(frame_of(message).stamp_ns - frame.stamp_ns) < 500
-        assert message.timestamp == pytest.approx(1.7e9)
+        assert frame_of(made)._replace(stamp_ns=frame.stamp_ns) == frame
+        assert abs(frame_of(made).stamp_ns - frame.stamp_ns) < 500
+        assert made.timestamp == pytest.approx(1.7e9)
 
 
 def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():

@@ -1,10 +1,10 @@
 """The receiver: each fault of a bad bus is counted, no wrong sample is used, and what it makes of single frames."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from can_boards import BARE, FOREIGN, PERIOD, STAGE, START
 from forgery import forged
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -14,17 +14,11 @@ from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import Truth
 from straightcomp_ros.model.motion import MotionParameters
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import COUNTED
 from trials.can_faults import position, run_trial
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
-STAGE = StageParameters()
-PERIOD = STAGE.period_ns
-START = 10**18
 
 
 @BUSES
@@ -272,14 +266,6 @@ def test_stamps_never_run_backwards_when_the_clock_is_set_anew(board):
     board.number -= 10
     stamps = [sample[1].stamp_ns for sample in (board.sample() for _ in range(2 * BLOCK)) if sample]
     assert stamps and stamps[0] > newest and set(np.diff(stamps)) == {PERIOD}
-
-
-def board_of(file):
-    return node_parameters("driver", shipped_parameters(stage=str(file))).can
-
-
-BARE = board_of(Path(__file__).with_name("bare.yaml"))
-FOREIGN = board_of(share_path("config/board_motorola.yaml"))
 
 
 def feed_still(receiver, numbers):

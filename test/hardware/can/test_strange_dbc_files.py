@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -173,49 +174,43 @@ MULTIPLEXED = MULTIPLEXED.replace("POS_X : 0|32", "POS_X : 0|16").replace(
     " SG_ OK", ' SG_ I m1 : 32|16@1- (1,0) [0|0] "mA" X\n SG_ CODE m2 : 32|8@1+ (1,0) [0|0] "" X\n SG_ OK'
 )
 REFUSED = {
-    "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), {}, "x.signal", "-714748"),
-    "limits below the bits": (with_line("(0.05,0) [0|0]", "(0.05,0) [-9000|-2000]"), {}, "y.signal", "-1638.4"),
+    "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), "x.signal", "-714748"),
+    "limits below the bits": (with_line("(0.05,0) [0|0]", "(0.05,0) [-9000|-2000]"), "y.signal", "-1638.4"),
     "limits of a count beyond its bits": (
         with_line("CNT : 48|8@1+ (1,0) [0|255]", "CNT : 48|8@1+ (1,0) [300|400]"),
-        {},
         "",
         "",
     ),
-    "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), {}, "command.signal", "32.767"),
-    "a factor of 0": (with_line("(0.05,0)", "(0,0)"), {}, "y.signal", "POS_Y"),
-    "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), {}, "y.signal", "inf"),
-    "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", {}, "x.message", "0x120 and 0x12c"),
-    "a name of a signal twice": (
-        with_line("SG_ OK", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'),
-        {},
-        "x.signal",
-        "2",
-    ),
-    "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), {}, "x.signal", "'POS_Y'"),
-    "a signal beyond its message": (with_line("SET_CNT : 24|8", "SET_CNT : 26|8"), {}, "protection.command.alive", "4"),
-    "a float of 24 bits": (
-        with_line("POS_X : 0|32", "POS_X : 0|24") + "SIG_VALTYPE_ 288 POS_X : 1;\n",
-        {},
-        "x.signal",
-        "24",
-    ),
-    "a state that chooses the current's page": (MULTIPLEXED, {"current.signal": "I"}, "x.signal", "'AMP'"),
-    "a state that chooses the code's page": (MULTIPLEXED, {"fault.signal": "CODE"}, "x.signal", "'AMP'"),
+    "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
+    "a factor of 0": (with_line("(0.05,0)", "(0,0)"), "y.signal", "POS_Y"),
+    "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), "y.signal", "inf"),
+    "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", "x.message", "0x120 and 0x12c"),
+    "a name of a signal twice": (with_line("SG_ OK", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'), "x.signal", "2"),
+    "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), "x.signal", "'POS_Y'"),
+    "a signal beyond its message": (with_line("SET_CNT : 24|8", "SET_CNT : 26|8"), "protection.command.alive", "4"),
+    "a float of 24 bits": (with_line("X : 0|32", "X : 0|24") + "SIG_VALTYPE_ 288 POS_X : 1;\n", "x.signal", "24"),
+    "a state that chooses the current's page": (MULTIPLEXED, "x.signal", "'AMP'"),
+    "a state that chooses the code's page": (MULTIPLEXED, "x.signal", "'AMP'"),
     "an identifier of two messages": (
         BOARD + '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n',
-        {"y.message": "AGAIN", "y.signal": "Y"},
         "",
         "'MEAS' and 'AGAIN'",
     ),
-    "no list of messages": ("NS_ :\n    NS_DESC_\n    CM_\n", {}, "", "within NS_"),
-    "a file without messages": ('VERSION ""\n', {}, "", "no message"),
+    "no list of messages": ("NS_ :\n    NS_DESC_\n    CM_\n", "", "within NS_"),
+    "a file without messages": ('VERSION ""\n', "", "no message"),
+}
+CHANGES = {
+    "a state that chooses the current's page": {"current.signal": "I"},
+    "a state that chooses the code's page": {"fault.signal": "CODE"},
+    "an identifier of two messages": {"y.message": "AGAIN", "y.signal": "Y"},
 }
 
 
-@pytest.mark.parametrize(("text", "changes", "parameter", "words"), REFUSED.values(), ids=REFUSED)
-def test_what_the_wire_uses_and_cannot_be_right_is_refused(board, text, changes, parameter, words):
+@pytest.mark.parametrize("fault", REFUSED)
+def test_what_the_wire_uses_and_cannot_be_right_is_refused(board, fault):
+    text, parameter, words = REFUSED[fault]
     with pytest.raises(RefusedParameter, match=words or None) as refused:
-        board(text, changes)
+        board(text, CHANGES.get(fault, {}))
     assert f"'wire.{parameter}" in str(refused.value) or not parameter or "dbc" in str(refused.value)
 
 
@@ -237,31 +232,30 @@ def test_a_file_that_is_cut_off_anywhere_within_a_statement_is_refused(board):
 
 EVIL = "*/ int8_t x; }; __attribute__((constructor)) static void pwn(void){} struct z { /*"
 TEXTS = {
-    "unit": with_line("SG_ OK", f'SG_ FREE : 60|1@1+ (1,0) [0|1] "{EVIL}" X\n SG_ OK'),
+    "unit": (with_line("SG_ OK", f'SG_ FREE : 60|1@1+ (1,0) [0|1] "{EVIL}" X\n SG_ OK'), {}),
     "unit of a role": (with_line('"um"', f'"{EVIL}"'), {"y.unit": "um"}),
-    "comment": f'{BOARD}CM_ SG_ 288 POS_X "{EVIL}";\nCM_ BO_ 288 "{EVIL}";\n'
-    'CM_ SG_ 288 POS_Y "**//// int e; /\\\n*/ int f;";\n',
-    "choice": f'{BOARD}VAL_ 288 AMP 0 "x 0)\n int evil;\n#define y" 1 "{EVIL}" ;\n',
-    "long name": BOARD
-    + 'BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;\nBA_DEF_DEF_ "SystemSignalLongSymbol" "";\n'
-    + f'BA_ "SystemSignalLongSymbol" SG_ 288 OK "1 x\'); import os; {EVIL}";\n',
+    "comment": (
+        f'{BOARD}CM_ SG_ 288 POS_X "{EVIL}";\nCM_ BO_ 288 "{EVIL}";\n'
+        'CM_ SG_ 288 POS_Y "**//// int e; /\\\n*/ int f;";\n',
+        {},
+    ),
+    "choice": (f'{BOARD}VAL_ 288 AMP 0 "x 0)\n int evil;\n#define y" 1 "{EVIL}" ;\n', {}),
+    "long name": (
+        BOARD
+        + 'BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;\nBA_DEF_DEF_ "SystemSignalLongSymbol" "";\n'
+        + f'BA_ "SystemSignalLongSymbol" SG_ 288 OK "1 x\'); import os; {EVIL}";\n',
+        {"good.signal": f"1 x'); import os; {EVIL}"},
+    ),
 }
-LONG = {"good.signal": f"1 x'); import os; {EVIL}"}
 
 
-@pytest.mark.parametrize("kind", TEXTS)
-def test_no_text_of_a_file_reaches_c(board, compiled, kind):
-    text, changes = (
-        TEXTS[kind] if isinstance(TEXTS[kind], tuple) else (TEXTS[kind], LONG if kind == "long name" else {})
-    )
+@pytest.mark.parametrize(("text", "changes"), TEXTS.values(), ids=TEXTS)
+def test_no_text_of_a_file_reaches_c(board, compiled, text, changes):
     can = board(text, changes)
     wire = can.make_wire()
     assert wire.sample.unpack(wire.sample.pack(REPORT, 0)).good
-    assert not any(
-        word in made
-        for made in compiled(can).values()
-        for word in ("pwn(", "int evil", "int e;", "import os;", "*/ int")
-    )
+    forbidden = ("pwn(", "int evil", "int e;", "import os;", "*/ int")
+    assert not any(word in made for made in compiled(can).values() for word in forbidden)
 
 
 @pytest.mark.parametrize("name", ['q", .x = "y.dbc', "n\nint evil;\n.dbc", 'n\\".dbc', "*" + "??/" + ".dbc", "µ.dbc"])
@@ -278,31 +272,19 @@ SHAPES = {
     .replace("[0|255]", "[0|1000]")
     .replace("[0|1]", "[-9|9]"),
     "an offset and a narrow range": with_line("(0.0001,0) [0|0]", "(-0.0001,3) [-1500|2500]"),
-    "names that meet when joined": BOARD.replace("MEAS", "A")
-    .replace("SET:", "A_POS:")
-    .replace("CUR", "X")
-    .replace("SET_CNT", "POS_Y2"),
-    "keywords": BOARD.replace("POS_X", "int")
-    .replace("POS_Y", "Int")
-    .replace("CNT", "INT")
-    .replace("SET_INT", "volatile"),
-    "long names": BOARD.replace("POS_X", "x" * 200),
 }
-NAMES = {
-    "names that meet when joined": {
-        "x.message": "A",
-        "command.message": "A_POS",
-        "command.signal": "X",
-        "protection.command.alive": "POS_Y2",
-    },
-    "keywords": {"x.signal": "int", "y.signal": "Int", "counter.signal": "INT", "protection.command.alive": "volatile"},
-    "long names": {"x.signal": "x" * 200},
+RENAMED = {
+    "names that meet when joined": {"MEAS": "A", "SET": "A_POS", "CUR": "X", "SET_CNT": "POS_Y2"},
+    "keywords": {"POS_X": "int", "POS_Y": "Int", "CNT": "INT", "SET_CNT": "volatile"},
+    "long names": {"POS_X": "x" * 200},
 }
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [*SHAPES, *RENAMED])
 def test_the_frames_of_every_file_that_is_accepted_compile(board, compiled, shape):
-    can = board(SHAPES[shape], NAMES.get(shape, {}))
+    names = RENAMED.get(shape, {})
+    text = re.sub(r"\w+", lambda word: names.get(word[0], word[0]), SHAPES.get(shape, BOARD))
+    can = board(text, {role: names[name] for role, name in MEANING.items() if name in names})
     wire = can.make_wire()
     found = wire.sample.unpack(wire.sample.pack(REPORT, 0))
     assert (found.x, found.y) == pytest.approx((0.5, -22e-6), abs=1e-7)

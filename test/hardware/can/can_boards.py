@@ -1,0 +1,29 @@
+"""Boards that the tests of CAN share."""
+
+from pathlib import Path
+
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+
+STAGE = StageParameters()
+PERIOD = STAGE.period_ns
+GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
+START = 10**18
+FOREIGN_FILE = share_path("config/board_motorola.yaml")
+"""The amplifier's state comes in frames of their own, on pages in turn, and there is no heartbeat."""
+SPLIT_FILE = Path(__file__).with_name("split.yaml")
+"""A message for each axis; the host sends switches and current in two."""
+BARE_FILE = Path(__file__).with_name("bare.yaml")
+
+
+def board_of(file, **changes):
+    """The driver's parameters `can` of a stage file, with others by their name; "/" stands for a dot."""
+    values = shipped_parameters(stage=str(file))
+    values["driver"] |= {"hardware": "can"} | {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
+    return node_parameters("driver", values).can
+
+
+FOREIGN, SPLIT, BARE = map(board_of, (FOREIGN_FILE, SPLIT_FILE, BARE_FILE))
