@@ -2,46 +2,33 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
 
 import broken
 import pytest
 from roughly_known import ROUGH, check_of, other_guide
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.excitation import MultisineParameters
-from straightcomp_ros.hardware.interface import Hardware, State
-from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
-from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
 
 pytestmark = pytest.mark.nightly
 
-Wiring = Callable[[SimulatedHardware], Hardware]
-SIGNS = "signs_and_scales"
 TRUTH = "driver.simulated.truth."
 WELL_KNOWN = {f"stage.uncertainty.{name}": value for name, value in {"mass": 0.2, "force": 0.2, "air_gap": 0.1}.items()}
 
 
 @pytest.fixture
-def commissioned(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
+def commissioned(monkeypatch, capsys, tmp_path):
     """Commission a machine by the command; the step that did not pass, and its sentence.
 
     Fails if all pass, if current is left anywhere, or if there is a certificate.
     """
 
-    def run(
-        settings: Mapping[str, object],
-        wiring: Wiring = sound,
-        machine: type[SimulatedMachine] = SimulatedMachine,
-        *options: str,
-    ) -> tuple[str, str]:
-        built: list[Hardware] = []
+    def run(settings, wiring=sound, machine=SimulatedMachine, *options):
+        built = []
 
-        def kept(hardware: SimulatedHardware) -> Hardware:
+        def kept(hardware):
             built.append(wiring(hardware))
             return built[-1]
 
@@ -59,31 +46,18 @@ def commissioned(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     return run
 
 
+# What else the first two steps name: test_open_loop.
 MACHINES = {
     "a bus that loses one frame in a hundred": ({}, broken.lossy_bus, "connection", "of 60000 samples (1 %) were lost"),
-    "an encoder of ten times the noise": ({}, broken.noisy_encoder, "connection", "y moves by 5 counts RMS"),
-    "readback wired backwards": ({}, broken.readback_backwards, SIGNS, "the readback is wired backwards"),
-    "readback of half the scale": ({}, broken.readback_of_half_the_scale, SIGNS, "the readback shows 0.5 times"),
-    "sign of y reversed": ({}, broken.encoder_backwards, SIGNS, "the coils or the encoder of y are wired backwards"),
-    "encoder dead": ({}, broken.encoder_dead, SIGNS, "an encoder of y that does not count"),
-    "one coil dead": ({}, broken.OneCoilDead, SIGNS, "the magnets do not balance; look for a coil without current"),
-    "amplifier of a tenth of the bandwidth": ({f"{TRUTH}amplifier": 0.1}, sound, SIGNS, "the amplifier has 50 Hz"),
-    "three times the delay": ({"driver.stage.drive.delay": 3.0}, sound, SIGNS, "commands act 3.00 samples after"),
+    "one coil dead": ({}, broken.one_coil_dead, "signs_and_scales", "look for a coil without current"),
     "encoder of twice the count": ({}, broken.encoder_of_twice_the_count, "identification", "the count of the encoder"),
     "ten times the friction": ({f"{TRUTH}friction": 10.0}, sound, "identification", "friction is"),
-    "half the mass": (
-        {**WELL_KNOWN, f"{TRUTH}mass": 0.5},
-        sound,
-        "identification",
-        "look whether the platform is loose",
-    ),
+    "half the mass": ({**WELL_KNOWN, f"{TRUTH}mass": 0.5}, sound, "identification", "whether the platform is loose"),
 }
 
 
 @pytest.mark.parametrize(("settings", "wiring", "step", "words"), MACHINES.values(), ids=MACHINES)
-def test_it_is_named_at_the_first_step_that_can_see_it(
-    commissioned, settings: dict[str, float], wiring: Wiring, step: str, words: str
-) -> None:
+def test_it_is_named_at_the_first_step_that_can_see_it(commissioned, settings, wiring, step, words):
     found, sentence = commissioned(settings, wiring)
     assert found == step and words in sentence
 
@@ -91,7 +65,7 @@ def test_it_is_named_at_the_first_step_that_can_see_it(
 class LosesItsLoad(SimulatedMachine):
     """Half of the mass falls off after the identification."""
 
-    def response(self, values: Mapping[str, Mapping[str, Any]], excitation: MultisineParameters) -> ComparedResponse:
+    def response(self, values, excitation):
         whole = self.parameters
         self.parameters = {**whole, "simulated.truth.mass": 0.5}
         try:
@@ -100,14 +74,14 @@ class LosesItsLoad(SimulatedMachine):
             self.parameters = whole
 
 
-def test_a_platform_that_comes_loose_later_is_named_by_the_frequency_response(commissioned) -> None:
+def test_a_platform_that_comes_loose_later_is_named_by_the_frequency_response(commissioned):
     found, sentence = commissioned({}, sound, LosesItsLoad)
     assert found == "frequency_response"
     times = re.search(r"accelerates the platform ([\d.]+) times as much as when it was identified", sentence)
     assert times and 1.7 < float(times[1]) < 2.2
 
 
-def test_the_wrong_survey_ends_the_command_at_the_acceptance(commissioned, tmp_path: Path) -> None:
+def test_the_wrong_survey_ends_the_command_at_the_acceptance(commissioned, tmp_path):
     guide = other_guide(tmp_path / "other.csv")
     check_of(guide, tmp_path / "check.csv")
     settings, options = {f"{TRUTH}guide": guide}, ("--check-survey", str(tmp_path / "check.csv"))

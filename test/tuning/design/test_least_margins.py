@@ -21,11 +21,11 @@ from straightcomp_ros.stage.description import StageParameters
 STAGE = StageParameters()
 
 
-def on(**facts) -> StageParameters:
+def on(**facts):
     return from_mapping(StageParameters, facts)
 
 
-def value(sentence: str, pattern: str) -> float:
+def value(sentence, pattern):
     found = re.search(pattern, sentence)
     assert found is not None, sentence
     return float(found.group(1))

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ from straightcomp_ros.cli.main import main
 STAGES = Path(__file__).resolve().parents[2] / "stages"
 
 
-def measured(capsys: pytest.CaptureFixture[str], *options: str, exit_code: int = 0) -> dict[str, Any]:
+def measured(capsys, *options, exit_code=0):
     assert main(["frequency-response", "--json", *options]) == exit_code
-    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+    return json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
@@ -29,9 +28,7 @@ def measured(capsys: pytest.CaptureFixture[str], *options: str, exit_code: int =
     ],
     ids=["shipped", "linear", "smc", "sticky", "heavy_platform", "rate_1_khz"],
 )
-def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_is_coherent(
-    capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
-) -> None:
+def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_is_coherent(capsys, options):
     answer = measured(capsys, *options)
     coherent = np.array(answer["coherence"]) > 0.9
     frequencies = np.array(answer["frequency_Hz"])
@@ -43,7 +40,7 @@ def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_i
     assert answer["clipped_samples"] == 0
 
 
-def test_the_measured_margins_are_near_those_of_the_description(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_measured_margins_are_near_those_of_the_description(capsys):
     answer = measured(capsys, "--law", "linear")
     found, model = answer["margins"], answer["model_margins"]
     assert found["gain_high"] == pytest.approx(model["gain_high"], rel=0.05)
@@ -54,33 +51,33 @@ def test_the_measured_margins_are_near_those_of_the_description(capsys: pytest.C
 
 
 @pytest.mark.parametrize("truth", ["mass=1.4", "force=0.7", "amplifier=0.4"])
-def test_a_description_that_is_wrong_is_rejected(capsys: pytest.CaptureFixture[str], truth: str) -> None:
+def test_a_description_that_is_wrong_is_rejected(capsys, truth):
     told = ("--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
     answer = measured(capsys, *told, exit_code=1)
     assert not answer["model_explains_the_plant"]
 
 
-def test_a_wrong_description_is_said_to_be_wrong(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_description_is_said_to_be_wrong(capsys):
     told = ("--law", "linear", "--draws", "4", "--set", "driver.simulated.truth.mass=1.4")
     assert main(["frequency-response", *told]) == 1
     said = capsys.readouterr()
     assert "the description does not explain the plant" in " ".join(said.err.split()) and "phase margin" in said.out
 
 
-def test_the_loop_is_measured_while_the_stage_makes_strokes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_loop_is_measured_while_the_stage_makes_strokes(capsys):
     answer = measured(capsys, "--moving")
     coherent = np.array(answer["coherence"]) > 0.9
     assert np.abs(np.array(answer["deviation_dB"])[coherent]).max() < 1.0
     assert coherent[np.array(answer["frequency_Hz"]) > 10.0].all()
 
 
-def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys):
     # Without feedforward the law lags behind the moving reference by more than is allowed.
     assert main(["frequency-response", "--moving", "--law", "linear", "--travel", "5e-7"]) == 1
     assert "take less current, or allow more travel" in capsys.readouterr().err
 
 
-def test_plots_are_saved_and_the_table_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_plots_are_saved_and_the_table_is_printed(capsys, tmp_path):
     plot = tmp_path / "loop.svg"
     assert main(["frequency-response", "--draws", "4", "-o", str(plot)]) == 0
     said = capsys.readouterr()

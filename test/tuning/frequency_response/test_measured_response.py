@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.excitation import Multisine, MultisineParameters, multisine
+from straightcomp_ros.control.excitation import MultisineParameters, multisine
 from straightcomp_ros.control.margins import LoopResponse
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ComparedResponse,
@@ -14,12 +14,12 @@ from straightcomp_ros.tuning.frequency_response.measured_response import (
 RATE = 1000.0
 
 
-def flat(frequencies: np.ndarray) -> LoopResponse:
+def flat(frequencies):
     ones = np.ones(len(frequencies), complex)
     return LoopResponse(1e-6 * ones, 0.0 * ones, ones)
 
 
-def recorded(noise: float, seed: int = 1) -> tuple[Multisine, MeasuredResponse]:
+def recorded(noise, seed=1):
     """y = 0.5 y₋₁ + u₋₁ under u = d − 0.3 y, both with white noise."""
     excitation = multisine(MultisineParameters(draws=12, lines=60, highest=400.0), RATE, flat)
     random = np.random.default_rng(seed)
@@ -33,13 +33,13 @@ def recorded(noise: float, seed: int = 1) -> tuple[Multisine, MeasuredResponse]:
     return excitation, measured_response(excitation, d, u, y)
 
 
-def truth(frequencies: np.ndarray) -> LoopResponse:
+def truth(frequencies):
     z = np.exp(2j * np.pi * frequencies / RATE)
     plant = 1.0 / (z - 0.5)
     return LoopResponse(plant, 0.3 * plant, 1.0 / (1.0 + 0.3 * plant))
 
 
-def test_without_noise_the_response_is_exact_and_fully_coherent() -> None:
+def test_without_noise_the_response_is_exact_and_fully_coherent():
     excitation, found = recorded(0.0)
     true = truth(excitation.frequencies)
     for name in ("plant", "open_loop", "sensitivity"):
@@ -49,7 +49,7 @@ def test_without_noise_the_response_is_exact_and_fully_coherent() -> None:
 
 
 @pytest.mark.parametrize("name", ["plant", "open_loop", "sensitivity"])
-def test_the_circles_hold_the_truth_in_95_of_100_cases(name: str) -> None:
+def test_the_circles_hold_the_truth_in_95_of_100_cases(name):
     inside = []
     for seed in range(12):
         excitation, found = recorded(0.05, seed)
@@ -58,7 +58,7 @@ def test_the_circles_hold_the_truth_in_95_of_100_cases(name: str) -> None:
     assert 0.92 < np.mean(inside) < 0.98
 
 
-def test_the_circles_of_all_lines_hold_their_truths_at_once_in_95_of_100_measurements() -> None:
+def test_the_circles_of_all_lines_hold_their_truths_at_once_in_95_of_100_measurements():
     one_by_one, at_once = [], []
     for seed in range(60):
         excitation, found = recorded(0.05, seed)
@@ -71,7 +71,7 @@ def test_the_circles_of_all_lines_hold_their_truths_at_once_in_95_of_100_measure
     assert np.mean(one_by_one) < 0.3
 
 
-def test_noise_lowers_the_coherence_and_a_dead_reading_has_none() -> None:
+def test_noise_lowers_the_coherence_and_a_dead_reading_has_none():
     assert recorded(0.5)[1].coherence.mean() < recorded(0.1)[1].coherence.mean() < 0.999
     excitation, _ = recorded(0.0)
     dead = measured_response(excitation, excitation.currents, excitation.currents, 0.0 * excitation.currents)
@@ -99,9 +99,7 @@ def test_noise_lowers_the_coherence_and_a_dead_reading_has_none() -> None:
         "not coherent",
     ],
 )
-def test_a_model_is_rejected_by_a_line_that_is_coherent_and_certainly_off(
-    factor: complex, radius: float, coherence: float, explained: bool
-) -> None:
+def test_a_model_is_rejected_by_a_line_that_is_coherent_and_certainly_off(factor, radius, coherence, explained):
     model, ones = flat(np.arange(3.0)), np.ones(3)
     plant = model.plant * np.array([1.0, factor, 1.0])
     coherent, circles = np.array([0.99, coherence, 0.99]), radius * 1e-6 * ones
@@ -111,13 +109,13 @@ def test_a_model_is_rejected_by_a_line_that_is_coherent_and_certainly_off(
     assert ComparedResponse("linear", measured, model, 1.0, 0, 1.0).explained is explained
 
 
-def test_a_model_that_no_line_speaks_of_is_not_explained() -> None:
+def test_a_model_that_no_line_speaks_of_is_not_explained():
     model, ones = flat(np.arange(3.0)), np.ones(3)
     measured = MeasuredResponse(ones, model, 0.5 * ones, ones, ones, ones, 1e-3, 40)
     assert not ComparedResponse("linear", measured, model, 1.0, 0, 1.0).explained
 
 
-def test_a_response_that_is_not_a_number_is_not_explained() -> None:
+def test_a_response_that_is_not_a_number_is_not_explained():
     excitation, _ = recorded(0.0)
     signal = excitation.currents.copy()
     # The last draw is missing: all means over the draws are NaN, but the coherence is not.
@@ -128,7 +126,7 @@ def test_a_response_that_is_not_a_number_is_not_explained() -> None:
     assert not ComparedResponse("linear", measured, flat(excitation.frequencies), 1.0, 0, 1.0).explained
 
 
-def test_the_speed_is_that_of_the_motion_at_the_lines() -> None:
+def test_the_speed_is_that_of_the_motion_at_the_lines():
     excitation, _ = recorded(0.0)
     spectrum = np.zeros(501, complex)
     line = int(excitation.bins[10])

@@ -9,13 +9,13 @@ from straightcomp_ros.control.margins import LoopResponse
 RATE = 2000.0
 
 
-def flat(frequencies: np.ndarray) -> LoopResponse:
+def flat(frequencies):
     """A loop that takes back nothing, on a plant that hardly moves."""
     ones = np.ones(len(frequencies), complex)
     return LoopResponse(1e-6 * ones, 0.0 * ones, ones)
 
 
-def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_asked() -> None:
+def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_asked():
     excitation = multisine(MultisineParameters(current=0.2), RATE, flat)
     used = excitation.used(excitation.currents)
     assert used.shape == (40, 2000)
@@ -27,7 +27,7 @@ def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_
     np.testing.assert_allclose(excitation.frequencies, excitation.bins * 1.0)
 
 
-def test_draws_differ_in_their_phases_and_follow_each_other_without_a_step() -> None:
+def test_draws_differ_in_their_phases_and_follow_each_other_without_a_step():
     excitation = multisine(MultisineParameters(lowest=2.0, highest=20.0, lines=8), RATE, flat)
     used = excitation.used(excitation.currents)
     assert np.abs(used[0] - used[1]).max() > 0.1
@@ -37,7 +37,7 @@ def test_draws_differ_in_their_phases_and_follow_each_other_without_a_step() -> 
 
 
 @pytest.mark.parametrize(("period", "lead"), [(0.2, 400), (0.8, 1000), (1.0, 1000), (4.0, 8000 // 2)])
-def test_a_draw_begins_before_its_period_and_goes_over_into_it(period: float, lead: int) -> None:
+def test_a_draw_begins_before_its_period_and_goes_over_into_it(period, lead):
     parameters = MultisineParameters(lowest=5.0, period=period, draws=3)
     excitation = multisine(parameters, RATE, flat)
     each = lead + excitation.samples
@@ -47,8 +47,8 @@ def test_a_draw_begins_before_its_period_and_goes_over_into_it(period: float, le
         np.testing.assert_allclose(settled, used[-settled.size :], atol=1e-12)
 
 
-def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor() -> None:
-    def loop(frequencies: np.ndarray) -> LoopResponse:
+def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor():
+    def loop(frequencies):
         sensitivity = np.minimum(1.0, frequencies / 100.0).astype(complex)
         return LoopResponse(flat(frequencies).plant, 1.0 / sensitivity - 1.0, sensitivity)
 
@@ -60,8 +60,8 @@ def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_f
     assert amplitudes[middle] / high == pytest.approx(100.0 / excitation.frequencies[middle])
 
 
-def test_a_soft_plant_is_not_moved_beyond_the_travel() -> None:
-    def soft(frequencies: np.ndarray) -> LoopResponse:
+def test_a_soft_plant_is_not_moved_beyond_the_travel():
+    def soft(frequencies):
         return LoopResponse(1.0 / frequencies.astype(complex) ** 2, 0j * frequencies, 1.0 + 0j * frequencies)
 
     parameters = MultisineParameters(travel=6e-4)
@@ -71,10 +71,10 @@ def test_a_soft_plant_is_not_moved_beyond_the_travel() -> None:
     assert np.sqrt(0.5 * np.sum(moved**2)) <= 1e-4 * (1.0 + 1e-9)
 
 
-def test_a_lowest_frequency_of_less_than_one_period_is_refused() -> None:
+def test_a_lowest_frequency_of_less_than_one_period_is_refused():
     with pytest.raises(FrequencyResponseError, match=r"lowest frequency 0.5 Hz with a period of 1 s; allowed: >= 1 Hz"):
         multisine(MultisineParameters(lowest=0.5), RATE, flat)
 
 
-def test_a_slow_rate_lowers_the_highest_frequency() -> None:
+def test_a_slow_rate_lowers_the_highest_frequency():
     assert multisine(MultisineParameters(), 1000.0, flat).frequencies[-1] == 400.0

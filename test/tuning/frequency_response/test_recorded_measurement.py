@@ -1,7 +1,6 @@
 """A bag of the excited loop gives the response of the loop if the whole excitation is in it."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from straightcomp_ros.tuning.frequency_response.measurement import measure_simul
 EXCITATION = MultisineParameters(draws=8)
 
 
-def recorded(bag: Path, share: float = 1.0):
+def recorded(bag, share=1.0):
     """A bag of the loop, in which the excitation was ended after ``share`` of it; its law and its stage."""
     values = shipped_parameters()
     nodes = node_set(values)
@@ -32,7 +31,7 @@ def recorded(bag: Path, share: float = 1.0):
     begin, stop, index = stage.rate, stage.rate + round(share * excitation.currents.size), 0
     with SimulatedRun(bag, by_node(values), simulation.delay) as run:
 
-        def observe(*sample) -> None:
+        def observe(*sample):
             nonlocal index
             index += 1
             if index == begin:
@@ -45,7 +44,7 @@ def recorded(bag: Path, share: float = 1.0):
     return values, control, stage
 
 
-def test_a_whole_excitation_gives_what_is_measured_at_once(tmp_path: Path) -> None:
+def test_a_whole_excitation_gives_what_is_measured_at_once(tmp_path):
     values, control, stage = recorded(tmp_path / "bag")
     found = response_from_bag(tmp_path / "bag", EXCITATION, control, stage)
     at_once = measure_simulated(values, EXCITATION)
@@ -54,7 +53,7 @@ def test_a_whole_excitation_gives_what_is_measured_at_once(tmp_path: Path) -> No
     assert found.late_share < 1e-3 and found.lateness == ""
 
 
-def test_commands_that_came_late_are_told(tmp_path: Path) -> None:
+def test_commands_that_came_late_are_told(tmp_path):
     _, control, stage = recorded(tmp_path / "bag")
     # Of a host whose commands are due sooner than they came.
     soon = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
@@ -65,7 +64,7 @@ def test_commands_that_came_late_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.5, 0.85, 0.96])
-def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path: Path, share: float) -> None:
+def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path, share):
     _, control, stage = recorded(tmp_path / "bag", share)
     with pytest.raises(ExcitationEnded, match="ended early"):
         response_from_bag(tmp_path / "bag", EXCITATION, control, stage)
