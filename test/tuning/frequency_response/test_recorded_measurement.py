@@ -44,23 +44,28 @@ def recorded(bag, share=1.0):
     return values, control, stage
 
 
-def test_a_whole_excitation_gives_what_is_measured_at_once(tmp_path):
-    values, control, stage = recorded(tmp_path / "bag")
-    found = response_from_bag(tmp_path / "bag", EXCITATION, control, stage)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A bag of the whole excitation; its parameters, its law and its stage."""
+    bag = tmp_path_factory.mktemp("whole") / "bag"
+    return bag, *recorded(bag)
+
+
+def test_a_whole_excitation_gives_what_is_measured_at_once(whole):
+    bag, values, control, stage = whole
+    found = response_from_bag(bag, EXCITATION, control, stage)
     at_once = measure_simulated(values, EXCITATION)
     ratio = found.measured.response.plant / at_once.measured.response.plant
     assert np.abs(ratio[found.measured.coherent] - 1.0).max() < 0.05 and found.explained
     assert found.late_share < 1e-3 and found.lateness == ""
 
 
-def test_commands_that_came_late_are_told(tmp_path):
-    _, control, stage = recorded(tmp_path / "bag")
+def test_commands_that_came_late_are_reported(whole):
+    bag, _, control, stage = whole
     # Of a host whose commands are due sooner than they came.
     soon = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
-    found = response_from_bag(tmp_path / "bag", EXCITATION, control, soon)
-    assert found.late_share == 1.0 and found.lateness.startswith(
-        "100% of the commands came late, which delays the loop"
-    )
+    found = response_from_bag(bag, EXCITATION, control, soon)
+    assert found.late_share == 1.0 and found.lateness.startswith("100% of the commands came late")
 
 
 @pytest.mark.parametrize("share", [0.5, 0.85, 0.96])
