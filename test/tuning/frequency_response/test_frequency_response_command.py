@@ -78,11 +78,12 @@ def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys):
     assert "take less current, or allow more travel" in capsys.readouterr().err
 
 
-def test_the_plot_the_table_and_the_friction_are_shown_of_a_description_that_is_wrong_too(capsys, tmp_path):
+@pytest.mark.parametrize(("mass", "verdict"), [(1.0, "explains the plant"), (1.4, "does not explain the plant")])
+def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(capsys, tmp_path, mass, verdict):
     plot = tmp_path / "loop.svg"
-    wrong = ("--law", "linear", "--draws", "4", "--set", "driver.simulated.truth.mass=1.4")
-    assert main(["frequency-response", *wrong, "-o", str(plot)]) == 1
+    options = ("--law", "linear", "--draws", "4", "--set", f"driver.simulated.truth.mass={mass}")
+    assert main(["frequency-response", *options, "-o", str(plot)]) == (mass != 1.0)
     said = capsys.readouterr()
-    assert "the description does not explain the plant" in " ".join(said.err.split())
+    assert f"the description {verdict}" in " ".join((said.out + said.err).split())
     assert "phase margin" in said.out and "N·s/m" in said.err
     assert plot.read_text().startswith("<?xml")
