@@ -1,13 +1,9 @@
 """A stage that is described roughly, and machines that it may be."""
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.hardware.interface import Hardware
-from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP, MapParameters, load_map
@@ -15,49 +11,39 @@ from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
 from straightcomp_ros.tuning.commissioning.step import Work
 
-TRUTH = "simulated.truth."
 ROUGH = Path(__file__).with_name("rough.yaml")
-MACHINES: Mapping[str, Mapping[str, float]] = {
+MACHINES = {
     "as described": {},
-    "strong, narrow and light, with little friction": {
-        f"{TRUTH}force": 1.4,
-        f"{TRUTH}air_gap": 0.6,
-        f"{TRUTH}mass": 0.6,
-        f"{TRUTH}friction": 0.34,
-    },
-    "weak and wide, with much friction": {f"{TRUTH}force": 0.6, f"{TRUTH}air_gap": 1.4, f"{TRUTH}friction": 3.0},
-    "slow amplifier, late commands": {f"{TRUTH}amplifier": 0.5, "stage.drive.delay": 1.4},
-    "fast amplifier, soon commands": {f"{TRUTH}amplifier": 2.0, "stage.drive.delay": 0.6},
+    "strong, narrow and light, with little friction": {"force": 1.4, "air_gap": 0.6, "mass": 0.6, "friction": 0.34},
+    "weak and wide, with much friction": {"force": 0.6, "air_gap": 1.4, "friction": 3.0},
+    "slow amplifier, late commands": {"amplifier": 0.5, "stage.drive.delay": 1.4},
+    "fast amplifier, soon commands": {"amplifier": 2.0, "stage.drive.delay": 0.6},
 }
-"""What the driver is given."""
+"""What differs in the machine: facts of the simulated truth, or parameters of the driver (dotted)."""
 
 
-def values_of(machine: Mapping[str, float] = MACHINES["as described"], **stage: Any) -> dict[str, dict[str, Any]]:
+def values_of(machine={}, **stage):  # noqa: B006
     """Parameters by node and dotted name."""
     values = shipped_parameters(stage=str(ROUGH))
     values["stage"] |= {name.replace("__", "."): value for name, value in stage.items()}
-    values["driver"] |= machine
+    values["driver"] |= {name if "." in name else f"simulated.truth.{name}": one for name, one in machine.items()}
     return values
 
 
-def work_on(
-    values: Mapping[str, Mapping[str, Any]],
-    folder: Path,
-    wiring: Callable[[SimulatedHardware], Hardware] = sound,
-) -> Work:
+def work_on(values, folder, wiring=sound):
     """What a first step works on."""
     description = node_parameters("controller", values).stage
     return Work(SimulatedMachine(values, wiring), values, description, folder, 40, 20, {})
 
 
-def other_guide(file: Path) -> str:
+def other_guide(file):
     """A survey of another guide of the same length and height."""
     x = np.linspace(0.0, 1.76, 177)
     write_survey(file, Survey((Run("1", "forward", x, 1e-5 * np.sin(7.0 * x)),)))
     return str(file)
 
 
-def check_of(guide: str, file: Path) -> Survey:
+def check_of(guide, file):
     """A check survey of ``guide``, out and back at 15 places, as a straightedge would give it."""
     true, random = load_map(MapParameters(file=guide)), np.random.default_rng(1)
     x = np.linspace(true.span[0] + 0.02, true.span[1] - 0.02, 15)

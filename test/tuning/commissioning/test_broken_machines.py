@@ -2,46 +2,34 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
 
 import broken
 import pytest
 from roughly_known import ROUGH, check_of, other_guide
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.excitation import MultisineParameters
-from straightcomp_ros.hardware.interface import Hardware, State
-from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
-from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
 
 pytestmark = pytest.mark.nightly
 
-Wiring = Callable[[SimulatedHardware], Hardware]
 SIGNS = "signs_and_scales"
 TRUTH = "driver.simulated.truth."
 WELL_KNOWN = {f"stage.uncertainty.{name}": value for name, value in {"mass": 0.2, "force": 0.2, "air_gap": 0.1}.items()}
 
 
 @pytest.fixture
-def commissioned(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
+def commissioned(monkeypatch, capsys, tmp_path):
     """Commission a machine by the command; the step that did not pass, and its sentence.
 
     Fails if all pass, if current is left anywhere, or if there is a certificate.
     """
 
-    def run(
-        settings: Mapping[str, object],
-        wiring: Wiring = sound,
-        machine: type[SimulatedMachine] = SimulatedMachine,
-        *options: str,
-    ) -> tuple[str, str]:
-        built: list[Hardware] = []
+    def run(settings, wiring=sound, machine=SimulatedMachine, *options):
+        built = []
 
-        def kept(hardware: SimulatedHardware) -> Hardware:
+        def kept(hardware):
             built.append(wiring(hardware))
             return built[-1]
 
@@ -66,7 +54,7 @@ MACHINES = {
     "readback of half the scale": ({}, broken.readback_of_half_the_scale, SIGNS, "the readback shows 0.5 times"),
     "sign of y reversed": ({}, broken.encoder_backwards, SIGNS, "the coils or the encoder of y are wired backwards"),
     "encoder dead": ({}, broken.encoder_dead, SIGNS, "an encoder of y that does not count"),
-    "one coil dead": ({}, broken.OneCoilDead, SIGNS, "the magnets do not balance; look for a coil without current"),
+    "one coil dead": ({}, broken.one_coil_dead, SIGNS, "the magnets do not balance; look for a coil without current"),
     "amplifier of a tenth of the bandwidth": ({f"{TRUTH}amplifier": 0.1}, sound, SIGNS, "the amplifier has 50 Hz"),
     "three times the delay": ({"driver.stage.drive.delay": 3.0}, sound, SIGNS, "commands act 3.00 samples after"),
     "encoder of twice the count": ({}, broken.encoder_of_twice_the_count, "identification", "the count of the encoder"),
@@ -81,9 +69,7 @@ MACHINES = {
 
 
 @pytest.mark.parametrize(("settings", "wiring", "step", "words"), MACHINES.values(), ids=MACHINES)
-def test_it_is_named_at_the_first_step_that_can_see_it(
-    commissioned, settings: dict[str, float], wiring: Wiring, step: str, words: str
-) -> None:
+def test_it_is_named_at_the_first_step_that_can_see_it(commissioned, settings, wiring, step, words):
     found, sentence = commissioned(settings, wiring)
     assert found == step and words in sentence
 
@@ -91,7 +77,7 @@ def test_it_is_named_at_the_first_step_that_can_see_it(
 class LosesItsLoad(SimulatedMachine):
     """Half of the mass falls off after the identification."""
 
-    def response(self, values: Mapping[str, Mapping[str, Any]], excitation: MultisineParameters) -> ComparedResponse:
+    def response(self, values, excitation):
         whole = self.parameters
         self.parameters = {**whole, "simulated.truth.mass": 0.5}
         try:
@@ -100,14 +86,14 @@ class LosesItsLoad(SimulatedMachine):
             self.parameters = whole
 
 
-def test_a_platform_that_comes_loose_later_is_named_by_the_frequency_response(commissioned) -> None:
+def test_a_platform_that_comes_loose_later_is_named_by_the_frequency_response(commissioned):
     found, sentence = commissioned({}, sound, LosesItsLoad)
     assert found == "frequency_response"
     times = re.search(r"accelerates the platform ([\d.]+) times as much as when it was identified", sentence)
     assert times and 1.7 < float(times[1]) < 2.2
 
 
-def test_the_wrong_survey_ends_the_command_at_the_acceptance(commissioned, tmp_path: Path) -> None:
+def test_the_wrong_survey_ends_the_command_at_the_acceptance(commissioned, tmp_path):
     guide = other_guide(tmp_path / "other.csv")
     check_of(guide, tmp_path / "check.csv")
     settings, options = {f"{TRUTH}guide": guide}, ("--check-survey", str(tmp_path / "check.csv"))

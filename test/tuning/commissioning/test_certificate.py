@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +11,7 @@ from roughly_known import values_of, work_on
 
 from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.commissioning.step import Outcome
 
 LATENCY = {"p50": 335.12100000000004, "p99": 335.12100000000004, "p99.9": 335.2, "p100": 335.2}
 TIMING = {
@@ -61,7 +60,7 @@ FIGURES: dict[str, dict[str, Any]] = {
 }
 
 
-def done(folder: Path, **changed: dict[str, Any]) -> Work:
+def done(folder, **changed):
     """Steps that have passed with these figures."""
     outcomes = {
         name: Outcome(True, f"{name} is good", {**figures, **changed.get(name, {})})
@@ -70,7 +69,7 @@ def done(folder: Path, **changed: dict[str, Any]) -> Work:
     return dataclasses.replace(work_on(values_of(), folder), outcomes=outcomes)
 
 
-def test_a_simulated_run_whose_commands_are_all_in_time_is_within_its_limits(tmp_path: Path) -> None:
+def test_a_simulated_run_whose_commands_are_all_in_time_is_within_its_limits(tmp_path):
     outcome = certificate(done(tmp_path))
     assert outcome.passed, outcome.sentence
     content = json.loads((tmp_path / "certificate.json").read_text())
@@ -94,9 +93,7 @@ def test_a_simulated_run_whose_commands_are_all_in_time_is_within_its_limits(tmp
         ("acceptance", {"lost_samples": None}, "lost samples of the stroke unknown"),
     ],
 )
-def test_a_figure_beyond_its_limit_is_named_and_nothing_is_written(
-    tmp_path: Path, step: str, changed: dict[str, Any], words: str
-) -> None:
+def test_a_figure_beyond_its_limit_is_named_and_nothing_is_written(tmp_path, step, changed, words):
     outcome = certificate(done(tmp_path, **{step: changed}))
     assert not outcome.passed
     assert outcome.sentence.startswith("beyond the limits: ") and words in outcome.sentence
@@ -114,12 +111,12 @@ def test_a_figure_beyond_its_limit_is_named_and_nothing_is_written(
     ],
     ids=["a late p99 that costs nothing", "the last bits of a limit", "no latencies", "one command in 200"],
 )
-def test_lateness_is_judged_by_what_it_costs(tmp_path: Path, changed: dict[str, Any]) -> None:
+def test_lateness_is_judged_by_what_it_costs(tmp_path, changed):
     outcome = certificate(done(tmp_path, acceptance=changed))
     assert outcome.passed, outcome.sentence
 
 
-def test_limits_of_later_strokes_are_no_checks_of_this_one(tmp_path: Path) -> None:
+def test_limits_of_later_strokes_are_no_checks_of_this_one(tmp_path):
     certificate(done(tmp_path))
     content = json.loads((tmp_path / "certificate.json").read_text())
     assert not {one["name"] for one in content["checks"]} & set(FIGURES["acceptance"]["limits"])
@@ -127,7 +124,7 @@ def test_limits_of_later_strokes_are_no_checks_of_this_one(tmp_path: Path) -> No
     assert "Limits for later strokes" in (tmp_path / "certificate.html").read_text()
 
 
-def test_the_page_has_every_figure_that_another_machine_would_differ_in(tmp_path: Path) -> None:
+def test_the_page_has_every_figure_that_another_machine_would_differ_in(tmp_path):
     certificate(done(tmp_path))
     page = (tmp_path / "certificate.html").read_text()
     sentences = ("Forces have no scale of their own.", "Friction &lt; 2 N.")

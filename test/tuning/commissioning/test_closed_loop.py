@@ -1,15 +1,13 @@
 """What is not as described is named at the identification; the excitation stays within the travel; margins count."""
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from roughly_known import TRUTH, values_of, work_on
+from roughly_known import values_of, work_on
 
 from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.tuning.commissioning import closed_loop
 from straightcomp_ros.tuning.commissioning.closed_loop import (
@@ -20,7 +18,6 @@ from straightcomp_ros.tuning.commissioning.closed_loop import (
     strangeness,
 )
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
-from straightcomp_ros.tuning.commissioning.step import Outcome
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded, response_plot
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ComparedResponse,
@@ -36,7 +33,7 @@ STAGE = StageParameters(uncertainty=UncertaintyParameters(**WELL_KNOWN))
 USUAL = MultisineParameters().motion
 
 
-def estimate(poor: str = "", **factors: float) -> Estimate:
+def estimate(poor="", **factors):
     """An exact estimate of a machine that differs from the description by factors, by the last part of the name.
 
     The interval of ``poor`` is wide; the amplifier is that of the description.
@@ -52,7 +49,7 @@ def estimate(poor: str = "", **factors: float) -> Estimate:
         value = described[name] * factors.get(name.partition(".")[2], 1.0)
         low, high = (0.5, 2.0) if name == poor else (0.99, 1.01)
         found[name] = Estimated(name, value, low * value, high * value, name == "platform.mass")
-    return Estimate(found, None, SimpleNamespace(rate_found=False), None)  # type: ignore[arg-type]
+    return Estimate(found, None, SimpleNamespace(rate_found=False), None)
 
 
 @pytest.mark.parametrize(
@@ -66,27 +63,26 @@ def estimate(poor: str = "", **factors: float) -> Estimate:
         ({}, ""),
     ],
 )
-def test_what_lies_beyond_the_uncertainty_is_named_and_nothing_else(factors: dict[str, float], words: str) -> None:
+def test_what_lies_beyond_the_uncertainty_is_named_and_nothing_else(factors, words):
     strange = strangeness(estimate(**factors), STAGE)
     assert (words in strange) if words else strange == ""
 
 
-def test_static_friction_that_is_hardly_identified_keeps_its_described_ratio_to_coulomb_friction() -> None:
+def test_static_friction_that_is_hardly_identified_keeps_its_described_ratio_to_coulomb_friction():
     facts = facts_found(estimate("friction.static", coulomb=2.5), STAGE)
     assert facts["friction.coulomb"] == pytest.approx(2.5 * STAGE.friction.coulomb)
     assert facts["friction.static"] == pytest.approx(2.5 * STAGE.friction.static)
 
 
-def test_what_is_hardly_identified_stays_as_uncertain_as_it_was_described() -> None:
+def test_what_is_hardly_identified_stays_as_uncertain_as_it_was_described():
     facts = facts_found(estimate("actuator.turns", turns=1.1), STAGE)
     assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
     assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
 
 
 @pytest.mark.nightly
-def test_a_machine_that_is_allowed_gets_its_facts_relative_to_the_described_mass(tmp_path: Path) -> None:
-    truth = {f"{TRUTH}mass": 1.3, f"{TRUTH}force": 0.7, f"{TRUTH}air_gap": 0.8, f"{TRUTH}friction": 0.5}
-    values = values_of(truth)
+def test_a_machine_that_is_allowed_gets_its_facts_relative_to_the_described_mass(tmp_path):
+    values = values_of({"mass": 1.3, "force": 0.7, "air_gap": 0.8, "friction": 0.5})
     values["controller"] |= SAFE
     outcome = identification(work_on(values, tmp_path))
     assert outcome.passed, outcome.sentence
@@ -98,7 +94,7 @@ def test_a_machine_that_is_allowed_gets_its_facts_relative_to_the_described_mass
 
 
 @pytest.fixture(scope="module")
-def measured() -> ComparedResponse:
+def measured():
     """Made once: of a machine as described with much friction, against which slow motions are not coherent."""
     return measure_simulated(
         values_of(friction__coulomb=6.0, friction__static=8.0), MultisineParameters(draws=8, travel=2.8e-4)
@@ -112,7 +108,7 @@ class Lively(SimulatedMachine):
     measured: ComparedResponse
     motion = 0.0
 
-    def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
+    def response(self, values, excitation):
         self.motion = excitation.motion
         if excitation.motion > self.bears:
             raise ExcitationEnded(f"the excitation was ended early at {excitation.motion:.3f} of the travel")
@@ -120,7 +116,7 @@ class Lively(SimulatedMachine):
 
 
 @pytest.fixture
-def machine(measured: ComparedResponse, monkeypatch: pytest.MonkeyPatch) -> Lively:
+def machine(measured, monkeypatch):
     """A machine that its simulation, which is given, explains."""
     monkeypatch.setattr(closed_loop, "measure_simulated", lambda values, excitation: measured)
     monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
@@ -129,11 +125,11 @@ def machine(measured: ComparedResponse, monkeypatch: pytest.MonkeyPatch) -> Live
     return machine
 
 
-def response_of(machine: Lively, folder: Path) -> Outcome:
+def response_of(machine, folder):
     return frequency_response(dataclasses.replace(work_on(values_of(), folder), machine=machine))
 
 
-def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(tmp_path: Path, machine: Lively) -> None:
+def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(tmp_path, machine):
     machine.bears = 0.6 * USUAL
     assert response_of(machine, tmp_path).passed and machine.motion == 0.5 * USUAL
     machine.bears = 0.0
@@ -142,12 +138,10 @@ def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(tm
 
 
 @pytest.mark.parametrize(("needed", "share"), [(0.69, 1.0), (0.9, 0.7), (1.8, 0.5), (3.0, 0.35)])
-def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, machine: Lively, needed: float, share: float
-) -> None:
+def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(tmp_path, monkeypatch, machine, needed, share):
     travel = work_on(values_of(), tmp_path).travel
 
-    def simulated(values: Values, excitation: MultisineParameters) -> ComparedResponse:
+    def simulated(values, excitation):
         # More motion needs more travel than in proportion; the limit is that of the simulation.
         aimed = excitation.motion * excitation.travel / (USUAL * travel)
         if needed * aimed**2 * travel > excitation.travel:
@@ -174,22 +168,18 @@ def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
         ({"phase": None}, "no gain crossover is among the coherent lines"),
     ],
 )
-def test_margins_are_judged_to_both_sides_and_named_in_the_sentence(
-    margins: dict[str, float | None], words: str
-) -> None:
+def test_margins_are_judged_to_both_sides_and_named_in_the_sentence(margins, words):
     missed = margins_missed(ResponseMargins(0.5, 2.0, 40.0, 80.0, 1e-3, 1.8, 200.0)._replace(**margins))
     assert (words in missed) if words else missed == ""
 
 
-def test_margins_that_are_too_small_end_the_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, machine: Lively
-) -> None:
+def test_margins_that_are_too_small_end_the_step(tmp_path, monkeypatch, machine):
     monkeypatch.setattr(closed_loop, "LEAST_PHASE", 90.0)
     outcome = response_of(machine, tmp_path)
     assert not outcome.passed and outcome.sentence.startswith("the measured margins are too small: phase margin")
 
 
-def test_margins_are_those_of_the_coherent_lines(measured: ComparedResponse, tmp_path: Path, machine: Lively) -> None:
+def test_margins_are_those_of_the_coherent_lines(measured, tmp_path, machine):
     figures = response_of(machine, tmp_path).figures
     assert 20 < figures["coherent_lines"] < figures["lines"]
     lines = measured.measured.coherent

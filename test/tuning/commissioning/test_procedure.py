@@ -1,7 +1,6 @@
 """Steps are done once and in their order, and an interrupt leaves the record as it was."""
 
 import json
-from pathlib import Path
 
 import pytest
 from roughly_known import values_of
@@ -9,16 +8,16 @@ from roughly_known import values_of
 from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError, procedure
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.commissioning.step import Outcome
 
 
 @pytest.fixture
-def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def done(monkeypatch):
     """Replace the steps by ones that only say that they were done; the third finds a mass, the fifth a law."""
     calls: list[str] = []
 
-    def step(name: str):
-        def run(work: Work) -> Outcome:
+    def step(name):
+        def run(work):
             calls.append(name)
             found = {"platform.mass": float(len(calls))} if name == "safe_loop" else {}
             gains = {"control.law": "smc"} if name == "design" else {}
@@ -30,115 +29,84 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return calls
 
 
-def begun(folder: Path, **stage: float) -> Procedure:
+def begun(folder, **stage):
     values = values_of(**stage)
     return Procedure(SimulatedMachine(values), values, folder, evaluations=1, machines=1)
 
 
-def test_a_later_call_goes_on_with_the_step_that_is_next(done: list[str], tmp_path: Path) -> None:
-    first = begun(tmp_path)
-    for step in first.remaining()[:4]:
-        first.run(step)
-    again = begun(tmp_path)
+def run(procedure, steps):
+    """Do the steps, which leave their files."""
+    for step in steps:
+        procedure.run(step)
+        for name in STEP_FILES.get(step, ()):
+            (procedure.work(step).folder / name).write_text(step)
+    return procedure
+
+
+def test_a_later_call_goes_on_with_the_step_that_is_next_and_with_what_those_before_it_found(done, tmp_path):
+    run(begun(tmp_path, platform__mass=2.0), list(STEPS)[:4])
+    again = begun(tmp_path, platform__mass=2.0)
     assert again.remaining() == list(STEPS)[4:]
     assert again.outcomes["identification"].sentence == "identification at 3 kg"
-    assert again.work("acceptance").values["stage"]["platform.mass"] == 3.0
+    run(again, again.remaining())
+    assert [again.work(step).stage.platform.mass for step in ("safe_loop", "design", "acceptance")] == [2.0, 3.0, 3.0]
+    laws = [again.work(step).values["controller"].get("control.law") for step in ("design", "acceptance")]
+    assert laws[0] != "smc" and laws[1] == "smc"
 
 
-def test_what_a_step_found_holds_for_those_after_it_and_not_for_those_before(done: list[str], tmp_path: Path) -> None:
-    one = begun(tmp_path, platform__mass=2.0)
-    for step in one.remaining():
-        one.run(step)
-    assert one.work("safe_loop").stage.platform.mass == 2.0
-    assert one.work("design").stage.platform.mass == 3.0
-    assert "control.law" not in one.work("design").values["controller"] or (
-        one.work("design").values["controller"]["control.law"] != "smc"
-    )
-    assert one.work("acceptance").values["controller"]["control.law"] == "smc"
-
-
-def test_a_step_that_finds_something_else_makes_the_later_ones_void(done: list[str], tmp_path: Path) -> None:
-    one = begun(tmp_path)
-    for step in one.remaining():
-        one.run(step)
+def test_a_step_that_finds_something_else_makes_the_later_ones_void(done, tmp_path):
+    one = run(begun(tmp_path), STEPS)
     one.run("connection")
     assert one.remaining() == ["certificate"]
     one.run("safe_loop")
     assert one.remaining() == list(STEPS)[3:]
 
 
-def with_files(folder: Path) -> Procedure:
-    """All steps done, with the files that they leave."""
-    one = begun(folder)
-    for step in one.remaining():
-        one.run(step)
-        for name in STEP_FILES.get(step, ()):
-            (folder / name).write_text(step)
-    return one
-
-
-def left(folder: Path) -> set[str]:
+def left(folder):
     return {path.name for path in folder.iterdir()} - {RECORD}
 
 
-@pytest.mark.parametrize(
-    ("step", "removed"),
-    [
-        ("connection", {"certificate"}),
-        ("frequency_response", {"frequency_response", "certificate"}),
-        ("acceptance", {"acceptance", "certificate"}),
-        ("certificate", {"certificate"}),
-    ],
-)
+def interrupted(work):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("step", ["connection", "frequency_response", "acceptance", "certificate"])
 def test_a_step_that_is_repeated_voids_the_certificate_and_its_own_files_before_it_begins(
-    done: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, removed: set[str]
-) -> None:
-    one = with_files(tmp_path)
+    done, tmp_path, monkeypatch, step
+):
+    one = run(begun(tmp_path), STEPS)
     written = {name for names in STEP_FILES.values() for name in names}
     assert left(tmp_path) == written and one.remaining() == []
-
-    def interrupted(work: Work) -> Outcome:
-        assert left(tmp_path) == written - {name for gone in removed for name in STEP_FILES.get(gone, ())}
-        raise KeyboardInterrupt
-
     monkeypatch.setitem(procedure.STEPS, step, interrupted)
     with pytest.raises(KeyboardInterrupt):
         one.run(step)
+    assert left(tmp_path) == written - {*STEP_FILES.get(step, ()), *STEP_FILES["certificate"]}
     # The bag of the step may be gone, so that the step is to be done again.
     again = begun(tmp_path)
     assert again.remaining() == list(STEPS)[list(STEPS).index(step) :]
     monkeypatch.setitem(procedure.STEPS, step, lambda work: Outcome(True, "once more"))
-    for name in again.remaining():
-        again.run(name)
-    assert again.remaining() == []
+    assert run(again, again.remaining()).remaining() == []
 
 
-def test_a_repeat_that_fails_leaves_no_file_of_a_later_step(
-    done: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = with_files(tmp_path)
+def test_a_repeat_that_fails_leaves_no_file_of_a_later_step(done, tmp_path, monkeypatch):
+    one = run(begun(tmp_path), STEPS)
     monkeypatch.setitem(procedure.STEPS, "connection", lambda work: Outcome(False, "no samples"))
     one.run("connection")
     assert left(tmp_path) == set()
     assert begun(tmp_path).remaining() == list(STEPS)
 
 
-def test_no_step_is_done_before_those_that_it_rests_on(done: list[str], tmp_path: Path) -> None:
+def test_no_step_is_done_before_those_that_it_rests_on(done, tmp_path):
     with pytest.raises(CommissioningError, match="step 'design' rests on 'connection', which has not passed"):
         begun(tmp_path).run("design")
     assert done == []
 
 
-def test_an_interrupt_leaves_the_record_as_it_was(
-    done: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_leaves_the_record_of_plain_json_as_it_was(done, tmp_path, monkeypatch):
     one = begun(tmp_path)
     one.run("connection")
     before = (tmp_path / RECORD).read_bytes()
-
-    def interrupted(work: Work) -> Outcome:
-        raise KeyboardInterrupt
-
+    assert json.loads(before)["steps"]["connection"]["passed"] is True
     monkeypatch.setitem(procedure.STEPS, "signs_and_scales", interrupted)
     with pytest.raises(KeyboardInterrupt):
         one.run("signs_and_scales")
@@ -146,20 +114,14 @@ def test_an_interrupt_leaves_the_record_as_it_was(
     assert begun(tmp_path).remaining()[0] == "signs_and_scales"
 
 
-def test_a_record_of_another_description_is_refused(done: list[str], tmp_path: Path) -> None:
+def test_a_record_of_another_description_is_refused(done, tmp_path):
     begun(tmp_path).run("connection")
     with pytest.raises(CommissioningError, match="is of another description"):
         begun(tmp_path, platform__mass=2.0)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"steps": {"connection": {"colour": 1}}, "description": ""}'])
-def test_a_record_that_is_damaged_is_refused(done: list[str], tmp_path: Path, text: str) -> None:
+def test_a_record_that_is_damaged_is_refused(done, tmp_path, text):
     (tmp_path / RECORD).write_text(text)
     with pytest.raises(CommissioningError, match="cannot be read"):
         begun(tmp_path)
-
-
-def test_the_record_is_plain_json(done: list[str], tmp_path: Path) -> None:
-    begun(tmp_path).run("connection")
-    record = json.loads((tmp_path / RECORD).read_text())
-    assert record["steps"]["connection"]["passed"] is True

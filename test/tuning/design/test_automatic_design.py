@@ -21,41 +21,37 @@ FEW = {"evaluations": 18, "machines": 4, "jobs": 1}
 
 
 @pytest.fixture(scope="module")
-def designed(shipped):
-    reported = []
-    design = design_gains(shipped, quiet=0.0, progress=lambda part, fraction: reported.append((part, fraction)), **FEW)
-    return design, reported
+def reported():
+    return []
 
 
-def test_a_designed_stage_keeps_its_margins(designed, shipped):
-    design, _ = designed
+@pytest.fixture(scope="module")
+def design(shipped, reported):
+    return design_gains(shipped, quiet=0.0, progress=lambda step, fraction: reported.append((step, fraction)), **FEW)
+
+
+def test_a_designed_stage_keeps_its_margins_and_is_silent_at_rest(design, shipped):
     control = with_gains(shipped.controls["smc_observer"], "smc_observer", design.values)
     assert StabilityCheck(shipped.description, design.demands).missed(control) == []
     assert missing_margin(control, shipped.description) is None
-    quiet, stiff = design.limits["quiet"], design.limits["stiff"]
-    assert quiet.gain_low < design.demands.gain_low and quiet.gain_high > design.demands.gain_high
-    assert stiff.gain_low < design.demands.stiff_gain_low and stiff.gain_high > design.demands.stiff_gain_high
-    assert min(quiet.phase, stiff.phase) > design.demands.phase
+    quiet, stiff, demands = design.limits["quiet"], design.limits["stiff"], design.demands
+    assert quiet.gain_low < demands.gain_low and quiet.gain_high > demands.gain_high
+    assert stiff.gain_low < demands.stiff_gain_low and stiff.gain_high > demands.stiff_gain_high
+    assert min(quiet.phase, stiff.phase) > demands.phase
     assert quiet.mass_low < 1.0 < quiet.mass_high and quiet.longest_delay > stiff.longest_delay
-
-
-def test_a_design_is_verified_and_silent_at_rest(designed):
-    design, _ = designed
     assert design.holds and design.verification.trials == 4
     assert design.figures.rest_work.max == 0.0
     assert design.figures.pp.median < 2.0 * design.start_figures.pp.median
 
 
-def test_progress_passes_through_every_part(designed):
-    _, reported = designed
-    parts = list(dict.fromkeys(part for part, _ in reported))
-    assert parts[0] == "feasible" and set(parts) == {"feasible", "search", "verify", "budget"}
+def test_progress_passes_through_every_step(design, reported):
+    steps = list(dict.fromkeys(step for step, _ in reported))
+    assert steps[0] == "feasible" and set(steps) == {"feasible", "search", "verify", "budget"}
     assert all(0.0 <= fraction <= 1.0 for _, fraction in reported)
     assert reported[-1] == ("budget", 1.0)
 
 
-def test_the_budget_begins_with_the_stage_and_knows_what_its_encoder_costs(designed):
-    design, _ = designed
+def test_the_budget_begins_with_the_stage_and_knows_what_its_encoder_costs(design):
     left = {entry.cause: entry for entry in design.budget}
     assert design.budget[0].cause == "as described" and len(left) == len(design.budget) == 10
     stage = left["as described"]
@@ -64,10 +60,28 @@ def test_the_budget_begins_with_the_stage_and_knows_what_its_encoder_costs(desig
     assert all(math.isfinite(entry.pp) and entry.pp > 0.0 for entry in design.budget)
 
 
-def test_the_same_seed_gives_the_same_design_and_another_seed_another(shipped):
-    judge = judge_of(shipped, "smc_observer", 0.0)
-    begin = [closed_form(shipped, "smc_observer")]
-    one, same, other = (search(judge, begin, evaluations=8, seed=seed, jobs=1) for seed in (3, 3, 4))
+def test_the_budget_of_a_law_without_a_friction_model_has_the_same_causes(design, shipped):
+    plain = error_budget(shipped, "linear", closed_form(shipped, "linear"))
+    assert [entry.cause for entry in plain] == [entry.cause for entry in design.budget]
+
+
+@pytest.fixture(scope="module")
+def judge(shipped):
+    return judge_of(shipped, "smc_observer", 0.0)
+
+
+@pytest.fixture(scope="module")
+def begin(shipped):
+    return closed_form(shipped, "smc_observer")
+
+
+@pytest.fixture(scope="module")
+def law(judge, begin):
+    return make_law(with_gains(judge.control, "smc_observer", begin), judge.stage)
+
+
+def test_the_same_seed_gives_the_same_design_and_another_seed_another(judge, begin):
+    one, same, other = (search(judge, [begin], evaluations=8, seed=seed, jobs=1) for seed in (3, 3, 4))
     assert one == same
     assert [found.gains for found in other] != [found.gains for found in one]
 
@@ -94,32 +108,26 @@ def test_a_search_finds_a_deeper_valley_than_that_of_its_best_start():
     assert search(judge, begins, evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(-1.0, abs=0.01)
 
 
-def test_of_gains_whose_first_stroke_is_hopeless_nothing_else_is_run(shipped):
-    judge, begin = judge_of(shipped, "smc_observer", 0.0), closed_form(shipped, "smc_observer")
-    first = prepared_stroke(shipped).run(judge_law(judge, shipped), judge.delay)
+def test_of_gains_whose_first_stroke_is_hopeless_nothing_else_is_run(shipped, judge, begin, law):
+    first = prepared_stroke(shipped).run(law, judge.delay)
     known = judge.judge(begin)
     assert judge.judge(begin, bar=known.cost - 10.0).pp == pytest.approx(first.pp) != known.pp
     assert judge.judge(begin, bar=known.cost + 10.0) == known
 
 
-def test_an_oscillation_is_what_a_verdict_calls_one(shipped):
-    course, stage = prepared_stroke(shipped), shipped.description
-    law = judge_law(judge_of(shipped, "smc_observer", 0.0), shipped)
+def test_an_oscillation_is_what_a_verdict_calls_one(shipped, law):
     # Commands later than the loop bears.
     for samples, oscillates in ((1.0, False), (5.0, True)):
-        assert (course.run(law, samples * stage.period).oscillation > 1.0) == oscillates
+        stroke = prepared_stroke(shipped).run(law, samples * shipped.description.period)
+        assert (stroke.oscillation > 1.0) == oscillates
 
 
-def test_quiet_trades_error_for_the_work_of_the_coils(shipped):
-    begin = closed_form(shipped, "smc_observer")
-    fine, quiet = (judge_of(shipped, "smc_observer", quiet) for quiet in (0.0, 1.0))
-    costs = {}
-    for name, factor in (("slow", 0.8), ("fast", 1.05)):
-        gains = scaled("smc_observer", begin, factor)
-        costs[name] = fine.judge(gains), quiet.judge(gains)
-    (slow, slow_if_quiet), (fast, fast_if_quiet) = costs["slow"], costs["fast"]
-    assert slow.work < fast.work
-    assert slow_if_quiet.cost - slow.cost < fast_if_quiet.cost - fast.cost
+def test_quiet_trades_error_for_the_work_of_the_coils(shipped, judge, begin):
+    quiet = judge_of(shipped, "smc_observer", 1.0)
+    slow, fast = (scaled("smc_observer", begin, factor) for factor in (0.8, 1.05))
+    assert judge.judge(slow).work < judge.judge(fast).work
+    gained = [one.judge(slow).cost - one.judge(fast).cost for one in (judge, quiet)]
+    assert gained[1] < gained[0]
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -146,19 +154,12 @@ def test_a_shortened_motion_lies_inside_the_stroke_and_is_as_short_as_was_asked_
     assert shortened(long, 60.0) is long.trajectory
 
 
-def test_a_run_depends_on_start_and_machine_and_on_nothing_else(shipped):
-    judge = judge_of(shipped, "smc_observer", 0.0)
-    law = judge_law(judge, shipped)
-    course = prepared_stroke(shipped)
-    again = prepared_stroke(shipped)
-    assert course.run(law, judge.delay) == again.run(law, judge.delay)
-    assert course.run(law, judge.delay, 1).pp != course.run(law, judge.delay).pp
-    heavy = dataclasses.replace(course.plant, platform=dataclasses.replace(course.plant.platform, mass=4.0))
-    assert course.run(law, judge.delay, plant=heavy).pp != course.run(law, judge.delay).pp
-
-
-def judge_law(judge, scenario):
-    return make_law(with_gains(judge.control, "smc_observer", closed_form(scenario, "smc_observer")), judge.stage)
+def test_a_run_depends_on_start_and_machine_and_on_nothing_else(shipped, judge, law):
+    stroke = prepared_stroke(shipped)
+    heavy = dataclasses.replace(stroke.plant, platform=dataclasses.replace(stroke.plant.platform, mass=4.0))
+    found = stroke.run(law, judge.delay)
+    assert found == prepared_stroke(shipped).run(law, judge.delay)
+    assert found.pp not in (stroke.run(law, judge.delay, 1).pp, stroke.run(law, judge.delay, plant=heavy).pp)
 
 
 def test_the_extreme_machines_lie_at_the_ends_of_the_uncertainty(shipped):
@@ -173,17 +174,7 @@ def test_the_extreme_machines_lie_at_the_ends_of_the_uncertainty(shipped):
     assert frictions == {0.5, 2.0}
 
 
-def test_gains_that_are_unstable_are_not_simulated_and_cost_more_than_any_that_are(shipped):
-    judge = judge_of(shipped, "smc_observer", 0.0)
-    begin = closed_form(shipped, "smc_observer")
+def test_gains_that_are_unstable_are_not_simulated_and_cost_more_than_any_that_are(judge, begin):
     good, bad, worse = (judge.judge(scaled("smc_observer", begin, factor)) for factor in (1.0, 2.0, 4.0))
     assert good.cost < bad.cost < worse.cost
     assert math.isinf(bad.pp) and math.isfinite(good.pp)
-
-
-def test_the_budget_of_a_law_without_a_friction_model_has_the_same_parts(shipped):
-    names = [
-        [entry.cause for entry in error_budget(shipped, law, closed_form(shipped, law))]
-        for law in ("linear", "smc_observer")
-    ]
-    assert names[0] == names[1]

@@ -9,14 +9,13 @@ import pytest
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant
-from straightcomp_ros.offline.scenario import Scenario, make_scenario
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.tuning.design import feasible_gains as module
 from straightcomp_ros.tuning.design.feasible_gains import (
     LAW,
     DesignError,
-    SafeLaw,
     feasible_gains,
     growths,
     refusal,
@@ -36,7 +35,7 @@ HARDLY_KNOWN = {
 }
 
 
-def scenario(**changed: float) -> Scenario:
+def scenario(**changed):
     values = shipped_parameters()
     values["stage"]["platform.stop"] = 8e-4
     values["stage"] |= {f"uncertainty.{name}": value for name, value in {**HARDLY_KNOWN, **changed}.items()}
@@ -44,11 +43,11 @@ def scenario(**changed: float) -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def found() -> SafeLaw:
+def found():
     return safe_law(scenario())
 
 
-def test_the_law_is_stable_on_machines_anywhere_within_the_uncertainty(found: SafeLaw) -> None:
+def test_the_law_is_stable_on_machines_anywhere_within_the_uncertainty(found):
     stage = scenario().description
     law = linearised(make_law(with_gains(ControlParameters(), LAW, found.values), stage))
     random = np.random.default_rng(1)
@@ -62,23 +61,23 @@ def test_the_law_is_stable_on_machines_anywhere_within_the_uncertainty(found: Sa
     assert max(radii) <= np.exp(-found.decay * stage.period) + 1e-9
 
 
-def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go(found: SafeLaw) -> None:
+def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go(found):
     assert found.corners == 32 and found.decay > 3.0
     assert re.fullmatch(r"mass × 1.4, force × 0.6, gap × \S+, amplifier × \S+, delay × 1.4", found.worst)
     assert 1e-6 < found.excursion < 1e-4 and found.pp > 1e-6
 
 
-def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help() -> None:
+def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help():
     with pytest.raises(DesignError, match=r"must be known better: the mass within ± 0\.\d+ of it, or the air gap"):
         safe_law(scenario(mass=0.7, force=0.7, longest_delay=2.4))
 
 
-def test_facts_without_uncertainty_are_no_corners() -> None:
+def test_facts_without_uncertainty_are_no_corners():
     known = dict.fromkeys(("mass", "force"), 0.0)
     assert safe_law(scenario(**known, amplifier=1.0)).corners == 4
 
 
-def test_gains_beyond_their_ranges_are_no_candidates(found: SafeLaw) -> None:
+def test_gains_beyond_their_ranges_are_no_candidates(found):
     scenario = make_scenario(shipped_parameters(), [LAW])
     corners = corners_of(scenario.description)
     far = {**found.values, "control.smc.velocity_bandwidth": 2e6}
@@ -86,7 +85,7 @@ def test_gains_beyond_their_ranges_are_no_candidates(found: SafeLaw) -> None:
     assert set(growths(scenario, corners, far)) == {math.inf}
 
 
-def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped: Scenario) -> None:
+def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped):
     fast = scaled("smc_observer", closed_form(shipped, "smc_observer"), 1.5)
     check = StabilityCheck(shipped.description)
     control = shipped.controls["smc_observer"]
@@ -95,7 +94,7 @@ def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped: Scen
     assert found is not None and check.violation(with_gains(control, "smc_observer", found)) == 0.0
 
 
-def test_changes_that_would_not_do_are_not_named(infeasible: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changes_that_would_not_do_are_not_named(infeasible, monkeypatch):
     monkeypatch.setattr(module, "_EVALUATIONS", 20)
     stage = infeasible.description
     light = infeasible.on(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, mass=0.01)))

@@ -74,7 +74,7 @@ def test_only_the_law_with_a_friction_model_stiffens():
 
 
 def test_friction_that_is_known_better_is_believed_from_the_start(shipped):
-    def first_size(friction: float) -> float:
+    def first_size(friction):
         ranges = dataclasses.replace(shipped.description.uncertainty, friction=friction)
         stage = dataclasses.replace(shipped.description, uncertainty=ranges)
         return following(shipped.on(stage), "smc_observer")[OBSERVER + "first_size"]

@@ -16,7 +16,7 @@ GRID = np.geomspace(0.5, 990.0, 4000)
 
 
 @pytest.mark.parametrize("delay", [0.3, 1.0, 1.6])
-def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equations(delay: float) -> None:
+def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equations(delay):
     stage = dataclasses.replace(STAGE, drive=dataclasses.replace(STAGE.drive, delay=delay))
     f = np.array([2.0, 10.0, 40.0])
     s = 2j * math.pi * f
@@ -29,7 +29,7 @@ def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equatio
 
 
 @pytest.mark.parametrize("law", ["linear", "smc"])
-def test_margins_of_the_response_are_those_of_the_closed_loops_poles(law: str) -> None:
+def test_margins_of_the_response_are_those_of_the_closed_loops_poles(law):
     made = make_law(ControlParameters(law=law), STAGE)
     found = response_margins(GRID, loop_response(made, STAGE, GRID).open_loop)
     poles = loop_margins(made, STAGE)
@@ -39,7 +39,7 @@ def test_margins_of_the_response_are_those_of_the_closed_loops_poles(law: str) -
     assert found.delay == pytest.approx(poles.longest_delay - STAGE.drive.delay * STAGE.period, rel=5e-3)
 
 
-def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it() -> None:
+def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it():
     with_current = loop_response(make_law(ControlParameters(), STAGE), STAGE, GRID)
     blind = response_margins(GRID, with_current.open_loop).gain_high
     assert blind is not None
@@ -47,12 +47,12 @@ def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it() 
     assert abs(blind / loop_margins(make_law(ControlParameters(), STAGE), STAGE).gain_high - 1.0) > 0.02
 
 
-def test_sensitivity_and_open_loop_belong_together() -> None:
+def test_sensitivity_and_open_loop_belong_together():
     loop = loop_response(make_law(ControlParameters(), STAGE), STAGE, GRID)
     np.testing.assert_allclose(loop.sensitivity * (1.0 + loop.open_loop), 1.0)
 
 
-def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does() -> None:
+def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does():
     friction, speed = STAGE.friction, 3e-5
     v = speed * np.random.default_rng(1).standard_normal(2_000_000)
     slow = np.exp(-((v / friction.stribeck_velocity) ** 2))

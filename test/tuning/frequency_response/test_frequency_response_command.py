@@ -1,8 +1,10 @@
 """On simulated stages the measurement agrees with the closed form of their plant, and rejects a wrong description."""
 
+import contextlib
+import functools
+import io
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +14,12 @@ from straightcomp_ros.cli.main import main
 STAGES = Path(__file__).resolve().parents[2] / "stages"
 
 
-def measured(capsys: pytest.CaptureFixture[str], *options: str, exit_code: int = 0) -> dict[str, Any]:
-    assert main(["frequency-response", "--json", *options]) == exit_code
-    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+@functools.cache
+def measured(*options, exit_code=0):
+    """What the command says; each is run once."""
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert main(["frequency-response", "--json", *options]) == exit_code
+    return json.loads(said.getvalue())
 
 
 @pytest.mark.parametrize(
@@ -29,10 +34,8 @@ def measured(capsys: pytest.CaptureFixture[str], *options: str, exit_code: int =
     ],
     ids=["shipped", "linear", "smc", "sticky", "heavy_platform", "rate_1_khz"],
 )
-def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_is_coherent(
-    capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
-) -> None:
-    answer = measured(capsys, *options)
+def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_is_coherent(options):
+    answer = measured(*options)
     coherent = np.array(answer["coherence"]) > 0.9
     frequencies = np.array(answer["frequency_Hz"])
     assert np.abs(np.array(answer["deviation_dB"])[coherent]).max() < 1.0
@@ -43,46 +46,44 @@ def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_i
     assert answer["clipped_samples"] == 0
 
 
-def test_the_measured_margins_are_near_those_of_the_description(capsys: pytest.CaptureFixture[str]) -> None:
-    answer = measured(capsys, "--law", "linear")
+def test_the_measured_margins_are_near_those_of_the_description():
+    answer = measured("--law", "linear")
     found, model = answer["margins"], answer["model_margins"]
-    assert found["gain_high"] == pytest.approx(model["gain_high"], rel=0.05)
-    assert found["gain_low"] == pytest.approx(model["gain_low"], rel=0.1)
-    assert found["phase_deg"] == pytest.approx(model["phase_deg"], abs=2.0)
-    assert found["delay_us"] == pytest.approx(model["delay_us"], rel=0.05)
-    assert found["sensitivity_peak"] == pytest.approx(model["sensitivity_peak"], rel=0.05)
+    for name, within in {
+        "gain_high": {"rel": 0.05},
+        "gain_low": {"rel": 0.1},
+        "phase_deg": {"abs": 2.0},
+        "delay_us": {"rel": 0.05},
+        "sensitivity_peak": {"rel": 0.05},
+    }.items():
+        assert found[name] == pytest.approx(model[name], **within), name
 
 
 @pytest.mark.parametrize("truth", ["mass=1.4", "force=0.7", "amplifier=0.4"])
-def test_a_description_that_is_wrong_is_rejected(capsys: pytest.CaptureFixture[str], truth: str) -> None:
-    told = ("--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
-    answer = measured(capsys, *told, exit_code=1)
-    assert not answer["model_explains_the_plant"]
+def test_a_description_that_is_wrong_is_rejected(truth):
+    wrong = ("--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
+    assert not measured(*wrong, exit_code=1)["model_explains_the_plant"]
 
 
-def test_a_wrong_description_is_said_to_be_wrong(capsys: pytest.CaptureFixture[str]) -> None:
-    told = ("--law", "linear", "--draws", "4", "--set", "driver.simulated.truth.mass=1.4")
-    assert main(["frequency-response", *told]) == 1
-    said = capsys.readouterr()
-    assert "the description does not explain the plant" in " ".join(said.err.split()) and "phase margin" in said.out
-
-
-def test_the_loop_is_measured_while_the_stage_makes_strokes(capsys: pytest.CaptureFixture[str]) -> None:
-    answer = measured(capsys, "--moving")
+def test_the_loop_is_measured_while_the_stage_makes_strokes():
+    answer = measured("--moving")
     coherent = np.array(answer["coherence"]) > 0.9
     assert np.abs(np.array(answer["deviation_dB"])[coherent]).max() < 1.0
     assert coherent[np.array(answer["frequency_Hz"]) > 10.0].all()
 
 
-def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys):
     # Without feedforward the law lags behind the moving reference by more than is allowed.
     assert main(["frequency-response", "--moving", "--law", "linear", "--travel", "5e-7"]) == 1
     assert "take less current, or allow more travel" in capsys.readouterr().err
 
 
-def test_plots_are_saved_and_the_table_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("mass", "verdict"), [(1.0, "explains the plant"), (1.4, "does not explain the plant")])
+def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(capsys, tmp_path, mass, verdict):
     plot = tmp_path / "loop.svg"
-    assert main(["frequency-response", "--draws", "4", "-o", str(plot)]) == 0
+    options = ("--law", "linear", "--draws", "4", "--set", f"driver.simulated.truth.mass={mass}")
+    assert main(["frequency-response", *options, "-o", str(plot)]) == (mass != 1.0)
     said = capsys.readouterr()
+    assert f"the description {verdict}" in " ".join((said.out + said.err).split())
     assert "phase margin" in said.out and "N·s/m" in said.err
     assert plot.read_text().startswith("<?xml")

@@ -1,7 +1,6 @@
 """A bag of the excited loop gives the response of the loop if the whole excitation is in it."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from straightcomp_ros.tuning.frequency_response.measurement import measure_simul
 EXCITATION = MultisineParameters(draws=8)
 
 
-def recorded(bag: Path, share: float = 1.0):
+def recorded(bag, share=1.0):
     """A bag of the loop, in which the excitation was ended after ``share`` of it; its law and its stage."""
     values = shipped_parameters()
     nodes = node_set(values)
@@ -32,7 +31,7 @@ def recorded(bag: Path, share: float = 1.0):
     begin, stop, index = stage.rate, stage.rate + round(share * excitation.currents.size), 0
     with SimulatedRun(bag, by_node(values), simulation.delay) as run:
 
-        def observe(*sample) -> None:
+        def observe(*sample):
             nonlocal index
             index += 1
             if index == begin:
@@ -45,27 +44,32 @@ def recorded(bag: Path, share: float = 1.0):
     return values, control, stage
 
 
-def test_a_whole_excitation_gives_what_is_measured_at_once(tmp_path: Path) -> None:
-    values, control, stage = recorded(tmp_path / "bag")
-    found = response_from_bag(tmp_path / "bag", EXCITATION, control, stage)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A bag of the whole excitation; its parameters, its law and its stage."""
+    bag = tmp_path_factory.mktemp("whole") / "bag"
+    return bag, *recorded(bag)
+
+
+def test_a_whole_excitation_gives_what_is_measured_at_once(whole):
+    bag, values, control, stage = whole
+    found = response_from_bag(bag, EXCITATION, control, stage)
     at_once = measure_simulated(values, EXCITATION)
     ratio = found.measured.response.plant / at_once.measured.response.plant
     assert np.abs(ratio[found.measured.coherent] - 1.0).max() < 0.05 and found.explained
     assert found.late_share < 1e-3 and found.lateness == ""
 
 
-def test_commands_that_came_late_are_told(tmp_path: Path) -> None:
-    _, control, stage = recorded(tmp_path / "bag")
+def test_commands_that_came_late_are_reported(whole):
+    bag, _, control, stage = whole
     # Of a host whose commands are due sooner than they came.
     soon = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
-    found = response_from_bag(tmp_path / "bag", EXCITATION, control, soon)
-    assert found.late_share == 1.0 and found.lateness.startswith(
-        "100% of the commands came late, which delays the loop"
-    )
+    found = response_from_bag(bag, EXCITATION, control, soon)
+    assert found.late_share == 1.0 and found.lateness.startswith("100% of the commands came late")
 
 
 @pytest.mark.parametrize("share", [0.5, 0.85, 0.96])
-def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path: Path, share: float) -> None:
+def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path, share):
     _, control, stage = recorded(tmp_path / "bag", share)
     with pytest.raises(ExcitationEnded, match="ended early"):
         response_from_bag(tmp_path / "bag", EXCITATION, control, stage)

@@ -9,7 +9,7 @@ F = np.geomspace(0.1, 100.0, 3000)
 S = 2j * np.pi * F
 
 
-def test_an_integrator_with_a_delay_has_the_textbooks_margins() -> None:
+def test_an_integrator_with_a_delay_has_the_textbooks_margins():
     delay, gain = 0.01, 50.0
     found = response_margins(F, gain * np.exp(-S * delay) / S)
     # ω_c = k, φ = 90° − k τ; ω_180 = π/(2τ), gain margin π/(2 k τ)
@@ -21,7 +21,7 @@ def test_an_integrator_with_a_delay_has_the_textbooks_margins() -> None:
     assert found.peak == pytest.approx(np.abs(1.0 / (1.0 + gain * np.exp(-S * delay) / S)).max())
 
 
-def test_an_unstable_plant_has_a_least_gain() -> None:
+def test_an_unstable_plant_has_a_least_gain():
     # A PID law on 1 / (s² − a²): below its integral action the phase is beyond −180°, above the delay takes it there.
     a, delay = 20.0, 0.004
     law = 3.0 * a * a * (1.0 + S / 30.0 + 2.0 / S)
@@ -34,12 +34,12 @@ def test_an_unstable_plant_has_a_least_gain() -> None:
         assert np.abs(1.0 + gain * loop).min() < 0.01
 
 
-def test_what_lies_beyond_the_lines_is_not_known() -> None:
+def test_what_lies_beyond_the_lines_is_not_known():
     found = response_margins(F[F < 5.0], 50.0 / S[F < 5.0])
     assert (found.gain_low, found.gain_high, found.phase, found.crossover, found.delay) == (None,) * 5
 
 
-def test_a_delay_turns_the_loop_only_one_way() -> None:
+def test_a_delay_turns_the_loop_only_one_way():
     # Phase of −L at the crossover is −30°: the critical point lies behind, so a delay has to turn L by 330°.
     loop = np.full(F.shape, -np.exp(-1j * np.radians(30.0))) * (10.0 / F)
     found = response_margins(F, loop)
@@ -47,7 +47,7 @@ def test_a_delay_turns_the_loop_only_one_way() -> None:
     assert found.delay == pytest.approx(330.0 / 360.0 / 10.0, rel=1e-4)
 
 
-def test_lines_that_are_not_finite_are_left_out_and_no_line_has_no_margins() -> None:
+def test_lines_that_are_not_finite_are_left_out_and_no_line_has_no_margins():
     loop = 50.0 * np.exp(-S * 0.01) / S
     whole, holed = response_margins(F, loop), loop.copy()
     holed[[3, 40]] = np.nan

@@ -3,8 +3,6 @@
 import contextlib
 import io
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 from plants import FAR, SAFE, SOFT, STIFF, record, values
@@ -16,24 +14,24 @@ from straightcomp_ros.tuning.identification.estimate import excitation_survey
 
 
 @pytest.fixture(scope="session")
-def excitation(tmp_path_factory: pytest.TempPathFactory) -> str:
+def excitation(tmp_path_factory):
     path = tmp_path_factory.mktemp("excitation") / "excitation.csv"
     write_survey(path, excitation_survey(STROKE))
     return str(path)
 
 
 @pytest.fixture(scope="session")
-def stiff_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
+def stiff_bag(tmp_path_factory, excitation):
     return record(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
 
 
 @pytest.fixture(scope="session")
-def soft_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
+def soft_bag(tmp_path_factory, excitation):
     return record(tmp_path_factory.mktemp("soft") / "bag", values(SOFT, law="smc", guide_file=excitation))
 
 
 @pytest.fixture(scope="session")
-def far_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
+def far_bag(tmp_path_factory, excitation):
     """A machine that the description does not fit, under a law that is slow enough for both."""
     parameters = values({**FAR, "platform.stop": 8e-4}, guide_file=excitation)
     parameters["controller"].update(SAFE)
@@ -41,7 +39,7 @@ def far_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
 
 
 @pytest.fixture(scope="session")
-def stiff_answer(stiff_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+def stiff_answer(stiff_bag, tmp_path_factory):
     """What `straightcomp friction BAG -o FILE --json` says of the stiff plant, and the file."""
     file, said = tmp_path_factory.mktemp("answer") / "plant.yaml", io.StringIO()
     with contextlib.redirect_stdout(said):
@@ -50,5 +48,5 @@ def stiff_answer(stiff_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> t
 
 
 @pytest.fixture(scope="session")
-def guide_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def guide_bag(tmp_path_factory):
     return record(tmp_path_factory.mktemp("guide") / "bag", values(STIFF))

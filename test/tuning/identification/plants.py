@@ -1,12 +1,6 @@
 """Plants that differ from the one at which the search starts, and a short run."""
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
-
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.hardware.interface import Hardware
-from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 
@@ -44,7 +38,7 @@ SAFE = {"control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
 """Gains of law 'linear' that are stable on FAR as on the description."""
 
 
-def values(plant: Mapping[str, float], law: str = "linear", **stage: str) -> dict[str, dict[str, Any]]:
+def values(plant, law="linear", **stage):
     """Parameters for a short run on a machine with this plant, of which the law knows nothing."""
     return {
         "driver": {f"stage.{name}": value for name, value in plant.items()},
@@ -56,10 +50,10 @@ def values(plant: Mapping[str, float], law: str = "linear", **stage: str) -> dic
 
 
 def record(
-    bag: Path,
-    parameters: Mapping[str, Mapping[str, Any]],
-    wiring: Callable[[SimulatedHardware], Hardware] = lambda hardware: hardware,
-) -> Path:
+    bag,
+    parameters,
+    wiring=lambda hardware: hardware,
+):
     """Simulate, and write the bag; ``wiring`` puts something between the machine and its driver."""
     simulation = Simulation(parameters, wiring=wiring)
     with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:

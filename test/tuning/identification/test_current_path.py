@@ -13,7 +13,7 @@ DRIVE = DriveParameters()
 PERIOD, RATE = 5e-4, 2.0 * math.pi * 500.0
 
 
-def recorded(delays: np.ndarray, rate: float = RATE) -> Recording:
+def recorded(delays, rate=RATE):
     """Random commands through a first-order amplifier; each takes effect ``delays`` (n,) s after its sample."""
     n = len(delays)
     command = np.array([DRIVE.converted(value) for value in 0.05 * np.random.default_rng(1).standard_normal(n)])
@@ -29,7 +29,7 @@ def recorded(delays: np.ndarray, rate: float = RATE) -> Recording:
     return Recording(round(PERIOD * 1e9), np.zeros(n), np.zeros(n), current, command, n)
 
 
-def reached(recording: Recording, path) -> np.ndarray:
+def reached(recording, path):
     """The current that the path leads to from each measured one, at the next sample."""
     switch = path.switch_ns * 1e-9
     middle = path.before + (recording.current - path.before) * np.exp(-path.rate * switch)
@@ -38,7 +38,7 @@ def reached(recording: Recording, path) -> np.ndarray:
 
 @pytest.mark.parametrize("hertz", [250.0, 1000.0])
 @pytest.mark.parametrize("samples", [0.34, 0.95, 1.0, 1.05, 1.9])
-def test_bandwidth_and_delay_are_found_before_and_after_the_next_sample(samples: float, hertz: float) -> None:
+def test_bandwidth_and_delay_are_found_before_and_after_the_next_sample(samples, hertz):
     path = current_path(recorded(np.full(4000, samples * PERIOD), rate=2.0 * math.pi * hertz), DRIVE)
     assert path.rate_found
     assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-6)
@@ -47,7 +47,7 @@ def test_bandwidth_and_delay_are_found_before_and_after_the_next_sample(samples:
 
 
 @pytest.mark.parametrize("hertz", [250.0, 1000.0])
-def test_commands_that_come_late_now_and_then_do_not_change_the_bandwidth(hertz: float) -> None:
+def test_commands_that_come_late_now_and_then_do_not_change_the_bandwidth(hertz):
     delays = np.full(20_000, PERIOD)
     delays[np.random.default_rng(5).choice(delays.size, 40, replace=False)] = 1.9 * PERIOD
     path = current_path(recorded(delays, rate=2.0 * math.pi * hertz), DRIVE)
@@ -56,7 +56,7 @@ def test_commands_that_come_late_now_and_then_do_not_change_the_bandwidth(hertz:
     assert path.delay == pytest.approx(PERIOD, abs=1e-7)
 
 
-def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records() -> None:
+def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records():
     clean, noise = recorded(np.full(4000, 6e-4)), np.random.default_rng(4)
     found = []
     for _ in range(40):
@@ -66,7 +66,7 @@ def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records() -> None:
     assert 0.7 < np.median([path.rate_deviation for path in found]) / spread < 1.4
 
 
-def test_a_jittering_latency_is_found_sample_by_sample() -> None:
+def test_a_jittering_latency_is_found_sample_by_sample():
     recording = recorded(np.random.default_rng(2).uniform(3.5e-4, 6.5e-4, 4000))
     path = current_path(recording, DRIVE)
     assert path.delay == pytest.approx(5e-4, abs=5e-5)
@@ -75,7 +75,7 @@ def test_a_jittering_latency_is_found_sample_by_sample() -> None:
     assert (reached(recording, path)[:-1] - recording.current[1:]).std() < 0.2 * steps
 
 
-def test_a_current_that_no_amplifier_explains_is_interpolated() -> None:
+def test_a_current_that_no_amplifier_explains_is_interpolated():
     recording = recorded(np.full(4000, 1e-4))
     noise = np.random.default_rng(3).standard_normal(4000)
     path = current_path(Recording(recording.period_ns, noise, noise, noise, recording.command, 4000), DRIVE)

@@ -1,7 +1,6 @@
 """The answer as JSON and as a parameter file that simulate takes."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -21,7 +20,7 @@ OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_
 SHORT_CYCLE = ("stage.motion.stroke=0.05", "stage.motion.settle=0.1", "stage.motion.pause=0.1")
 
 
-def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
+def test_json_names_every_parameter_with_its_interval(stiff_answer):
     answer, _ = stiff_answer
     assert set(answer) == set(FIGURES.split())
     assert list(answer["parameters"]) == list(UNITS)
@@ -36,7 +35,7 @@ def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
 
 
 @pytest.mark.parametrize("node", ["driver", "controller"])
-def test_the_file_describes_the_plant_to_all_nodes(stiff_answer, node: str) -> None:
+def test_the_file_describes_the_plant_to_all_nodes(stiff_answer, node):
     answer, file = stiff_answer
     values = read_parameter_file(file)
     assert {key for key, section in values.items() if section} == {STAGE}
@@ -47,16 +46,14 @@ def test_the_file_describes_the_plant_to_all_nodes(stiff_answer, node: str) -> N
 
 
 @pytest.mark.parametrize("option", ["--stage", "--params-file"])
-def test_simulate_takes_the_file_and_everything_else_from_the_declarations(
-    stiff_answer, capsys: pytest.CaptureFixture[str], option: str
-) -> None:
+def test_simulate_takes_the_file_and_everything_else_from_the_declarations(stiff_answer, capsys, option):
     _, file = stiff_answer
     short = [word for assignment in SHORT_CYCLE for word in ("--set", assignment)]
     assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
     assert json.loads(capsys.readouterr().out)["law"] == "linear"
 
 
-def test_the_truth_is_never_read(soft_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_truth_is_never_read(soft_bag, monkeypatch):
     asked = []
     read = recording.read_streams
     monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
@@ -65,12 +62,12 @@ def test_the_truth_is_never_read(soft_bag: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("coulomb_is_poor", [False, True])
-def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor: bool) -> None:
+def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
     parameters = {name: Estimated(name, 1.0, 0.99, 1.01, False) for name in UNITS}
     poor = {"platform.mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
     for name in poor:
         parameters[name] = Estimated(name, 1.0, 0.1, 10.0, False)
-    lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()  # type: ignore[arg-type]
+    lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()
     assert "    # stage.platform.mass: 1.0" in lines
     assert "    # 0.1 to 10 kg, poorly determined" in lines
     assert "    stage.friction.viscous: 1.0" in lines

@@ -2,15 +2,12 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
 from plants import FAR, SOFT, STIFF, record, values
 
 from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
-from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.declaration import to_mapping
@@ -40,7 +37,7 @@ WITHIN = {
 """Relative errors that an excited plant stays below."""
 
 
-def truth_of(plant: Mapping[str, float]) -> dict[str, float]:
+def truth_of(plant):
     whole = {**to_mapping(START), **plant}
     magnets = ActuatorParameters(
         **{name.partition(".")[2]: whole[name] for name in whole if name.startswith("actuator.")}
@@ -48,7 +45,7 @@ def truth_of(plant: Mapping[str, float]) -> dict[str, float]:
     return {**whole, **{name: getattr(magnets, name.removeprefix("actuator.")) for name in DERIVED}}
 
 
-def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds(stiff_answer) -> None:
+def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds(stiff_answer):
     answer, _ = stiff_answer
     truth = truth_of(STIFF)
     for name, found in answer["parameters"].items():
@@ -59,7 +56,7 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
 
 
 @pytest.mark.nightly
-def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path: Path, excitation: str) -> None:
+def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path, excitation):
     widths = {}
     for count in (5e-8, 4e-7):
         parameters = values(STIFF, guide_file=excitation)
@@ -75,7 +72,7 @@ def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_pat
 
 
 @pytest.mark.nightly
-def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
+def test_another_plant_under_another_law_is_found_too(soft_bag):
     estimate = estimate_from_bag(soft_bag, START, ["actuator.turns"])
     truth = truth_of(SOFT)
     for name, found in estimate.parameters.items():
@@ -88,7 +85,7 @@ def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) -> None:
+def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag):
     estimate = estimate_from_bag(guide_bag, START, ["actuator.turns"])
     truth, found = truth_of(STIFF), estimate.parameters
     for name in found:
@@ -100,7 +97,7 @@ def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) ->
     assert "quick motion" in estimate.advice["platform.mass"]
 
 
-def test_sliding_alone_leads_near_the_machine_whatever_the_description_says(far_bag: Path) -> None:
+def test_sliding_alone_leads_near_the_machine_whatever_the_description_says(far_bag):
     begin = unknowns(START, ["platform.mass"])
     slid = sliding_start(read_recording(far_bag), begin)
     assert slid is not None
@@ -113,14 +110,14 @@ def test_sliding_alone_leads_near_the_machine_whatever_the_description_says(far_
     assert found["friction.bristle_stiffness"] == pytest.approx(START.friction.bristle_stiffness)
 
 
-def test_a_record_in_which_the_platform_hardly_slides_gives_no_start(far_bag: Path) -> None:
+def test_a_record_in_which_the_platform_hardly_slides_gives_no_start(far_bag):
     record = read_recording(far_bag)
     still = dataclasses.replace(record, y=0.01 * record.y)
     assert sliding_start(still, unknowns(START, ["platform.mass"])) is None
 
 
 @pytest.mark.nightly
-def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(far_bag: Path) -> None:
+def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(far_bag):
     estimate = estimate_from_bag(far_bag, dataclasses.replace(START, drive=DriveParameters()), ["platform.mass"])
     ratio = START.platform.mass / FAR["platform.mass"]
     truth, found = truth_of(FAR), estimate.parameters
@@ -132,12 +129,12 @@ def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(f
     assert "platform.mass was given" in estimate.not_identifiable[0]
 
 
-def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
+def test_what_the_record_leaves_open_is_said_in_sentences():
     parameters = {name: Estimated(name, 1.0, 0.99, 1.01, name == "platform.mass") for name in UNITS}
     parameters["friction.viscous"] = Estimated("friction.viscous", 1.0, 0.5, 2.0, False, ("friction.static",))
     parameters["friction.static"] = Estimated("friction.static", 1.0, 0.9, 1.1, False, ("friction.viscous",))
-    path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))  # type: ignore[arg-type]
-    sentences = Estimate(parameters, None, path, None).not_identifiable  # type: ignore[arg-type]
+    path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))
+    sentences = Estimate(parameters, None, path, None).not_identifiable
     assert "platform.mass was given" in sentences[0] and "actuator.turns" not in sentences[0]
     assert "bandwidth" in sentences[1]
     assert sum("told apart" in sentence for sentence in sentences) == 1
@@ -150,7 +147,7 @@ class Shifted(FaultyHardware):
 
     SHIFT = 25e-6
 
-    def __init__(self, inner: SimulatedHardware) -> None:
+    def __init__(self, inner):
         super().__init__(inner, lambda kind, at_ns: None)
 
     def read(self, now_ns):
@@ -158,11 +155,11 @@ class Shifted(FaultyHardware):
 
 
 @pytest.fixture
-def shifted_bag(tmp_path: Path, excitation: str) -> Path:
+def shifted_bag(tmp_path, excitation):
     return record(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=Shifted)
 
 
-def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag: Path, stiff_bag: Path) -> None:
+def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag, stiff_bag):
     aligned, shifted = centre(read_recording(stiff_bag)), centre(read_recording(shifted_bag))
     assert aligned is not None and not aligned.certain and abs(aligned.value) < 0.1e-6
     assert shifted is not None and shifted.certain
@@ -170,7 +167,7 @@ def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag: Pat
 
 
 @pytest.mark.nightly
-def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(shifted_bag: Path) -> None:
+def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(shifted_bag):
     found = estimate_from_bag(shifted_bag, START, ["actuator.turns"])
     for name in ("platform.mass", "actuator.air_gap", "friction.coulomb"):
         assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name

@@ -1,7 +1,6 @@
 """What cannot be identified is refused, with what is wrong and what to do."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.identification.unknowns import unknowns
 
 
-def written(bag: Path, y: np.ndarray, current: np.ndarray, streams=(ENCODER, COMMAND), lost: range = range(0)) -> Path:
+def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0)):
     """A bag of encoder and command at 2 kHz."""
     with BagWriter(bag) as writer:
         for stream in streams:
@@ -44,31 +43,31 @@ ON = np.full(5000, 0.01)
     ],
     ids=["amplifier off", "nothing moves", "no commands", "a short stretch between losses"],
 )
-def test_a_bag_that_cannot_be_identified_is_refused(tmp_path: Path, y, current, others, words: str) -> None:
+def test_a_bag_that_cannot_be_identified_is_refused(tmp_path, y, current, others, words):
     bag = written(tmp_path / "bag", y, current, **others)
     with pytest.raises(IdentificationError, match=words):
         read_recording(bag)
 
 
-def test_the_longest_stretch_without_a_loss_is_used(tmp_path: Path) -> None:
+def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
     assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)
     np.testing.assert_allclose(recording.y, MOVING[1011:])
 
 
-def test_the_command_says_it_in_one_sentence_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_it_in_one_sentence_and_fails(tmp_path, capsys):
     bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
     assert main(["friction", str(bag)]) == 1
     assert capsys.readouterr().err.startswith("straightcomp friction: bag ")
 
 
-def test_forces_need_a_scale_so_mass_or_turns_must_be_known() -> None:
+def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
     with pytest.raises(IdentificationError, match=r"platform.mass or actuator.turns .* common factor"):
         unknowns(StageParameters(), ["friction.coulomb"])
     with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
         unknowns(StageParameters(), ["weight"])
 
 
-def test_only_a_bag_or_an_excitation_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_a_bag_or_an_excitation_is_asked_for(capsys):
     assert main(["friction"]) == 2
     assert "either a BAG or --excitation" in capsys.readouterr().err
