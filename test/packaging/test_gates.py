@@ -43,12 +43,10 @@ def test_the_manifest_is_one_that_ros_accepts_without_a_warning_and_in_the_order
     depends = [(child.tag, child.text) for child in root if child.tag.endswith("depend")]
     assert len(depends) == len(set(depends))
     assert (REPOSITORY / str(root.find("license").get("file"))).is_file()  # type: ignore[union-attr]
-    if importlib.util.find_spec("catkin_pkg") is None:
-        pytest.skip("NOT TESTED: what ROS says of the manifest; catkin_pkg is not installed")
-    from catkin_pkg.package import parse_package
-
+    reason = "NOT TESTED: what ROS says of the manifest; catkin_pkg is not installed"
+    catkin_pkg = pytest.importorskip("catkin_pkg.package", reason=reason)
     warnings: list[str] = []
-    package = parse_package(str(REPOSITORY / "package.xml"), warnings=warnings)
+    package = catkin_pkg.parse_package(str(REPOSITORY / "package.xml"), warnings=warnings)
     package.validate(warnings=warnings)
     assert not warnings and package.package_format == 3 and re.fullmatch(r"\d+\.\d+\.\d+", package.version)
     assert [export.content for export in package.exports if export.tagname == "build_type"] == ["ament_python"]
