@@ -17,10 +17,8 @@ from straightcomp_ros.tuning.sweep.many_trials import run_trials
 pytestmark = pytest.mark.no_cover
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-ACCURACY = (REPOSITORY / "docs" / "accuracy.md").read_text(encoding="utf-8")
-TUNING = (REPOSITORY / "docs" / "tuning.md").read_text(encoding="utf-8")
-DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
-SURVEYS = (REPOSITORY / "docs" / "surveys.md").read_text(encoding="utf-8")
+PAGES = [(REPOSITORY / "docs" / f"{name}.md") for name in ("accuracy", "tuning", "design", "surveys")]
+ACCURACY, TUNING, DESIGN, SURVEYS = (page.read_text(encoding="utf-8") for page in PAGES)
 OTHER_PROCESSOR = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
 
@@ -40,6 +38,11 @@ def lies_within(found: float, published: Spread, digits: int) -> bool:
     return published.min - margin <= found <= published.max + margin
 
 
+def line_of(page: str, start: str) -> str:
+    (line,) = (line for line in page.splitlines() if line.startswith(f"| {start} |"))
+    return line
+
+
 @pytest.fixture
 def shipped():
     return shipped_parameters()
@@ -47,8 +50,7 @@ def shipped():
 
 @pytest.mark.parametrize("law", [*law_table.NAMES, law_table.SGN])
 def test_the_table_of_laws_is_what_its_script_finds(law, shipped):
-    (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {law_table.NAMES.get(law, law)} |"))
-    _, _, pp, rms, step, *_ = cells(line)
+    _, _, pp, rms, step, *_ = cells(line_of(ACCURACY, law_table.NAMES.get(law, law)))
     found = spreads(one.to_display() for one in metrics_of_starts(law_table.chosen_laws(shipped)[law]))
     assert lies_within(found["true_pp_um"].median, spread_of(pp), 2)
     assert lies_within(found["true_rms_um"].median, spread_of(rms), 3)
@@ -63,8 +65,7 @@ def test_the_margins_of_the_default_law_are_those_of_its_linearised_loop(shipped
 
 @pytest.mark.parametrize("law", ["linear", "smc_observer"])
 def test_the_first_uncertain_machines_lie_within_the_percentiles_of_the_table(law, shipped):
-    (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| `{law}` |"))
-    median, _, worst = (float(number) for number in cells(line)[5].split("/"))
+    median, _, worst = (float(number) for number in cells(line_of(ACCURACY, f"`{law}`"))[5].split("/"))
     found = sorted(result.pp * 1e6 for result in run_trials(make_scenario(shipped, [law]), 1, range(8)))
     assert found[-1] <= worst * (1.0 + OTHER_PROCESSOR)
     assert found[0] < median < found[-1]
@@ -84,9 +85,7 @@ def test_a_table_of_the_tuning_guide_is_what_its_script_finds(table, shipped):
 
 def test_the_tuning_guides_laws_are_those_of_the_page_on_accuracy():
     for law in ("linear", "smc", "smc_observer"):
-        (line,) = (line for line in TUNING.splitlines() if line.startswith(f"| `{law}` |"))
-        (other,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {law_table.NAMES[law]} |"))
-        assert cells(line)[1:4] == cells(other)[2:5]
+        assert cells(line_of(TUNING, f"`{law}`"))[1:4] == cells(line_of(ACCURACY, law_table.NAMES[law]))[2:5]
 
 
 def test_the_page_on_surveys_says_how_far_an_error_table_lies_from_the_map(capsys, tmp_path):
@@ -97,8 +96,7 @@ def test_the_page_on_surveys_says_how_far_an_error_table_lies_from_the_map(capsy
 
 def test_the_designs_errors_around_stalls_are_what_their_script_finds(shipped, capsys, monkeypatch):
     """Of the row for 2 ms, the last column: what the board does."""
-    (line,) = (line for line in DESIGN.splitlines() if line.startswith("| 2 ms |"))
-    page = [float(number) for number in re.findall(r"[\d.]+", cells(line)[-1])]
+    page = [float(number) for number in re.findall(r"[\d.]+", cells(line_of(DESIGN, "2 ms"))[-1])]
     monkeypatch.setattr(late_commands, "_STALLS_MS", (2,))
     shipped["stage"]["drive.delay"] = 1.0
     late_commands.stalls(shipped, 500_000)

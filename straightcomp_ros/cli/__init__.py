@@ -3,8 +3,8 @@
 
 A module has a docstring, which is its help, SUMMARY, one line of text, and PURPOSE, one of `main.PURPOSES`; both as
 plain literals, since they are read without an import. It also has either ``add_arguments(parser)`` and
-``run(options)``, which returns the exit code (None is 0), or TOOLS: tools by name, or the names of modules
-(``map build`` in `map_build.py`). What is slow to import, or comes with an extra, is imported in ``run``.
+``run(options)``, which returns the exit code (None is 0), or TOOLS, its tools by name. What is slow to
+import, or comes with an extra, is imported in ``run``.
 """
 
 import argparse

@@ -193,11 +193,7 @@ def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | 
         parser.set_defaults(run=command.run)
         return
     tools = parser.add_subparsers(dest="tool", metavar=getattr(command, "TOOL", "TOOL"), required=True)
-    for tool in command.TOOLS:
-        if isinstance(command.TOOLS, Mapping):
-            found = command.TOOLS[tool]
-        else:
-            found = importlib.import_module(f"{command.__name__}_{tool}")
+    for tool, found in command.TOOLS.items():
         if words is None or tool in words[:1]:
             _add_command(tools, tool, found, words and words[1:])
         else:

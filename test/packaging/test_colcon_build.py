@@ -31,16 +31,12 @@ def colcon(workspace: Path, *arguments: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A workspace with a copy of this repository in src/, not built yet."""
-    folder = tmp_path_factory.mktemp("workspace")
-    shutil.copytree(REPOSITORY, folder / "src" / "straightcomp_ros", ignore=shutil.ignore_patterns(*NOT_SOURCES))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def prefix(workspace: Path) -> Path:
-    """Where the built package is installed."""
+def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the package is installed that is built in a workspace with a copy of this repository in src/."""
+    workspace = tmp_path_factory.mktemp("workspace")
+    shutil.copytree(REPOSITORY, workspace / "src" / "straightcomp_ros", ignore=shutil.ignore_patterns(*NOT_SOURCES))
+    # With an invalid package.xml it says "python" here, and builds something that `ros2 run` does not find.
+    assert colcon(workspace, "list").split() == ["straightcomp_ros", "src/straightcomp_ros", "(ros.ament_python)"]
     colcon(workspace, "build", "--event-handlers", "desktop_notification-", "status-")
     return workspace / "install" / "straightcomp_ros"
 
@@ -66,11 +62,6 @@ def executable(prefix: Path, name: str) -> str:
 
 def run(command: list[str], environment: dict[str, str], folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=START_S)
-
-
-def test_colcon_recognises_an_ament_python_package(workspace: Path) -> None:
-    # With an invalid package.xml it says "python" here, and builds something that `ros2 run` does not find.
-    assert colcon(workspace, "list").split() == ["straightcomp_ros", "src/straightcomp_ros", "(ros.ament_python)"]
 
 
 def test_executables_configuration_launch_files_and_index_marker_are_where_ros2_looks(prefix: Path) -> None:
@@ -108,20 +99,20 @@ print(sys.modules["straightcomp_ros.runtime.launch_files"].__file__, share.__fil
     assert manifest == prefix / "share" / "straightcomp_ros" / "package.xml"
 
 
-def test_the_command_line_lists_the_verbs_of_all_wings(
-    prefix: Path, environment: dict[str, str], tmp_path: Path
+@pytest.mark.parametrize(
+    ("words", "code", "printed"),
+    [
+        ("straightcomp --help", 0, {"simulate", "commission", "history"}),
+        ("driver_node --ros-args -p no_such_parameter:=1", 2, {"'no_such_parameter'"}),
+    ],
+)
+def test_an_installed_executable_has_the_verbs_of_all_wings_and_refuses_an_unknown_parameter(
+    words: str, code: int, printed: set[str], prefix: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    done = run([executable(prefix, "straightcomp"), "--help"], environment, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert {"simulate", "commission", "history"} <= set(done.stdout.split())
-
-
-def test_an_unknown_parameter_ends_an_installed_node_with_exit_code_2_and_its_name(
-    prefix: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
-    words = ["--ros-args", "-p", "no_such_parameter:=1"]
-    done = run([executable(prefix, "driver_node"), *words], environment, tmp_path)
-    assert done.returncode == 2 and "no_such_parameter" in done.stderr and "Traceback" not in done.stderr
+    name, *options = words.split()
+    done = run([executable(prefix, name), *options], environment, tmp_path)
+    assert done.returncode == code and printed <= set((done.stdout + done.stderr).split()), done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("node", NODES)

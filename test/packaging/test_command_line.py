@@ -6,23 +6,20 @@ import subprocess
 import sys
 from importlib.metadata import distribution
 from pathlib import Path
+from unittest.mock import Mock
+from xml.etree import ElementTree
 
 import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, main, make_parser
 from straightcomp_ros.control.learned_table import LearningFileError
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
 
 OURS = {entry.name: entry for entry in distribution("straightcomp_ros").entry_points if entry.group == GROUP}
 EXTRAS = {"tuning": {"cma"}, "fleet": {"duckdb", "fsspec", "pyarrow", "ruptures"}, "opcua": {"asyncua"}}
 """What an extra brings, by what is imported; test_dependencies.py compares them with setup.py."""
-
-
-@pytest.fixture(scope="module")
-def complete():
-    """The parser with all verbs in full."""
-    return make_parser()
 
 
 def parsers(parser, path=""):
@@ -74,8 +71,7 @@ def test_another_package_adds_a_verb_by_an_entry_point(install, capsys):
     install("scales", "weigh", VERB)
     assert run(["weigh", "platform", "--mass", "4"], capsys) == (0, "4.0 weigh platform\n", "")
     _, printed, _ = run(["--help"], capsys)
-    listed = printed[printed.index("set up:") : printed.index("tune:")]
-    assert "weigh it" in listed
+    assert "weigh it" in printed[printed.index("set up:") : printed.index("tune:")]
     _, printed, _ = run(["weigh", "platform", "--help"], capsys)
     assert "Of the platform alone." in printed and "--mass" in printed
 
@@ -90,19 +86,16 @@ def test_a_verb_that_cannot_be_loaded_leaves_the_others_alone(install, capsys, t
     assert run(["completion", "bash"], capsys)[0] == 0
 
 
-def test_a_verb_of_two_packages_is_refused_with_the_names_of_both(install, capsys):
+def test_a_verb_of_two_packages_or_without_its_extra_is_refused_and_the_packages_are_named(install, capsys):
+    install("metering", "meter", "import not_installed", "[heavy]")
+    code, _, said = run(["meter"], capsys)
+    assert (code, said) == (2, "straightcomp: not_installed is not there; remedy: pip install 'metering[heavy]'\n")
     install("scales", "weigh", VERB)
     install("other-scales", "weigh", VERB)
     code, _, said = run(["weigh", "platform"], capsys)
     assert code == 2 and "other-scales and scales" in said
     code, printed, _ = run(["--help"], capsys)
     assert code == 0 and "other-scales and scales" in printed
-
-
-def test_a_verb_whose_extra_is_missing_says_which_to_install(install, capsys):
-    install("scales", "weigh", "import not_installed", "[heavy]")
-    code, _, said = run(["weigh"], capsys)
-    assert (code, said) == (2, "straightcomp: not_installed is not there; remedy: pip install 'scales[heavy]'\n")
 
 
 @pytest.mark.parametrize("verb", [name for name, entry in OURS.items() if entry.extras])
@@ -118,21 +111,15 @@ def test_without_its_extra_a_verb_of_a_wing_works_or_says_which_to_install(verb,
     assert code == 0 or (code == 2 and f"pip install 'straightcomp_ros[{extra}]'" in said)
 
 
-def test_the_servo_imports_nothing_that_only_an_extra_brings():
+def test_the_help_imports_no_verb_and_the_servo_nothing_that_only_an_extra_brings():
     """Its verbs with all that they import at their start, and every module of its nodes' parameters."""
     modules = [entry.module for entry in OURS.values() if not entry.extras]
-    program = "import importlib, sys\n"
-    program += (
-        f"for name in {[*modules, 'straightcomp_ros.parameters.node_parameters']!r}: importlib.import_module(name)\n"
-    )
-    program += f"print(*sorted({set().union(*EXTRAS.values())!r} & sys.modules.keys()))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=True)
-    assert done.stdout == "\n"
-
-
-def test_the_help_names_every_verb_under_its_purpose_and_imports_none():
-    program = "import sys; from straightcomp_ros.cli.main import main; sys.argv[1:] = ['--help']\n"
-    program += "try: main()\nexcept SystemExit: assert 'straightcomp_ros.cli.simulate' not in sys.modules\n"
+    program = f"""import importlib, sys
+from straightcomp_ros.cli.main import main
+try: main(["--help"])
+except SystemExit: assert "straightcomp_ros.cli.simulate" not in sys.modules
+for name in {[*modules, "straightcomp_ros.parameters.node_parameters"]!r}: importlib.import_module(name)
+assert not {set().union(*EXTRAS.values())!r} & sys.modules.keys()"""
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
@@ -143,30 +130,22 @@ def test_the_help_names_every_verb_under_its_purpose_and_imports_none():
     assert "straightcomp doctor" in done.stdout
 
 
-def test_every_option_of_every_verb_is_explained_and_has_one_name_everywhere(complete):
-    texts = set()
-    for path, parser in parsers(complete):
+def test_every_option_is_explained_and_has_one_name_everywhere_and_every_verb_with_a_result_has_json():
+    texts, without, families = set(), set(), set()
+    for path, parser in parsers(make_parser()):
         for action in parser._actions:
             assert action.help or hasattr(action, "add_parser"), f"{path}: {action.option_strings or action.dest}"
-            if "--output" in action.option_strings:
-                assert "-o" in action.option_strings, path
+            assert "--output" not in action.option_strings or "-o" in action.option_strings, path
             if "--json" in action.option_strings:
                 texts.add(action.help)
+            if hasattr(action, "add_parser"):
+                families.add(path)
+        if "--json" not in parser._option_string_actions:
+            without.add(path)
         parser.format_help()  # a stray % in a text would raise here
     assert len(texts) == 1, texts
-
-
-def test_every_verb_with_a_result_gives_it_as_json(complete):
-    """The others print a script, are a board until they are stopped, or write a file and say nothing else."""
-    found = dict(parsers(complete))
-    families = {path for path, one in found.items() if any(hasattr(action, "add_parser") for action in one._actions)}
-    without = {path for path, one in found.items() if "--json" not in one._option_string_actions}
+    # These print a script, are a board until they are stopped, or write a file and say nothing else.
     assert without - families == {"completion", "dsp", "opcua user", "stage new"}
-
-
-def test_the_version_is_the_manifests(capsys):
-    code, printed, _ = run(["--version"], capsys)
-    assert code == 0 and printed.startswith("straightcomp 0.")
 
 
 def completed(script: Path, *words: str) -> set[str]:
@@ -202,6 +181,11 @@ def test_the_scripts_of_other_shells_name_every_verb_and_parse(shell, capsys, tm
         subprocess.run([shell, "-n", str(tmp_path / "script")], check=True, timeout=60)
 
 
+def test_the_version_is_the_manifests(capsys):
+    version = ElementTree.parse(share_path("package.xml")).findtext("version")
+    assert run(["--version"], capsys) == (0, f"straightcomp {version}\n", "")
+
+
 def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     read, write = os.pipe()
     os.close(read)
@@ -209,13 +193,6 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     os.close(write)
     assert (done.stderr, done.returncode) == ("", 141)
-
-
-def raising(error):
-    def function(*_):
-        raise error
-
-    return function
 
 
 @pytest.mark.parametrize(
@@ -231,15 +208,13 @@ def raising(error):
 def test_an_error_of_the_package_or_of_a_file_is_a_sentence_with_its_exit_code(
     capsys, monkeypatch, tmp_path, error, code, words
 ):
-    monkeypatch.setattr("straightcomp_ros.straightness.survey.write_survey", raising(error))
+    monkeypatch.setattr("straightcomp_ros.straightness.survey.write_survey", Mock(side_effect=error))
     table = str(tmp_path / "t.cal")
     assert main(["map", "export", "-o", table]) == 0
     capsys.readouterr()
     found, _, said = run(["map", "convert", table, "-o", str(tmp_path / "s.csv")], capsys)
     assert found == code and words in said and said.count("\n") == 1
-
-
-def test_an_error_that_is_not_the_packages_shows_where_it_comes_from(monkeypatch, tmp_path):
-    monkeypatch.setattr("straightcomp_ros.straightness.guide_map.load_map", raising(ValueError("a bug")))
+    # Any other error is a bug and shows where it comes from.
+    monkeypatch.setattr("straightcomp_ros.straightness.survey.write_survey", Mock(side_effect=ValueError("a bug")))
     with pytest.raises(ValueError, match="a bug"):
-        main(["map", "export", "-o", str(tmp_path / "t.cal")])
+        main(["map", "convert", table, "-o", str(tmp_path / "s.csv")])

@@ -16,9 +16,9 @@ import yaml
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = "straightcomp_ros"
-LISTED: dict[str, dict[str, str]] = yaml.safe_load(
-    (Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8")
-)
+LISTED: dict[str, Any] = yaml.safe_load((Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8"))
+LISTED |= {name: {"rosdep": f"python3-{name}"} for name in LISTED.pop("python3-NAME")}
+LISTED |= {name: {"no_key": "no key"} for name in LISTED.pop("no key")}
 MANIFEST = (REPOSITORY / "package.xml").read_text(encoding="utf-8")
 OURS = {PACKAGE, "scripts", "trials", "benchmarks", *(path.stem for path in (REPOSITORY / "test").rglob("*.py"))}
 """Tests import their neighbours by their bare names."""

@@ -17,36 +17,30 @@ from straightcomp_ros.cli.main import main, make_parser
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = "--set stage.motion.stroke=0.02"
-NEW = "stage new mine --yes"
-OLD_STORE = "history add smc -o store --jobs 1"
-CASES = {
-    # verb and the options of what it writes: (what comes before it, its words)
-    "can firmware -o": ([NEW, "can firmware mine/stage.yaml -o c"], "can firmware mine/stage.yaml -o c"),
-    "commission --output": (
-        [NEW, "commission mine/stage.yaml -o out --only connection"],
-        "commission mine/stage.yaml -o out --only connection",
-    ),
-    "design --output": ([NEW], "design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1"),
-    "evaluate --report": (["evaluate smc --report r.html"], "evaluate smc --report r.html --force"),
-    "frequency-response --output": ([], "frequency-response -o r.png --force --lines 5 --draws 3 --lowest 10"),
-    "friction --output": ([], "friction smc -o p.yaml --force"),
-    "friction --excitation": ([], "friction --excitation p.yaml --force"),
-    "history add --store": ([OLD_STORE], "history add uncompensated smc -o store --jobs 1 --again"),
-    "history advise --output": ([OLD_STORE, "history advise store -o out"], "history advise store -o out"),
-    "history report --output": ([OLD_STORE, "history report store -o out"], "history report store -o out"),
-    "map build --output --plot": ([], "map build survey -o p.yaml --plot r.png --force"),
-    "map convert --output": (["map export -o t.cal"], "map convert t.cal -o p.yaml --force"),
-    "map export --output": ([], "map export -o t.cal --force"),
-    "opcua user file": (["opcua user users ann"], "opcua user users bob"),
-    "recover --output": ([], "recover cut_off -o new"),
-    "reproduce --output": ([], "reproduce -o out --force"),
-    "robustness --plot": ([], f"robustness --trials 2 --jobs 1 --plot r.png --force {SHORT}"),
-    "simulate --learned --bag --plot": (
-        [f"simulate --learned table.csv {SHORT}"],
-        f"simulate --learned table.csv --bag new --plot r.png --force {SHORT}",
-    ),
-    "stage new folder": ([NEW], "stage new mine --yes --force --survey s.csv"),
-}
+TABLE = f"""
+can firmware -o | stage new mine --yes; can firmware mine/stage.yaml -o c
+commission --output | stage new mine --yes; commission mine/stage.yaml -o out --only connection
+design --output | stage new mine --yes | design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1
+evaluate --report | evaluate smc --report r.html | evaluate smc --report r.html --force
+frequency-response --output || frequency-response -o r.png --force --lines 5 --draws 3 --lowest 10
+friction --output || friction smc -o p.yaml --force
+friction --excitation || friction --excitation p.yaml --force
+history add --store | history add smc -o store --jobs 1 | history add uncompensated smc -o store --jobs 1 --again
+history advise --output | history add smc -o store --jobs 1; history advise store -o out
+history report --output | history add smc -o store --jobs 1; history report store -o out
+map build --output --plot || map build survey -o p.yaml --plot r.png --force
+map convert --output | map export -o t.cal | map convert t.cal -o p.yaml --force
+map export --output || map export -o t.cal --force
+opcua user file | opcua user users ann | opcua user users bob
+recover --output || recover cut_off -o new
+reproduce --output || reproduce -o out --force
+robustness --plot || robustness --trials 2 --jobs 1 --plot r.png --force {SHORT}
+simulate --learned --bag --plot | simulate --learned t.csv {SHORT} | \
+simulate --learned t.csv --bag new --plot r.png --force {SHORT}
+stage new folder | stage new mine --yes | stage new mine --yes --force --survey s.csv
+"""
+"""Verb and the options of what it writes | what comes before it | its words, unless they are the last before it."""
+CASES = {case.strip(): commands for case, *commands in (line.split("|") for line in TABLE.strip().splitlines())}
 SAME = {"history map --output --plot"}
 """It writes as map build does."""
 LIVE = {"demo --output", "replay --output"}
@@ -90,7 +84,8 @@ def template(folder, case, monkeypatch):
     folder.mkdir()
     monkeypatch.chdir(folder)
     monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "long enough")
-    before, words = CASES[case]
+    before = list(filter(None, CASES[case][0].strip().split("; ")))
+    words = CASES[case][-1].strip() if len(CASES[case]) > 1 else before[-1]
     for line in (*before, words):
         for name in {"smc", "uncompensated", "survey", "cut_off"} & set(line.split()):
             shutil.copytree(ROOT / "bags" / name, name, dirs_exist_ok=True)
@@ -103,7 +98,8 @@ def template(folder, case, monkeypatch):
     return shlex.split(words)
 
 
-def outcomes(tmp_path, case, most, monkeypatch):
+def judge_outcomes(tmp_path, case, most, monkeypatch):
+    """Spoil at most so many writes of a case, 0 for all."""
     words = template(tmp_path / "template", case, monkeypatch)
     work = tmp_path / "work"
     work.mkdir()
@@ -113,10 +109,6 @@ def outcomes(tmp_path, case, most, monkeypatch):
     assert done.returncode == 0, done.stderr
     first, *facts = map(json.loads, done.stdout.splitlines())
     assert first["code"] in (0, 1) and first["writes"] > 2, first
-    return first, facts
-
-
-def judge(first, facts):
     for fact in facts:
         assert not fact["spoiled"] and not fact["left"], fact
         if fact["kind"] == interrupted.KILL:
@@ -129,12 +121,10 @@ def judge(first, facts):
 
 @pytest.mark.parametrize("case", QUICK)
 def test_a_fault_at_some_writes_spoils_nothing(tmp_path, case, monkeypatch):
-    judge(*outcomes(tmp_path, case, 4, monkeypatch))
+    judge_outcomes(tmp_path, case, 4, monkeypatch)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, monkeypatch):
-    first, facts = outcomes(tmp_path, case, LONG.get(case, 0), monkeypatch)
-    print(f"{case}: {first['writes']} writes, {len(facts)} faults")
-    judge(first, facts)
+    judge_outcomes(tmp_path, case, LONG.get(case, 0), monkeypatch)

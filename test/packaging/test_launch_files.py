@@ -21,23 +21,17 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 CELL = REPOSITORY / "launch" / "cell.launch.py"
 KNOWN = {
-    "launch": ("LaunchContext", "LaunchDescription"),
-    "launch.actions": (
-        "DeclareLaunchArgument",
-        "EmitEvent",
-        "IncludeLaunchDescription",
-        "OpaqueFunction",
-        "RegisterEventHandler",
-        "SetEnvironmentVariable",
-    ),
-    "launch.event_handlers": ("OnProcessExit",),
-    "launch.events": ("Shutdown",),
-    "launch.launch_description_sources": ("PythonLaunchDescriptionSource",),
-    "launch.substitutions": ("EnvironmentVariable", "LaunchConfiguration", "PathJoinSubstitution"),
-    "launch_ros": (),
-    "launch_ros.actions": ("Node",),
-    "launch_ros.parameter_descriptions": ("ParameterValue",),
-    "launch_ros.substitutions": ("FindPackageShare",),
+    "launch": "LaunchContext LaunchDescription",
+    "launch.actions": "DeclareLaunchArgument EmitEvent IncludeLaunchDescription OpaqueFunction RegisterEventHandler "
+    "SetEnvironmentVariable",
+    "launch.event_handlers": "OnProcessExit",
+    "launch.events": "Shutdown",
+    "launch.launch_description_sources": "PythonLaunchDescriptionSource",
+    "launch.substitutions": "EnvironmentVariable LaunchConfiguration PathJoinSubstitution",
+    "launch_ros": "",
+    "launch_ros.actions": "Node",
+    "launch_ros.parameter_descriptions": "ParameterValue",
+    "launch_ros.substitutions": "FindPackageShare",
 }
 STARTING = ("Node", "IncludeLaunchDescription", "OpaqueFunction")
 NODE_KEYWORDS = {"package", "executable", "name", "namespace", "parameters", "output"}
@@ -58,7 +52,7 @@ class Recorded:
 def launch(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for name, attributes in KNOWN.items():
         module = types.ModuleType(name)
-        for attribute in attributes:
+        for attribute in attributes.split():
             setattr(module, attribute, type(attribute, (Recorded,), {}))
         monkeypatch.setitem(sys.modules, name, module)
     yield
@@ -70,17 +64,13 @@ def kind(entity: Any) -> str:
     return type(entity).__name__
 
 
-def is_argument(entity: Any) -> bool:
-    return kind(entity) == "DeclareLaunchArgument"
-
-
 def entities(path: Path, arguments: dict[str, str] | None = None) -> list[Any]:
     """All that a launch file starts, with what it includes and what its functions return."""
     [described] = runpy.run_path(str(path))["generate_launch_description"]().args
-    defaults = {entity.args[0]: entity.kwargs["default_value"] for entity in described if is_argument(entity)}
+    arguments_of = [entity for entity in described if kind(entity) == "DeclareLaunchArgument"]
+    defaults = {entity.args[0]: entity.kwargs["default_value"] for entity in arguments_of}
     # A place in the package is found by launch alone.
-    context = {name: value if isinstance(value, str) else "" for name, value in defaults.items()}
-    context.update(arguments or {})
+    context = {name: value if isinstance(value, str) else "" for name, value in defaults.items()} | (arguments or {})
     found: list[Any] = []
     for entity in described:
         found.append(entity)
@@ -115,26 +105,22 @@ def named(nodes: list[Any]) -> list[str]:
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_every_launch_file_uses_declared_arguments_and_starts_nodes_that_setup_py_installs(path: Path) -> None:
-    arguments = declared(path)
-    assert configurations(entities(path)) <= arguments
+def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on_this_computer(path: Path) -> None:
+    arguments, found = declared(path), entities(path)
+    assert configurations(found) <= arguments
     assert arguments >= {"namespace", "params_file"}
     scripts = set(re.findall(r"\w+", re.search(r"for node in \((.*?)\)", (REPOSITORY / "setup.py").read_text())[1]))
     nodes = of_kind("Node", path)
     assert nodes
     for node in nodes:
-        assert set(node.kwargs) <= NODE_KEYWORDS
-        assert node.kwargs["package"] == "straightcomp_ros"
+        assert set(node.kwargs) <= NODE_KEYWORDS and node.kwargs["package"] == "straightcomp_ros"
         assert node.kwargs["executable"] == f"{node.kwargs['name']}_node"
         assert node.kwargs["name"] in scripts
     for argument in of_kind("DeclareLaunchArgument", path):
         either = argument.args[0] in ("record", "use_opcua")
         assert argument.kwargs["choices"] == (["true", "false"] if either else None), argument.args
 
-
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_what_is_launched_stays_on_this_computer_unless_the_environment_says_otherwise(path: Path) -> None:
-    found = entities(path)
+    # What is launched stays on this computer unless the environment says otherwise.
     setting = next(entity for entity in found if kind(entity) == "SetEnvironmentVariable")
     assert found.index(setting) < min(found.index(entity) for entity in found if kind(entity) in STARTING)
     name, value = setting.args
@@ -172,17 +158,17 @@ def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_th
     assert found.index(handler) < found.index(last)
 
 
-@pytest.mark.parametrize(
-    "node, argument, parameter",
-    [
-        ("controller", "law", "control.law"),
-        ("logger", "output", "output"),
-        ("driver", "hardware", "hardware"),
-        ("feedforward", "map", "stage.guide.file"),
-        ("opcua", "opcua_users", "opcua.users"),
-    ],
-)
-def test_an_argument_overrides_its_parameter_only_when_it_is_given(node: str, argument: str, parameter: str) -> None:
+OVERRIDES = """controller law control.law
+logger output output
+driver hardware hardware
+feedforward map stage.guide.file
+opcua opcua_users opcua.users"""
+
+
+@pytest.mark.parametrize("case", OVERRIDES.splitlines())
+def test_an_argument_overrides_its_parameter_only_when_it_is_given(case: str) -> None:
+    node, argument, parameter = case.split()
+
     def overrides(**arguments: str) -> list[Any]:
         nodes = of_kind("Node", CELL, use_opcua="true" if node == "opcua" else "false", **arguments)
         return nodes[named(nodes).index(node)].kwargs["parameters"][2:]

@@ -41,10 +41,13 @@ def messages() -> dict[str, object]:
     return found
 
 
+def plots(layout: dict) -> list[dict]:
+    return [panel for name, panel in layout["configById"].items() if name.startswith("Plot!")]
+
+
 def message_paths(layout: dict) -> list[str]:
-    plots = [panel for name, panel in layout["configById"].items() if name.startswith("Plot!")]
-    over = [panel["xAxisPath"]["value"] for panel in plots if "xAxisPath" in panel]
-    return over + [path["value"] for panel in plots for path in panel["paths"]]
+    over = [panel["xAxisPath"]["value"] for panel in plots(layout) if "xAxisPath" in panel]
+    return over + [path["value"] for panel in plots(layout) for path in panel["paths"]]
 
 
 def followed(message: object, path: str) -> object:
@@ -61,7 +64,7 @@ def test_the_files_are_those_that_the_script_makes(tmp_path):
         assert (tmp_path / name).read_text() == (ROOT / "config" / name).read_text(), "run scripts/make_layouts.py"
 
 
-def test_every_path_in_foxglove_is_a_number_of_a_message(foxglove, messages):
+def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_column(foxglove, messages):
     paths = message_paths(foxglove)
     assert len(paths) > 20
     for path in paths:
@@ -69,15 +72,11 @@ def test_every_path_in_foxglove_is_a_number_of_a_message(foxglove, messages):
         assert topic in TOPICS, path
         if topic in messages:
             assert isinstance(followed(messages[topic], rest), float | np.floating), path
-
-
-def test_foxglove_labels_name_the_column_at_the_place_of_the_path(foxglove):
-    for name, panel in foxglove["configById"].items():
-        for path in panel["paths"] if name.startswith("Plot!") else ():
-            topic, array, place = re.fullmatch(r"(/\w+)(?:\.points\[0\])?\.(\w+)\[(\d+)\]", path["value"]).groups()
-            layout = TOPICS[topic].layout
-            columns = [c for c, (a, _) in zip(layout.columns, layout.places, strict=True) if a == array]
-            assert columns[int(place)] == path["label"], path
+    for path in (one for panel in plots(foxglove) for one in panel["paths"]):
+        topic, array, place = re.fullmatch(r"(/\w+)(?:\.points\[0\])?\.(\w+)\[(\d+)\]", path["value"]).groups()
+        layout = TOPICS[topic].layout
+        columns = [c for c, (a, _) in zip(layout.columns, layout.places, strict=True) if a == array]
+        assert columns[int(place)] == path["label"], path
 
 
 def test_every_panel_of_foxglove_is_placed_once_and_configured(foxglove):
@@ -90,7 +89,9 @@ def test_every_panel_of_foxglove_is_placed_once_and_configured(foxglove):
     assert foxglove["configById"]["DiagnosticSummary!nodes"]["topicToRender"] == DIAGNOSTICS
 
 
-def test_every_curve_in_plotjuggler_is_a_number_of_the_contract(plotjuggler):
+def test_every_curve_in_plotjuggler_is_a_number_of_the_contract_and_every_stream_is_shown_in_both(
+    foxglove, plotjuggler
+):
     series = set()
     for topic, stream in TOPICS.items():
         for array, joint in stream.layout.places:
@@ -102,6 +103,8 @@ def test_every_curve_in_plotjuggler_is_a_number_of_the_contract(plotjuggler):
     ]
     assert len(named) > 20
     assert set(named) <= series
+    text, names = " ".join(message_paths(foxglove)), " ".join(filter(None, (curve.get("name") for curve in curves)))
+    assert all(f"{topic}." in text and f"{topic}/" in names for topic in TOPICS)
 
 
 def test_plotjuggler_plots_have_a_range_and_what_belongs_to_their_mode(plotjuggler):
@@ -113,9 +116,3 @@ def test_plotjuggler_plots_have_a_range_and_what_belongs_to_their_mode(plotjuggl
         assert float(limits.get("bottom")) < float(limits.get("top"))
         assert plot.get("mode") in ("TimeSeries", "XYPlot")
         assert all((plot.get("mode") == "XYPlot") == ("curve_x" in curve.attrib) for curve in plot.iter("curve"))
-
-
-def test_every_stream_is_shown_in_both(foxglove, plotjuggler):
-    text = " ".join(message_paths(foxglove))
-    names = " ".join(filter(None, (curve.get("name") for curve in plotjuggler.iter("curve"))))
-    assert all(f"{topic}." in text and f"{topic}/" in names for topic in TOPICS)

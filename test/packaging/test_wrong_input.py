@@ -23,17 +23,12 @@ CASES = [
     ("simulate --set stage.guide.file=wrong_unit.csv", "no column for x; found: x_kg"),
     ("simulate --set stage.guide.file=~nosuchuser/x.csv", "there is no such file"),
     ("simulate --set driver.hardware=can --set driver.can.dbc=~nosuchuser/x.dbc", "No such file; name a DBC file"),
-    ('simulate --set stage.guide.file="a\\0b"', "has control characters"),
     (f"simulate --set stage.guide.file={'a' * 5000}", "there is no such file"),
+    ('simulate --set stage.guide.file="a\\0b"', "has control characters"),
     (f"simulate --set driver.hardware=can --set driver.can.dbc={'a' * 5000}", "No such file; name a DBC file"),
-    (f"simulate --set stage.platform.mass={'9' * 400}", "is not finite"),
-    ("simulate --set stage.rate=2026-02-31", "is not an integer"),
-    ("simulate --params-file twice.yaml", "parameter 'stage.platform.mass' is given twice"),
-    ("simulate --params-file itself.yaml", "contains itself"),
     (f"evaluate {BAG} --limits limits.yaml", "key 'true_pp_um' is given twice"),
     ("simulate --params-file none.yaml", "none.yaml: cannot be read: No such file"),
     ("simulate --params-file folder", "folder: cannot be read: Is a directory"),
-    ("simulate --params-file noise.mcap", "is not UTF-8"),
     ("simulate --plot none/run.png", "--plot none/run.png: there is no folder none"),
     ("simulate --plot run.docx", "ends with .png, .svg, .pdf"),
     ("simulate --bag noise.mcap", "bag noise.mcap cannot be made: File exists"),
@@ -51,8 +46,6 @@ CASES = [
     ("map export -o table.cal --spacing -1", "--spacing -1; allowed: 0.1 to 1000 mm"),
     ("reproduce -o noise.mcap", "--output noise.mcap: is a file"),
     ("robustness --trials 0", "allowed: a whole number >= 1"),
-    ("robustness --set stage.uncertainty.mass=-1", "uncertainty.mass': -1.0"),
-    ("bench", "required: BENCH"),
     ("bench step --repeats 0", "straightcomp bench step: --repeats 0; allowed: 1 to 10000"),
     ("can replay none.log", "none.log"),
     ("can hub --socket bus --fault drop=2", "drop"),
@@ -60,8 +53,6 @@ CASES = [
     ("dsp --drift-ppm 1e9", "--drift-ppm 1e+09; allowed: -1000 to 1000 ppm"),
     ("view --namespace 2nd", "--namespace: '2nd'; allowed: letters, digits and _"),
     ("robustness --trials 1 --law linear --dask nowhere", "--dask: 'nowhere'; allowed: HOST:PORT"),
-    ("completion csh", "'csh' (choose from"),
-    ("doctor now", "unrecognized arguments: now"),
     ("commission --graph running -o found --set stage.platform.mass=3", "--set: not with --graph running, whose nodes"),
     ("frequency-response --graph running --stage gantry.yaml", "--stage: not with --graph running"),
     ("frequency-response --graph running --params-file gantry.yaml", "--params-file: not with --graph running"),
@@ -71,15 +62,10 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("folder", "folder.png"):
-        (tmp_path / name).mkdir()
-    for name in ("empty.mcap", "empty.yaml"):
-        (tmp_path / name).touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "empty.mcap").touch()
     (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
     (tmp_path / "wrong_unit.csv").write_text("x_kg,deviation_um\n0,1\n1,2\n")
-    twice = "/**:\n  ros__parameters:\n    stage.platform.mass: 3.0\n    stage: {platform: {mass: 4.0}}\n"
-    (tmp_path / "twice.yaml").write_text(twice)
-    (tmp_path / "itself.yaml").write_text("driver: {ros__parameters: &x {self: *x}}\n")
     (tmp_path / "limits.yaml").write_text("true_pp_um: 1\ntrue_pp_um: 2\n")
     monkeypatch.chdir(tmp_path)
 
@@ -91,10 +77,8 @@ def refusal(words: str, capsys: pytest.CaptureFixture[str]) -> str:
     except SystemExit as ended:  # argparse
         code = ended.code
     printed = capsys.readouterr()
-    assert code in (1, 2)
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1, printed.err
-    assert printed.err.startswith("straightcomp")
+    assert code in (1, 2) and printed.out == ""
+    assert printed.err.count("\n") == 1 and printed.err.startswith("straightcomp"), printed.err
     return printed.err
 
 

@@ -9,27 +9,22 @@ import tempfile
 import pytest
 
 from straightcomp_ros.parameters import share
-from straightcomp_ros.parameters.output_files import UNFINISHED, OutputRefused, making, write_whole
+from straightcomp_ros.parameters.output_files import MARK, UNFINISHED, OutputRefused, making, write_whole
 from straightcomp_ros.parameters.share import private_folder
 
 
-@pytest.mark.parametrize(
-    ("content", "found"), [("Straßenbahn\n", "Straßenbahn\n".encode()), (b"\x00\xff", b"\x00\xff")]
-)
-def test_text_and_bytes_take_the_place_of_what_was_there(tmp_path, content, found):
-    file = tmp_path / "file"
+@pytest.mark.parametrize("content", ["Straßenbahn\n", b"\x00\xff"])
+def test_text_and_bytes_replace_what_was_there_and_are_written_where_the_caller_wants_first(tmp_path, content):
+    file, parts = tmp_path / "file", tmp_path / "parts"
     file.write_text("old")
-    write_whole(file, content)
-    assert file.read_bytes() == found and [one.name for one in tmp_path.iterdir()] == ["file"]
-
-
-def test_the_file_is_written_where_the_caller_wants_first(tmp_path):
-    parts = tmp_path / "parts"
     with pytest.raises(FileNotFoundError):
-        write_whole(tmp_path / "file", "new", parts)
+        write_whole(file, content, parts)
+    assert file.read_text() == "old"
     parts.mkdir()
-    write_whole(tmp_path / "file", "new", parts)
-    assert (tmp_path / "file").read_text() == "new" and not list(parts.iterdir())
+    for folder in (None, parts):
+        write_whole(file, content, folder)
+        assert file.read_bytes() == (content.encode() if isinstance(content, str) else content)
+        assert {one.name for one in tmp_path.iterdir()} == {"file", "parts"} and not list(parts.iterdir())
 
 
 def test_a_file_keeps_its_mode_and_the_link_that_leads_to_it(tmp_path):
@@ -80,39 +75,28 @@ def test_what_was_made_is_replaced_unasked(tmp_path, anew):
     assert kept(tmp_path) == {"bag/bag_0.mcap": "new", "run.png": "new"}
 
 
-def added(folder):
-    (folder / "bag" / "notes.txt").write_text("mine")
-
-
-def changed(folder):
-    (folder / "run.png").write_text("mine!")
-
-
 def moved_there(folder):
     shutil.rmtree(folder / "bag")
     shutil.copytree(folder / "recording", folder / "bag")
 
 
-def copied(folder):
-    for path in list(folder.rglob("*.mcap")):
-        os.utime(path, (1, 1))
-
-
-def without_a_mark(folder):
-    (folder / ".straightcomp_made.json").unlink()
-
-
-def with_a_mark_of_nonsense(folder):
-    (folder / ".straightcomp_made.json").write_text("[")
+CHANGES = {
+    "added": lambda folder: (folder / "bag" / "notes.txt").write_text("mine"),
+    "changed": lambda folder: (folder / "run.png").write_text("mine!"),
+    "moved there": moved_there,
+    "copied": lambda folder: [os.utime(path, (1, 1)) for path in folder.rglob("*.mcap")],
+    "without a mark": lambda folder: (folder / MARK).unlink(),
+    "with a mark of nonsense": lambda folder: (folder / MARK).write_text("["),
+}
 
 
 @pytest.mark.parametrize("anew", [True, False])
-@pytest.mark.parametrize("done", [added, changed, moved_there, copied, without_a_mark, with_a_mark_of_nonsense])
-def test_what_was_not_made_here_is_kept_unless_it_is_asked_for(tmp_path, done, anew):
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_was_not_made_here_is_kept_unless_it_is_asked_for(tmp_path, change, anew):
     (tmp_path / "recording").mkdir()
     (tmp_path / "recording" / "bag_0.mcap").write_text("years")
     make(tmp_path, "old")
-    done(tmp_path)
+    CHANGES[change](tmp_path)
     before = kept(tmp_path)
     with pytest.raises(OutputRefused, match="--force"):
         make(tmp_path, anew=anew)
@@ -140,17 +124,15 @@ def test_a_run_that_fails_leaves_the_former_results_and_its_own_beside_them(tmp_
     assert kept(tmp_path) == {"bag/bag_0.mcap": "new", "run.png": "new"}
 
 
-def test_two_runs_do_not_write_to_one_folder(tmp_path):
+def test_neither_another_run_nor_the_users_own_folder_is_taken_for_an_unfinished_run(tmp_path):
     with making(tmp_path, ["bag"]), pytest.raises(OutputRefused, match="another"):
         make(tmp_path)
-
-
-def test_a_folder_of_the_user_is_not_taken_for_that_of_an_unfinished_run(tmp_path):
-    (tmp_path / UNFINISHED).mkdir()
-    (tmp_path / UNFINISHED / "thesis").write_text("mine")
+    other = tmp_path / "other"
+    (other / UNFINISHED).mkdir(parents=True)
+    (other / UNFINISHED / "thesis").write_text("mine")
     with pytest.raises(OutputRefused):
-        make(tmp_path)
-    assert kept(tmp_path) == {f"{UNFINISHED}/thesis": "mine"}
+        make(other)
+    assert kept(other) == {f"{UNFINISHED}/thesis": "mine"}
 
 
 @pytest.fixture
@@ -165,32 +147,22 @@ def places(tmp_path, monkeypatch):
     private_folder.cache_clear()
 
 
-def writable_for_others(place):
-    place.mkdir()
-    place.chmod(0o777)
+TAKEN = {
+    "writable for others": lambda place: (place.mkdir(), place.chmod(0o777)),
+    "writable for the group": lambda place: (place.mkdir(), place.chmod(0o770)),
+    "a link": lambda place: place.symlink_to(place.parent.parent / "other"),
+    "a file": lambda place: place.touch(),
+}
 
 
-def writable_for_the_group(place):
-    place.mkdir()
-    place.chmod(0o770)
-
-
-def link(place):
-    place.symlink_to(place.parent.parent / "other")
-
-
-def file(place):
-    place.touch()
-
-
-@pytest.mark.parametrize("taken", [writable_for_others, writable_for_the_group, link, file])
+@pytest.mark.parametrize("taken", TAKEN)
 def test_a_place_that_others_may_have_made_is_passed_over(places, taken):
     first, second = places
-    taken(first)
+    TAKEN[taken](first)
     assert private_folder() == second and stat.S_IMODE(second.stat().st_mode) == 0o700
     private_folder.cache_clear()
     second.rmdir()
-    taken(second)
+    TAKEN[taken](second)
     fresh = private_folder()
     assert fresh not in places and fresh.parent == second.parent and not list(fresh.iterdir())
     assert stat.S_IMODE(fresh.stat().st_mode) == 0o700

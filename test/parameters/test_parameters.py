@@ -34,7 +34,7 @@ class Outer:
     inner: Inner = group(Inner, "Coil", gain=5.0)
 
 
-def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
+def test_groups_are_addressed_with_a_dot_have_defaults_of_their_own_and_come_from_a_mapping_and_back():
     assert [(d.name, d.default) for d in declarations(Outer)] == [
         ("count", 3),
         ("on", False),
@@ -45,11 +45,9 @@ def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
     assert [d.description for d in declarations(Outer)] == ["Count", "On", "Coil: Gain", "Coil: Name"]
     assert from_mapping(Outer, {}) == Outer()
     assert from_mapping(Outer, {"inner.gain": 4}).inner.gain == 4.0
-
-
-def test_a_set_and_its_mapping_are_inverse():
     values = {"count": 7, "on": True, "inner.gain": 1.5, "inner.name": "b"}
     assert to_mapping(from_mapping(Outer, values)) == values
+    assert flatten({"inner": {"gain": 1.0}, "count": 2}) == {"inner.gain": 1.0, "count": 2}
 
 
 @pytest.mark.parametrize(
@@ -72,17 +70,11 @@ def test_a_refused_parameter_is_named_with_its_value_and_what_is_allowed(values,
         from_mapping(Outer, values)
 
 
-def test_nested_yaml_and_dotted_names_are_the_same():
-    assert flatten({"inner": {"gain": 1.0}, "count": 2}) == {"inner.gain": 1.0, "count": 2}
-
-
 @pytest.mark.parametrize("node", NODE_PARAMETERS)
 def test_every_default_is_allowed_and_every_parameter_is_described(node):
-    for declaration in declarations(NODE_PARAMETERS[node]):
-        assert declaration.check(declaration.default) == declaration.default
-        assert declaration.description
-    descriptions = [declaration.description for declaration in declarations(NODE_PARAMETERS[node])]
-    assert len(descriptions) == len(set(descriptions))
+    declared = list(declarations(NODE_PARAMETERS[node]))
+    assert all(one.check(one.default) == one.default for one in declared)
+    assert all({one.description for one in declared}) and len({one.description for one in declared}) == len(declared)
 
 
 def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script_writes():
@@ -108,6 +100,8 @@ def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script
         ("driver: {}", "has no 'ros__parameters:'"),
         ("- 1", "NODE: ros__parameters:"),
         ("a: [", "no YAML"),
+        ("driver: {ros__parameters: &x {self: *x}}", "contains itself"),
+        ("/**: {ros__parameters: {stage.rate: 1, stage: {rate: 2}}}", "parameter 'stage.rate' is given twice"),
     ],
 )
 def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
@@ -118,12 +112,6 @@ def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
     assert str(path) in str(refusal.value)
     with pytest.raises(ParameterError, match=r"none\.yaml"):
         read_parameter_file(tmp_path / "none.yaml")
-
-
-def test_a_parameter_file_with_namespaces_is_read_by_node(tmp_path):
-    path = tmp_path / "p.yaml"
-    path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
-    assert read_parameter_file(path)["driver"] == {"simulated.initial_y": 1e-6}
 
 
 CAN = {"hardware": "can"}
@@ -185,23 +173,21 @@ def test_each_refusal_together_with_other_parameters_is_among_those():
 
 
 def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_last(tmp_path):
+    # rcl would take Y and n for truth values, were they not in quotes.
     values = {
-        "stage": {"rate": 4000, "platform.mass": 5.0},
+        "stage": {"name": "Y", "rate": 4000, "platform.mass": 5.0},
         "driver": {"hardware": "can", "stage.platform.mass": 6.0},
         "controller": {},
-        "logger": {"output": "bag"},
+        "logger": {"output": "n"},
     }
     path = tmp_path / "p.yaml"
     path.write_text(as_parameter_file(values))
     # A parameter on a node's command line joins those of all nodes, and must win over the node's section.
     assert list(yaml.safe_load(path.read_text()))[-1] == "/**"
+    assert "name: 'Y'" in path.read_text() and "output: 'n'" in path.read_text()
     read = read_parameter_file(path)
     for node in ("driver", "controller"):
         assert node_parameters(node, read) == node_parameters(node, values)
-    assert read["logger"] == {"output": "bag"} and read["stage"] == {"rate": 4000}
-
-
-def test_a_text_that_rcl_would_take_for_a_truth_value_is_in_quotes():
-    text = as_parameter_file({"driver": {"can.wire.y.signal": "Y", "can.wire.x.signal": "X", "can.dbc": "n"}})
-    assert "signal: 'Y'" in text and "dbc: 'n'" in text and "signal: X" in text
-    assert yaml.safe_load(text)["/**/driver"]["ros__parameters"]["can.wire.y.signal"] == "Y"
+    assert read["logger"] == {"output": "n"} and read["stage"] == {"name": "Y", "rate": 4000}
+    path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
+    assert read_parameter_file(path)["driver"] == {"simulated.initial_y": 1e-6}

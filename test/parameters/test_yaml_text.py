@@ -13,38 +13,19 @@ BOMB = "a0: &a0 {x: 1}\n" + "".join(
 )
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("5e-8", 5e-8),
-        ("1e6", 1e6),
-        ("+12e03", 12e3),
-        ("1.e5", 1e5),
-        (".5", 0.5),
-        ("0x1F", 31),
-        ("010", 8),
-        ("08", 8.0),
-        ("-0", 0),
-        (str(2**63 - 1), 2**63 - 1),
-        ("9" * 400, math.inf),
-        ("9" * 5000, math.inf),
-        (".inf", math.inf),
-        ("yes", True),
-        ("off", False),
-        ("~", None),
-        ("", None),
-        ("1_000", "1_000"),
-        ("190:20:30.15", "190:20:30.15"),
-        ("2026-02-31", "2026-02-31"),
-        ("'1'", "1"),
-        ("y", "y"),
-        (".", "."),
-        ("=", "="),
-    ],
-)
+FLOATS = {text: float(text) for text in ["5e-8", "1e6", "+12e03", "1.e5", ".5"]} | {"08": 8.0, ".inf": math.inf}
+INTEGERS = {"0x1F": 31, "010": 8, "-0": 0, str(2**63 - 1): 2**63 - 1}
+OTHERS = {"9" * 400: math.inf, "9" * 5000: math.inf, "yes": True, "off": False, "~": None, "": None, "'1'": "1"}
+TEXTS = {text: text for text in ["1_000", "190:20:30.15", "2026-02-31", "y", ".", "="]}
+
+
+@pytest.mark.parametrize(("text", "value"), (FLOATS | INTEGERS | OTHERS | TEXTS).items())
 def test_a_number_is_what_yaml_1_2_and_rcl_take_for_one(text, value):
     found = load_yaml(f"a: {text}")["a"]
     assert found == value and type(found) is type(value)
+
+
+NO_YAML = ["a: !!bool x", "a: !!int x", "a: *nothing", "<<: [1, 2]", "? [a]\n: 1", "a: 1\n---\na: 1", "a:\n\tb: 1"]
 
 
 @pytest.mark.parametrize(
@@ -62,13 +43,7 @@ def test_a_number_is_what_yaml_1_2_and_rcl_take_for_one(text, value):
         ("a: !!python/object/apply:os.getcwd []", "python/object"),
         ("a: !!timestamp 2026-99-99", "timestamp"),
         ("a: !!binary '***'", "binary"),
-        ("a: !!bool x", "no YAML"),
-        ("a: !!int x", "no YAML"),
-        ("a: *nothing", "no YAML"),
-        ("<<: [1, 2]", "no YAML"),
-        ("? [a]\n: 1", "no YAML"),
-        ("a: 1\n---\na: 1", "no YAML"),
-        ("a:\n\tb: 1", "no YAML"),
+        *((text, "no YAML") for text in NO_YAML),
         ("a\0b: 1", "no YAML"),
         ('a: "\\ud800"', "no YAML"),
         (b"\xff\xfea\0:\0", "byte 0 is not UTF-8"),
@@ -82,12 +57,9 @@ def test_what_is_no_plain_yaml_of_a_usual_size_is_refused(text, words, tmp_path)
             load_yaml(source)
 
 
-def test_a_file_without_an_end_is_refused():
+def test_a_file_without_an_end_is_refused_and_aliases_of_a_usual_size_are_read():
     with pytest.raises(YamlError, match="larger than"):
         load_yaml(Path("/dev/zero"))
-
-
-def test_aliases_and_merged_mappings_of_a_usual_size_are_read():
     assert load_yaml("a: &x {b: 1, c: 2}\nd: *x\ne: {<<: *x, b: 3}")["e"] == {"b": 3, "c": 2}
     assert load_yaml("\ufeffa: 1".encode()) == {"a": 1}
 

@@ -34,21 +34,15 @@ def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, 
     assert (folder / "survey.csv").read_bytes() == survey.read_bytes()
 
 
-def test_a_new_stage_has_each_fact_once_with_its_meaning(tmp_path):
+def test_a_new_description_has_each_fact_once_with_its_meaning_and_is_kept_unless_it_is_forced(tmp_path, capsys):
     assert new(tmp_path / "one") == 0
     text = (tmp_path / "one" / "stage.yaml").read_text()
-    names = [declaration.name for declaration in declarations(StageParameters, "stage.")]
-    assert list(yaml.safe_load(text)["/**"]["ros__parameters"]) == names
-    for declaration in declarations(StageParameters):
-        assert declaration.description in text
-
-
-def test_a_description_that_is_there_is_kept(tmp_path, capsys):
-    assert new(tmp_path / "one") == 0
-    before = (tmp_path / "one" / "stage.yaml").read_bytes()
+    declared = list(declarations(StageParameters, "stage."))
+    assert list(yaml.safe_load(text)["/**"]["ros__parameters"]) == [one.name for one in declared]
+    assert all(one.description in text for one in declared)
     assert new(tmp_path / "one", "--set", "platform.mass=8") == 2
     assert "--force" in capsys.readouterr().err
-    assert (tmp_path / "one" / "stage.yaml").read_bytes() == before
+    assert (tmp_path / "one" / "stage.yaml").read_text() == text
     assert new(tmp_path / "one", "--set", "platform.mass=8", "--force") == 0
 
 
@@ -78,22 +72,10 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
     assert stage.rate == 4000 and stage.platform == StageParameters().platform
 
 
-def checked(capsys, folder, *options):
-    assert new(folder, "--force", *options) == 0
-    capsys.readouterr()
-    code = main(["stage", "check", str(folder / "stage.yaml"), "--json"])
-    found = json.loads(capsys.readouterr().out)
-    assert code == (1 if found["fail"] else 0)
-    return {check["name"]: check for check in found["checks"]}
-
-
-def test_the_shipped_stage_is_in_order(tmp_path, capsys):
-    assert {check["state"] for check in checked(capsys, tmp_path / "one").values()} == {"ok"}
-
-
 @pytest.mark.parametrize(
     ("name", "state", "given", "words"),
     [
+        ("survey", "ok", {}, "1760"),
         ("survey", "fail", {"motion.stroke": 2.0}, "strokes from 0.0 to 2000.0 mm"),
         ("survey", "warn", {"motion.stroke": 1.77}, "1770.0 mm"),
         ("survey", "fail", {"guide.travel": 5e-6}, "the correction reaches 11.2 µm to each side"),
@@ -111,10 +93,15 @@ def test_the_shipped_stage_is_in_order(tmp_path, capsys):
     ],
 )
 def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, capsys, name, state, given, words):
-    options = [f"--set={key}={value}" for key, value in given.items()]
-    found = checked(capsys, tmp_path / "one", *options)[name]
-    assert found["state"] == state and words in found["detail"]
-    assert found["remedy"] or name == "survey"
+    assert new(tmp_path / "one", *(f"--set={key}={value}" for key, value in given.items())) == 0
+    capsys.readouterr()
+    code = main(["stage", "check", str(tmp_path / "one" / "stage.yaml"), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert code == (1 if found["fail"] else 0)
+    checks = {check["name"]: check for check in found["checks"]}
+    assert checks[name]["state"] == state and words in checks[name]["detail"]
+    assert state == "ok" or checks[name]["remedy"] or name == "survey"
+    assert given or {check["state"] for check in checks.values()} == {"ok"}
 
 
 def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, capsys):

@@ -37,21 +37,11 @@ def tried(capsys):
     return simulate
 
 
-@pytest.fixture
-def described(tmp_path, capsys):
-    """Makes a stage file for a survey, as the README says; returns its name."""
-
-    def new(file):
-        assert main(["stage", "new", str(tmp_path / "mine"), "--survey", file]) == 0
-        capsys.readouterr()
-        return str(next((tmp_path / "mine").glob("*.yaml")))
-
-    return new
-
-
 @pytest.mark.parametrize("back", [False, True])
-def test_a_survey_of_ones_own_is_followed_by_the_simulated_guide(tried, described, tmp_path, back):
-    code, figures, _ = tried("--stage", described(survey(tmp_path, 0, 1760, back=back)))
+def test_a_survey_of_ones_own_is_followed_by_the_simulated_guide(tried, tmp_path, capsys, back):
+    assert main(["stage", "new", str(tmp_path / "mine"), "--survey", survey(tmp_path, 0, 1760, back=back)]) == 0
+    capsys.readouterr()
+    code, figures, _ = tried("--stage", str(tmp_path / "mine" / "stage.yaml"))
     x = np.arange(0.0, 1760.0)
     guide = bend(x)
     straight = np.polyval(np.polyfit(x, guide, 1), x)
@@ -59,21 +49,44 @@ def test_a_survey_of_ones_own_is_followed_by_the_simulated_guide(tried, describe
     assert figures["true_pp_um"] < 0.5
 
 
-def test_a_survey_of_another_guide_than_the_simulated_one_is_named_and_no_success(tried, tmp_path):
-    code, figures, _ = tried("--set", f"stage.guide.file={survey(tmp_path, 0, 1760)}")
-    assert code == 1 and figures["verdict"] == "wrong_guide" and "use a survey of this guide" in figures["reason"]
-
-
-def test_a_survey_that_ends_before_the_stroke_is_named_and_no_success(tried, tmp_path):
-    code, figures, _ = tried("--set", f"stage.guide.file={survey(tmp_path, 0, 600)}")
-    assert code == 1 and figures["verdict"] == "left_map"
-    assert "1760 mm; allowed: -20 mm to 620 mm" in figures["reason"] and "survey the whole guide" in figures["reason"]
-
-
-def test_another_mass_needs_no_other_gains(tried):
-    code, figures, said = tried("--set", "stage.platform.mass=8")
-    assert (code, figures["missing_margin"], said) == (0, None, "")
-    assert figures["true_pp_um"] < 0.3
+@pytest.mark.parametrize(
+    ("words", "code", "most_um", "expected"),
+    [
+        # A survey of another guide than the simulated one; one that ends before the stroke; too long a delay.
+        (
+            "--set stage.guide.file=SURVEY1760",
+            1,
+            np.inf,
+            {"verdict": "wrong_guide", "reason": "use a survey of this guide"},
+        ),
+        (
+            "--set stage.guide.file=SURVEY600",
+            1,
+            np.inf,
+            {"verdict": "left_map", "reason": "1760 mm; allowed: -20 mm to 620 mm; survey the whole guide"},
+        ),
+        ("--delay 5", 1, np.inf, {"verdict": "oscillates", "reason": " Hz"}),
+        ("--set stage.platform.mass=8", 0, 0.3, {"verdict": "in_order"}),
+        (
+            "--set stage.motion.speed=1.0 --set stage.motion.acceleration=5.0 --set stage.motion.highest_speed=2.5",
+            0,
+            0.35,
+            {"verdict": "in_order"},
+        ),
+    ],
+)
+def test_what_is_no_success_is_named_and_a_stage_of_another_mass_or_speed_is_compensated_as_shipped(
+    tried, tmp_path, words, code, most_um, expected
+):
+    for stop in (600, 1760):
+        if f"SURVEY{stop}" in words:
+            words = words.replace(f"SURVEY{stop}", survey(tmp_path, 0, stop))
+    found, figures, said = tried(*words.split())
+    assert found == code and figures["true_pp_um"] < most_um
+    for key, text in expected.items():
+        assert all(one in figures[key] for one in text.split("; ")), figures[key]
+    if "mass" in words:
+        assert (figures["missing_margin"], said) == (None, "")
 
 
 def test_half_the_rate_is_refused_by_the_controller_and_the_simulation_says_so(tried):
@@ -81,14 +94,3 @@ def test_half_the_rate_is_refused_by_the_controller_and_the_simulation_says_so(t
     assert code == 0 and figures["verdict"] == "in_order"
     assert "at 1000 Hz" in figures["missing_margin"] and "straightcomp design" in figures["missing_margin"]
     assert figures["missing_margin"] in " ".join(said.split())
-
-
-def test_a_delay_that_no_gains_bear_oscillates_and_is_no_success(tried):
-    code, figures, _ = tried("--delay", "5")
-    assert code == 1 and figures["verdict"] == "oscillates" and "Hz" in figures["reason"]
-
-
-def test_a_fast_stage_is_compensated_as_it_is_shipped(tried):
-    words = ("stage.motion.speed=1.0", "stage.motion.acceleration=5.0", "stage.motion.highest_speed=2.5")
-    code, figures, _ = tried(*(word for one in words for word in ("--set", one)))
-    assert code == 0 and figures["true_pp_um"] < 0.35
