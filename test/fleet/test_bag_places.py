@@ -26,34 +26,30 @@ def clock(monkeypatch):
     return now
 
 
-def half_written(folder, name, size=1_000_000):
-    (folder / name).mkdir()
-    (folder / name / f"{name}_0.mcap").write_bytes((SAMPLES / "smc" / "smc_0.mcap").read_bytes()[:size])
+def half_written(folder, size=1_000_000):
+    shutil.rmtree(folder / "run", ignore_errors=True)
+    (folder / "run").mkdir()
+    (folder / "run" / "run_0.mcap").write_bytes((SAMPLES / "smc" / "smc_0.mcap").read_bytes()[:size])
 
 
 def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
     growing = GrowingFolders(settled_s=60.0)
-    half_written(tmp_path, "run")
-    for size in (1_100_000, 1_200_000, 1_300_000):
+    for size in (1_000_000, 1_100_000, 1_200_000):
+        half_written(tmp_path, size)
         assert given(growing, tmp_path) == []
         clock[0] += 59.0
-        shutil.rmtree(tmp_path / "run")
-        half_written(tmp_path, "run", size)
     shutil.rmtree(tmp_path / "run")
     shutil.copytree(SAMPLES / "smc", tmp_path / "run")
     assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
 
 
-def test_a_bag_whose_metadata_were_copied_before_its_messages_waits_too(tmp_path, clock):
+@pytest.mark.parametrize("metadata", [False, True])
+def test_an_unfinished_bag_waits_and_is_given_out_to_be_refused_when_it_rests(tmp_path, clock, metadata):
+    """Also one whose metadata were copied before its messages."""
     growing = GrowingFolders(settled_s=60.0)
-    half_written(tmp_path, "run")
-    shutil.copy(SAMPLES / "smc" / "metadata.yaml", tmp_path / "run")
-    assert given(growing, tmp_path) == []
-
-
-def test_an_unfinished_bag_that_rests_is_given_out_to_be_refused(tmp_path, clock):
-    growing = GrowingFolders(settled_s=60.0)
-    half_written(tmp_path, "run")
+    half_written(tmp_path)
+    if metadata:
+        shutil.copy(SAMPLES / "smc" / "metadata.yaml", tmp_path / "run")
     assert given(growing, tmp_path) == []
     clock[0] += 61.0
     assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []

@@ -27,32 +27,43 @@ def test_add_tells_what_it_added_and_fails_while_it_refuses(months, tmp_path, ca
     assert f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes added 0" in capsys.readouterr().out
 
 
-def test_a_query_prints_one_json_object_with_times_as_iso(alone, capsys):
-    sql = "SELECT min(start) AS first, count(*) AS strokes, 0.0 / 0.0 AS none FROM strokes"
-    assert main(["history", "query", str(alone[0]), sql, "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["rows"]
-    assert row == {"first": "2025-10-09T08:53:20.203500+00:00", "strokes": 2 * COUNT, "none": None}
+def answer(capsys, *words):
+    """What `straightcomp history` prints with --json."""
+    assert main(["history", *map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
 
 
-def test_a_query_without_a_store_asks_the_default_one(alone, capsys, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "sql, row",
+    [
+        (
+            "SELECT min(start) AS first, count(*) AS strokes, 0.0 / 0.0 AS none FROM strokes",
+            {"first": "2025-10-09T08:53:20.203500+00:00", "strokes": 2 * COUNT, "none": None},
+        ),
+        (
+            "SELECT count(*) AS n, min(x_mm) AS first, max(x_mm) AS last, count(error_um) AS known FROM bins",
+            {"n": 40 * COUNT, "first": 0, "last": 190, "known": 40 * COUNT},
+        ),
+    ],
+)
+def test_a_query_prints_one_json_object_with_times_as_iso_and_the_bins_are_a_table(alone, capsys, sql, row):
+    assert answer(capsys, "query", alone[0], sql) == {"rows": [row]}
+
+
+def test_a_store_of_refused_bags_alone_has_a_table_of_strokes_without_rows(tmp_path, capsys):
+    assert main(["history", "add", str(SAMPLES / "cut_off"), "-o", str(tmp_path)]) == 1
+    capsys.readouterr()
+    assert answer(capsys, "query", tmp_path, "SELECT stage, start FROM strokes") == {"rows": []}
+
+
+def test_a_query_without_a_store_asks_the_default_one_and_prints_many_columns_below_each_other(
+    alone, capsys, tmp_path, monkeypatch
+):
     (tmp_path / "history").symlink_to(alone[0])
     monkeypatch.chdir(tmp_path)
-    assert main(["history", "query", "SELECT DISTINCT stage FROM strokes ORDER BY stage"]) == 0
-    assert "stage_0" in capsys.readouterr().out
-
-
-def test_the_bins_are_a_table_of_their_own(alone, capsys):
-    sql = "SELECT count(*) AS n, min(x_mm) AS first, max(x_mm) AS last, count(error_um) AS known FROM bins"
-    assert main(["history", "query", str(alone[0]), sql, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"] == [
-        {"n": 40 * COUNT, "first": 0, "last": 190, "known": 40 * COUNT}
-    ]
-
-
-def test_rows_with_many_columns_are_printed_one_below_the_other(alone, capsys):
-    assert main(["history", "query", str(alone[0]), "SELECT * FROM strokes LIMIT 2"]) == 0
+    assert main(["history", "query", "SELECT * FROM strokes ORDER BY stage LIMIT 2"]) == 0
     printed = capsys.readouterr().out
-    assert "row 1 of 2" in printed and "row 2 of 2" in printed and "control_activity_A" in printed
+    assert all(words in printed for words in ("row 1 of 2", "row 2 of 2", "control_activity_A", "stage_0"))
 
 
 def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
@@ -67,14 +78,6 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
         assert main(["history", "query", str(alone[0]), copy, *more]) == 2
         assert name.read_bytes() == before
     assert main(["history", "query", str(alone[0]), "CREATE TABLE mine (a INTEGER)"]) == 0
-
-
-def test_a_store_of_refused_bags_alone_has_a_table_of_strokes_without_rows(tmp_path, capsys):
-    store = str(tmp_path / "store")
-    assert main(["history", "add", str(SAMPLES / "cut_off"), "-o", store]) == 1
-    capsys.readouterr()
-    assert main(["history", "query", store, "SELECT stage, start FROM strokes", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"rows": []}
 
 
 @pytest.mark.parametrize(
@@ -133,25 +136,20 @@ def test_advise_writes_a_file_for_each_stage(worn, tmp_path, capsys):
     assert "bolts" in read_advice(tmp_path / "advice" / "bolt.json").text
 
 
-def test_advise_prints_one_json_object(worn, capsys):
-    assert main(["history", "advise", str(worn), "--stage", "latency", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)["stages"]
-    assert list(printed) == ["latency"] and printed["latency"]["advice"][0]["cause"] == "host"
+def test_advise_prints_one_json_object_and_since_begins_a_new_baseline(worn, capsys):
+    def causes(*since):
+        stages = answer(capsys, "advise", worn, "--stage", "latency", *since)["stages"]
+        assert list(stages) == ["latency"]
+        return [one["cause"] for one in stages["latency"]["advice"]]
 
-
-def test_since_begins_a_new_baseline(worn, capsys):
-    assert main(["history", "advise", str(worn), "--stage", "latency", "--since", "2026-03-05", "--json"]) == 0
-    causes = [one["cause"] for one in json.loads(capsys.readouterr().out)["stages"]["latency"]["advice"]]
-    assert "host" not in causes
+    assert causes()[0] == "host" and "host" not in causes("--since", "2026-03-05")
 
 
 def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, capsys):
-    words = ["history", "report", str(worn), "--stage", "guide", "-o", str(tmp_path), "--json"]
-    assert main(words) == 0
-    (file,) = json.loads(capsys.readouterr().out)["reports"].values()
+    (file,) = answer(capsys, "report", worn, "--stage", "guide", "-o", tmp_path)["reports"].values()
     page = Path(file).read_text("utf-8")
     own = page.replace(page[page.index("<script>") : page.index("</script>")], "")
-    assert "src=" not in own and "href=" not in own and "@import" not in own
+    assert not any(words in own for words in ("src=", "href=", "@import"))
     for words in ("the guide moved", "Change of the guide over x", "Trends", "Bags to look at"):
         assert words in own
 
@@ -203,53 +201,39 @@ def named(template, tmp_path_factory):
 
 
 def test_each_stage_has_a_folder_of_its_own_whatever_it_is_called(named):
-    store, tally = named
+    folder, tally = named
+    store, folders = Store(str(folder)), list((folder / "strokes").iterdir())
     assert (tally.added, tally.refused) == (len(NAMES), 0)
-    stages = Store(str(store)).stages()
-    assert stages == sorted(map(stored_name, NAMES)) and len(set(stages)) == len(NAMES)
-    for name in NAMES:
-        assert Store(str(store)).strokes(name, ["stroke"]).num_rows == 2
-    folders = list((store / "strokes").iterdir())
+    assert store.stages() == sorted(map(stored_name, NAMES)) and len(set(store.stages())) == len(NAMES)
+    assert all(store.strokes(name, ["stroke"]).num_rows == 2 for name in NAMES)
     assert len(folders) == len(NAMES) and max(len(os.fsencode(folder.name)) for folder in folders) < 255
 
 
 def test_reports_and_tables_show_each_name_as_it_is(named, tmp_path, capsys):
-    store, _ = named
-    assert main(["history", "report", str(store), "-o", str(tmp_path / "report")]) == 0
-    files = list((tmp_path / "report").glob("*.html"))
-    assert len(files) == len(NAMES)
-    pages = [file.read_text(encoding="utf-8") for file in files]
-    assert sum("&lt;b&gt;bold" in page for page in pages) == 1 and not any("<b>bold" in page for page in pages)
-    assert main(["history", "report", str(store), "-o", str(tmp_path / "one"), "--stage", NAMES[2]]) == 0
-    assert next(file.name for file in (tmp_path / "one").glob("*.html")) in [file.name for file in files]
+    store, whole, one = str(named[0]), tmp_path / "report", tmp_path / "one"
+    assert main(["history", "report", store, "-o", str(whole)]) == 0
+    pages = {file.name: file.read_text(encoding="utf-8") for file in whole.glob("*.html")}
+    assert len(pages) == len(NAMES) and not any("<b>bold" in page for page in pages.values())
+    assert sum("&lt;b&gt;bold" in page for page in pages.values()) == 1
+    assert main(["history", "report", store, "-o", str(one), "--stage", NAMES[2]]) == 0
+    assert {file.name for file in one.glob("*.html")} < set(pages)
+    shown = ["gantry[left]", "gantry[right]", "[/x]"]
     printed = capsys.readouterr().out
-    assert (
-        all(name in printed for name in ("gantry[left]", "gantry[right]", "[/x]", "\\x1b[2Jx"))
-        and "\x1b" not in printed
-    )
-    sql = "SELECT stage, count(*) AS n FROM strokes GROUP BY stage"
-    assert main(["history", "query", str(store), sql]) == 0
+    assert all(name in printed for name in (*shown, "\\x1b[2Jx")) and "\x1b" not in printed
+    assert main(["history", "query", store, "SELECT stage, count(*) AS n FROM strokes GROUP BY stage"]) == 0
     printed = capsys.readouterr().out
-    assert (
-        all(name in printed for name in ("gantry[left]", "gantry[right]", "[/x]", "<b>bold</b>"))
-        and "\x1b" not in printed
-    )
+    assert all(name in printed for name in (*shown, "<b>bold</b>")) and "\x1b" not in printed
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(template, tmp_path, capsys, jobs):
     good = template.attachments[PARAMETERS_ATTACHMENT].decode()
     cases = {"a": good, "b": BOMB, "c": good, "d": "x: " + "[" * 400, "e[/x]": "[/x]: 1", "f": good}
-    for number, (name, parameters) in enumerate(cases.items()):
+    for number, (name, parameters) in enumerate([*cases.items(), (os.fsdecode(b"g\xff"), good)]):
         write(template, tmp_path / "bags" / name, number, parameters)
-    write(template, tmp_path / "bags" / os.fsdecode(b"g\xff"), 9, good)
-    store = str(tmp_path / "store")
-    command = ["history", "add", str(tmp_path / "bags"), "-o", store, "--jobs", str(jobs), "--json"]
-    assert main(command) == 1
+    command = ["add", tmp_path / "bags", "-o", tmp_path / "store", "--jobs", jobs]
+    assert main(["history", *map(str, command), "--json"]) == 1
     printed = capsys.readouterr()
-    figures = json.loads(printed.out)
-    assert (figures["added"], figures["refused"]) == (4, 3)
+    assert json.loads(printed.out).items() >= {"added": 4, "refused": 3}.items()
     assert printed.err.count("refused: bag ") == 3 and "e[/x]" in printed.err
-    assert main(command) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert (figures["added"], figures["known"], figures["refused"]) == (0, 7, 0)
+    assert answer(capsys, *command).items() >= {"added": 0, "known": 7, "refused": 0}.items()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from straightcomp_ros.fleet.maintenance.day_levels import Watched
 from straightcomp_ros.fleet.maintenance.level_change import BASELINE, MONTH, baseline_of, changes_of_figure, trend_of
@@ -12,27 +13,21 @@ DAYS, BEGIN = 200, 100
 
 def change_of(values, watched):
     """The only change; None without one."""
-    changes = changes_of_figure(values, watched)
-    assert len(changes) <= 1
-    return changes[0] if changes else None
+    (change,) = changes_of_figure(values, watched) or [None]
+    return change
 
 
 def levels(seed=0, days=DAYS):
     return 10.0 + np.random.default_rng(seed).standard_normal(days)
 
 
-def test_a_step_is_found_in_days_and_dated_to_the_day():
+def test_a_step_is_found_in_days_dated_to_the_day_and_distinguished_from_a_drift():
     change = change_of(levels() + 8.0 * (np.arange(DAYS) >= BEGIN), RISING)
-    assert change is not None and change.step
+    assert change.step and change.lasting
     assert change.begin == BEGIN and BEGIN <= change.found <= BEGIN + 6
     assert change.before == pytest.approx(10.0, abs=0.7) and change.after == pytest.approx(18.0, abs=1.0)
-    assert change.lasting
-
-
-def test_a_drift_is_found_and_told_from_a_step():
-    change = change_of(levels() + 0.1 * np.maximum(np.arange(DAYS) - BEGIN, 0.0), RISING)
-    assert change is not None and not change.step
-    assert abs(change.begin - BEGIN) <= 15 and BEGIN < change.found <= BEGIN + 50
+    drift = change_of(levels() + 0.1 * np.maximum(np.arange(DAYS) - BEGIN, 0.0), RISING)
+    assert not drift.step and abs(drift.begin - BEGIN) <= 15 and BEGIN < drift.found <= BEGIN + 50
 
 
 def test_a_fall_is_a_change_only_where_that_is_watched():
@@ -42,8 +37,10 @@ def test_a_fall_is_a_change_only_where_that_is_watched():
     assert found is not None and found.after < found.before
 
 
-def test_what_only_scatters_is_no_change():
+def test_scatter_and_days_before_the_baseline_is_complete_are_no_change():
     assert [change_of(levels(seed), BOTH) for seed in range(40)].count(None) >= 39
+    assert change_of(levels(days=BASELINE) * np.linspace(1.0, 50.0, BASELINE), BOTH) is None
+    assert change_of(np.full(DAYS, np.nan), BOTH) is None
 
 
 def test_a_single_bad_day_is_no_change_and_days_without_the_figure_are_left_out():
@@ -54,17 +51,6 @@ def test_a_single_bad_day_is_no_change_and_days_without_the_figure_are_left_out(
     gaps[::3] = np.nan
     found = change_of(gaps, RISING)
     assert found is not None and BEGIN <= found.begin <= BEGIN + 1
-
-
-def test_a_change_that_went_back_does_not_last():
-    days = np.arange(DAYS)
-    found = change_of(levels() + 8.0 * ((days >= BEGIN) & (days < BEGIN + 20)), RISING)
-    assert found is not None and not found.lasting
-
-
-def test_before_the_baseline_is_complete_nothing_is_told():
-    assert change_of(levels(days=BASELINE) * np.linspace(1.0, 50.0, BASELINE), BOTH) is None
-    assert change_of(np.full(DAYS, np.nan), BOTH) is None
 
 
 def test_a_figure_that_did_not_scatter_in_its_baseline_may_tremble():
@@ -96,16 +82,19 @@ def test_an_alarm_knows_nothing_of_later_days():
     assert before.lasting and not whole.lasting
 
 
+def weather(seed, days, kept, start=0):
+    """Days (days,) of deviation 1 or so, each with the fraction ``kept`` of the day before; ``start`` days run in."""
+    random = np.random.default_rng(seed)
+    noise = np.sqrt(1.0 - kept**2) * random.standard_normal(start + days - 1)
+    return lfilter([1.0], [1.0, -kept], np.concatenate([[0.0], noise]))[start:]
+
+
 def test_days_that_are_alike_leave_more_room():
     """With weather, four weeks scatter less than a year does: a chart that takes them as they are is too narrow."""
 
     def sigma(kept, seed):
-        random = np.random.default_rng(seed)
-        weather = np.zeros(BASELINE + 50)
-        for day in range(1, weather.size):
-            weather[day] = kept * weather[day - 1] + np.sqrt(1.0 - kept**2) * random.standard_normal()
-        baseline = baseline_of(10.0 + weather[50:], BOTH)
-        return baseline.sigma / max(float(weather[50:].std()), 0.01)
+        values = weather(seed, BASELINE, kept, start=50)
+        return baseline_of(10.0 + values, BOTH).sigma / max(float(values.std()), 0.01)
 
     alike, independent = (np.mean([sigma(kept, seed) for seed in range(30)]) for kept in (0.8, 0.0))
     assert alike > 1.2 and independent < 1.1
@@ -124,16 +113,7 @@ def test_the_slope_is_that_of_a_month_whatever_a_bad_week_says():
 
 
 def test_days_that_are_alike_make_no_certain_trend_too_often():
-    def certain(seed):
-        random = np.random.default_rng(seed)
-        weather = np.zeros(91)
-        for day in range(1, 91):
-            weather[day] = 0.8 * weather[day - 1] + random.standard_normal()
-        found = trend_of(QUARTER, weather)
-        assert found is not None
-        return found.certain
-
-    assert sum(map(certain, range(60))) <= 15
+    assert sum(trend_of(QUARTER, weather(seed, 91, kept=0.8)).certain for seed in range(60)) <= 15
 
 
 def test_too_few_weeks_give_none():

@@ -32,14 +32,10 @@ def rows(pool, **changes):
     return table_of(StrokeRow, [replace(row, guide_change_um=guide, **changes) for row in sound * 10])
 
 
-def test_strokes_without_a_sensor_say_what_is_missing(pool):
-    table = table_of(StrokeRow, pool.rows["friction", 1.0])
-    with pytest.raises(MaintenanceError, match="displacement sensor: record 'displacement'"):
-        proposed_map(table, find_survey("config/survey_synthetic.csv"), 7.0)
-
-
-def test_strokes_with_another_map_are_refused(pool):
+def test_strokes_without_a_sensor_or_with_another_map_are_refused(pool):
     old = find_survey("config/survey_synthetic.csv")
+    with pytest.raises(MaintenanceError, match="displacement sensor: record 'displacement'"):
+        proposed_map(table_of(StrokeRow, pool.rows["friction", 1.0]), old, 7.0)
     with pytest.raises(MaintenanceError, match=r"0 strokes forward .* 20 with another map"):
         proposed_map(rows(pool, map_checksum="another"), old, 7.0)
 

@@ -34,16 +34,13 @@ def rows(evaluation):
     return rows_of(evaluation, recorded_facts(BAG, "key", evaluation))
 
 
-def test_a_row_has_the_figures_that_evaluate_prints(evaluation, rows):
+def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_parameters_and_map(evaluation, rows):
     strokes = assess(BAG, evaluation).strokes
     assert len(rows) == len(strokes) == 2
     for row, stroke in zip(rows, strokes, strict=True):
         figures = stroke.to_display()
         del figures["start_s"]
         assert {name: getattr(row, name) for name in figures} == figures
-
-
-def test_a_row_names_bag_stage_parameters_and_map(rows):
     first = rows[0]
     assert (first.checksum, first.bag, [row.stroke for row in rows]) == ("key", "smc", [1, 2])
     assert first.identity.startswith("synthetic ") and first.law == "smc_observer"
@@ -147,39 +144,37 @@ def test_the_verdict_is_that_on_the_stroke_alone(evaluation):
     assert "100 Hz" in rows[1].reason
 
 
-def test_the_bins_of_all_strokes_have_the_same_edges(rows):
+def test_bins_have_the_same_edges_in_all_strokes_and_the_mean_of_the_samples_within_them(evaluation, rows):
+    record, row = evaluation.record, rows[0]
     assert [row.bins_from_mm for row in rows] == [0, 0]
     assert all(len(row.error_bins_um) == len(row.residual_bins_um) == len(row.current_bins_A) == 20 for row in rows)
-
-
-def test_a_bin_has_the_mean_of_the_samples_within_it(evaluation, rows):
-    record, row = evaluation.record, rows[0]
-    forward = (record.time > 0.2) & (record.time < 2.2)
-    inside = forward & (record.x >= 0.05) & (record.x < 0.06)
+    inside = (record.time > 0.2) & (record.time < 2.2) & (record.x >= 0.05) & (record.x < 0.06)
     assert row.error_bins_um[5] == pytest.approx(float((record.r - record.y)[inside].mean()) * 1e6)
     assert row.current_bins_A[5] == pytest.approx(float(record.current[inside].mean()))
 
 
 @pytest.mark.parametrize(
     ("low", "high", "first", "count"),
-    [(0.0, 0.2, 0, 20), (-1e-7, 0.2, 0, 20), (0.0, 0.2001, 0, 20), (-0.02, 0.016, -20, 4), (0.006, 0.031, 10, 2)],
+    [
+        (0.0, 0.2, 0, 20),
+        (-1e-7, 0.2, 0, 20),
+        (0.0, 0.2001, 0, 20),
+        (-0.02, 0.016, -20, 4),
+        (0.006, 0.031, 10, 2),
+        (0.001, 0.004, 0, 0),
+    ],
 )
 def test_only_bins_that_a_stroke_covers_by_half_count(low, high, first, count):
-    bins = bins_over(np.linspace(low, high, 10_001))
-    assert (bins.from_mm, bins.count) == (first, count)
-    means = bins.means(np.linspace(low, high, 10_001))
-    assert len(means) == count and all(
-        first * 1e-3 + 0.01 * k <= mean <= first * 1e-3 + 0.01 * (k + 1) for k, mean in enumerate(means)
-    )
+    x = np.linspace(low, high, 10_001)
+    bins = bins_over(x)
+    means, edges = bins.means(x), first * 1e-3 + 0.01 * np.arange(count + 1)
+    assert bins.count == len(means) == count and (bins.from_mm == first or not count)
+    assert (edges[:-1] <= means).all() and (means <= edges[1:]).all()
 
 
 def test_a_bin_without_a_sample_is_null_and_not_zero():
     x = np.concatenate([np.linspace(0.0, 0.01, 50, endpoint=False), np.linspace(0.02, 0.03, 50)])
     assert bins_over(x).means(np.ones(100)) == [1.0, None, 1.0]
-
-
-def test_a_stroke_shorter_than_half_a_bin_has_none():
-    assert bins_over(np.linspace(0.001, 0.004, 10)).means(np.ones(10)) == []
 
 
 BUMP_UM = 0.8

@@ -32,15 +32,10 @@ def test_the_first_start_is_the_one_of_the_parameters_and_the_others_lie_around_
 def test_a_figure_is_the_median_with_least_and_greatest():
     assert spread([3.0, 1.0, 2.0]) == Spread(2.0, 1.0, 3.0)
     assert spread([3.0, 1.0, 2.0]).scaled(2.0) == Spread(4.0, 2.0, 6.0)
-
-
-def test_a_range_within_the_last_digit_is_left_out():
+    # What a start lacks is left out, and so is a range within the last digit.
+    assert spreads([{"a": 1.0, "b": None}, {"a": 3.0, "b": 1.0}]) == {"a": Spread(2.0, 1.0, 3.0)}
     assert Spread(0.449, 0.441, 0.468).text(2) == "0.45 (0.44 to 0.47)"
     assert Spread(0.0240, 0.0239, 0.0241).text(3) == "0.024"
-
-
-def test_figures_that_a_start_lacks_are_left_out():
-    assert spreads([{"a": 1.0, "b": None}, {"a": 3.0, "b": 1.0}]) == {"a": Spread(2.0, 1.0, 3.0)}
 
 
 def test_starts_differ_in_the_error_and_the_first_is_the_single_run():

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.tuning.paper import all_figures
 from straightcomp_ros.tuning.paper.machine import DELAY, Machine, machine_from
+from straightcomp_ros.tuning.verbs import reproduce
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,7 @@ class Output:
 
     exit_code: int
     printed: dict[str, Any]
+    figures: Mapping[str, Any]
     folder: Path
 
 
@@ -30,10 +34,25 @@ def machine() -> Machine:
     return machine_from(values)
 
 
-@pytest.fixture(scope="session")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Output:
-    folder = tmp_path_factory.mktemp("reproduce") / "new"
+SLOW = ("figure_4.png", "beyond_figure_4.png", "figure_8.png")
+"""Figures that only the nightly reproduction computes."""
+
+
+def reproduced(folder: Path, figures: Mapping[str, Any]) -> Output:
     printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        for module in (all_figures, reproduce):
+            patch.setattr(module, "FIGURES", figures)
         exit_code = main(["reproduce", "--json", "-o", str(folder)])
-    return Output(exit_code, json.loads(printed.getvalue()), folder)
+    return Output(exit_code, json.loads(printed.getvalue()), figures, folder)
+
+
+@pytest.fixture(scope="session")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Output:
+    figures = {name: figure for name, figure in all_figures.FIGURES.items() if name not in SLOW}
+    return reproduced(tmp_path_factory.mktemp("quick") / "new", figures)
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Output:
+    return reproduced(tmp_path_factory.mktemp("whole") / "new", all_figures.FIGURES)

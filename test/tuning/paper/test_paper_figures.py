@@ -27,12 +27,9 @@ from straightcomp_ros.tuning.paper.machine import (
 from straightcomp_ros.tuning.paper.surface import NEAR, following_error_gain, lag, near_release, reaching_time
 
 
-def test_the_gain_error_limit_found_is_the_closed_form():
+def test_the_gain_error_limit_found_is_the_closed_form_and_beyond_it_the_error_exceeds_one():
     assert gain_error_limit() == pytest.approx(UNIT_GAIN_ERROR_LIMIT, abs=1e-9)
     assert gain_error_limit() == pytest.approx(0.3660, abs=5e-5)
-
-
-def test_beyond_the_limit_some_current_makes_the_gain_error_exceed_one():
     assert largest_gain_error(UNIT_GAIN_ERROR_LIMIT - 1e-3) < 1.0 < largest_gain_error(UNIT_GAIN_ERROR_LIMIT + 1e-3)
 
 
@@ -41,12 +38,9 @@ def far(machine):
     return far_release(machine)
 
 
-def test_released_far_out_the_unclamped_law_drives_the_platform_against_its_stop(far, machine):
+def test_released_far_out_the_unclamped_law_hits_the_stop_and_the_clamped_one_brings_the_platform_back(far, machine):
     assert far.unclamped.y[-1] == machine.plant.platform.stop
     assert np.abs(far.unclamped.y).min() >= FAR * far.air_gap
-
-
-def test_released_far_out_the_clamped_law_brings_the_platform_back(far):
     assert abs(far.clamped.y[-1]) < 1e-2 * far.air_gap
     assert np.abs(far.clamped.command).max() <= far.bias_current
 
@@ -57,44 +51,29 @@ def test_the_unclamped_law_loses_the_platform_within_the_gain_error_limit(far, m
     assert not returns(machine.idealised().with_law("smc"), far.returns_from + 0.01)
 
 
-@pytest.fixture(scope="module")
-def near(machine):
-    return near_release(machine)
-
-
-def test_the_surface_is_reached_at_the_time_of_the_closed_form(near):
-    """Within a tenth: m_i and friction, which the closed form leaves out, pull both ways."""
+def test_the_surface_is_reached_in_the_time_of_the_closed_form_and_the_motion_on_it_is_equation_12(machine):
+    near = near_release(machine)
     closed = reaching_time(near.design.phi, near.design.rho, near.sigma_0)
+    # Within a tenth: m_i and friction, which the closed form leaves out, pull both ways.
     assert near.response.time[near.reached] == pytest.approx(closed, rel=0.1)
-
-
-def test_on_the_surface_the_motion_is_that_of_equation_12(near):
+    assert np.abs(near.response.sigma[near.reached + 1 :]).max() < 0.01 * near.sigma_0
     assert abs(near.closed_y[0]) > 10e-6
     assert np.abs(near.response.y[near.reached :] - near.closed_y).max() < 1e-6
-
-
-def test_once_reached_the_surface_is_not_left_again(near):
-    sliding = np.abs(near.response.sigma[near.reached + 1 :])
-    assert sliding.max() < 0.01 * near.sigma_0
 
 
 def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12(machine):
     ideal = machine.idealised().with_law("linear").without_friction()
     response = follow_sine(ideal)
-    window = evaluated(response)
-    error = (response.reference - response.y)[window]
-    amplitude = fundamental(response.time[window], error)
-    design = ideal.control.smc
-    assert amplitude == pytest.approx(following_error_gain(design, OMEGA) * AMPLITUDE, rel=0.01)
-    assert amplitude == pytest.approx(lag(design) * OMEGA * AMPLITUDE, rel=0.01)
-    assert amplitude == pytest.approx(1.83e-6, rel=0.01)
+    window, design = evaluated(response), ideal.control.smc
+    amplitude = fundamental(response.time[window], (response.reference - response.y)[window])
+    for expected in (following_error_gain(design, OMEGA) * AMPLITUDE, lag(design) * OMEGA * AMPLITUDE, 1.83e-6):
+        assert amplitude == pytest.approx(expected, rel=0.01)
 
 
 def test_with_friction_the_platform_sticks_once_at_each_reversal(machine):
     data = stick_slip(machine)
-    reversals = np.abs(data.run.reference[data.sticks[:, 0]])
     assert len(data.sticks) == 4
-    assert reversals.min() > 0.95 * AMPLITUDE
+    assert np.abs(data.run.reference[data.sticks[:, 0]]).min() > 0.95 * AMPLITUDE
 
 
 @pytest.fixture(scope="module")
