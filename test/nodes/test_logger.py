@@ -35,13 +35,12 @@ def samples(tmp_path_factory):
     return path
 
 
-def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, samples, tmp_path):
+def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, samples, participant, tmp_path):
     bag = tmp_path / "bag"
     graph.start("logger", {"output": str(bag), "snapshot": 1.0, "topics": "encoder|command", "nodes": "player"})
     player = graph.start("player", {"bag": str(samples), "subscribers": 1})
     assert player.wait(120) == 0
-    with Participant() as caller:
-        response = caller.trigger("logger/snapshot")
+    response = participant.trigger("logger/snapshot")
     assert response.success and int(re.match(r"\d+", response.message)[0]) > 0
     assert graph.stop(["logger"])["logger"] == 0
     stream = read_streams(bag, {"encoder": ENCODER.layout})["encoder"]
