@@ -10,6 +10,8 @@ from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
 
+from participant import Participant
+
 
 def a_domain():
     """A ROS domain for a test or a module; processes that run tests in parallel have different ones."""
@@ -59,6 +61,13 @@ def single(tmp_path):
     tests may run in parallel."""
     with Graph(tmp_path / "logs", dict(os.environ)) as graph:
         yield graph
+
+
+@pytest.fixture
+def participant(own_domain):
+    """A node of the test's own."""
+    with Participant() as participant:
+        yield participant
 
 
 @pytest.fixture

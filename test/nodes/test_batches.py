@@ -4,39 +4,39 @@ import time
 
 import pytest
 import rclpy
+from participant import Participant
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
-from straightcomp_ros.runtime.streams import (
-    BatchQueue,
-    StreamPublisher,
-    SubscriptionQueue,
-    unspun_node,
-)
+from straightcomp_ros.runtime.streams import BatchQueue, StreamPublisher, SubscriptionQueue, unspun_node
 
 pytestmark = pytest.mark.live
 
-PERIOD = 500_000
+PERIOD, NOUGHT = 500_000, [0.0] * len(TRUTH.layout.columns)
 
 
-class Pair:
+class Pair(Participant):
     """A reader that can wait, and the node that publishes for it."""
 
     def __init__(self):
-        rclpy.init()
-        self.reader, self.writer = Node("reader"), Node("writer")
-        self.unspun = unspun_node(self.reader)
-        self.queue = BatchQueue(self.reader, self.unspun, ENCODER)
-        self.received = SubscriptionQueue(self.reader, self.unspun, ENCODER, self.queue)
+        super().__init__("reader")
+        self.writer, self.unspun = Node("writer"), unspun_node(self.node)
+        self.queue = BatchQueue(self.node, self.unspun, ENCODER)
+        self.received = SubscriptionQueue(self.node, self.unspun, ENCODER, self.queue)
         self.stamps, self.sent = [], 0
 
     def wait(self, condition):
-        end = time.monotonic() + 60.0
-        while not condition():
-            assert time.monotonic() < end, "it never came true"
-            rclpy.spin_once(self.reader, timeout_sec=0.01)
+        def came():
             rclpy.spin_once(self.writer, timeout_sec=0.01)
             self.fetch()
+            return condition()
+
+        self.until(came)
+
+    def __exit__(self, *_):
+        self.unspun.destroy_node()
+        self.writer.destroy_node()
+        super().__exit__()
 
     def fetch(self):
         self.stamps += [stamp for stamp, _, _ in self.received.fetch()]
@@ -56,11 +56,8 @@ class Pair:
 
 @pytest.fixture
 def pair():
-    pair = Pair()
-    yield pair
-    for node in (pair.unspun, pair.reader, pair.writer):
-        node.destroy_node()
-    rclpy.try_shutdown()
+    with Pair() as pair:
+        yield pair
 
 
 def test_a_reader_has_each_message_once_whether_batches_come_go_or_never_were(pair):
@@ -83,17 +80,16 @@ def test_a_reader_has_each_message_once_whether_batches_come_go_or_never_were(pa
 
 def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes_to_it(pair):
     publish, sent = StreamPublisher(pair.writer, TRUTH, 2000), 0
-    batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
-    numbers = [0.0] * len(TRUTH.layout.columns)
+    batches = BatchQueue(pair.node, pair.unspun, TRUTH)
 
     def send(count):
         nonlocal sent
         for _ in range(count):
-            publish(sent * PERIOD, *numbers)
+            publish(sent * PERIOD, *NOUGHT)
             sent += 1
         publish.flush()
 
-    received = []
+    received, seen = [], []
 
     def look():
         received.extend(TRUTH.layout.unpack(data)[0] // PERIOD for data, _ in batches.fetch())
@@ -104,11 +100,10 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
     send(100)
     # Having had the first batch the reader leaves the stream itself, and no other node reads that.
     pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
-    direct = SubscriptionQueue(pair.reader, pair.unspun, TRUTH)
+    direct = SubscriptionQueue(pair.node, pair.unspun, TRUTH)
     pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
     time.sleep(0.2)
     send(20)
-    seen = []
     pair.wait(lambda: seen.extend(stamp // PERIOD for stamp, _, _ in direct.fetch()) or len(seen) == 20)
     assert seen == list(range(100, 120))
     pair.wait(lambda: look() == list(range(120)))
@@ -116,18 +111,17 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
 
 def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
     publish = StreamPublisher(pair.writer, TRUTH, None)
-    batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
-    numbers = [0.0] * len(TRUTH.layout.columns)
+    batches = BatchQueue(pair.node, pair.unspun, TRUTH)
     pair.wait(lambda: batches.connected)
     time.sleep(0.2)
-    publish(0, *numbers)
+    publish(0, *NOUGHT)
     publish.flush()
     first = []
     pair.wait(lambda: first.extend(batches.fetch()) or (first and not pair.writer.count_subscribers(TRUTH.topic)))
     made = []
     for k in range(1, 4):
         made.append(time.time_ns())
-        publish(k * PERIOD, *numbers)
+        publish(k * PERIOD, *NOUGHT)
         time.sleep(0.05)
     flushed = time.time_ns()
     publish.flush()

@@ -38,8 +38,7 @@ class Operator(Participant):
 
     def __init__(self):
         super().__init__("operator")
-        self.stamps = []
-        self.current = math.nan
+        self.stamps, self.current = [], math.nan
         self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         subscribe(self.node, ENCODER, self._on_sample)
 
@@ -47,10 +46,8 @@ class Operator(Participant):
         self.stamps.append(stamp_ns)
         self.x, self.current = numbers[0], numbers[3]
 
-    def enabled(self):
-        return self.enable().success
-
-    def on(self):
+    def amplifier_on(self):
+        """As the samples say."""
         return math.isfinite(self.current)
 
 
@@ -78,21 +75,18 @@ class Watch:
     """A node on the bus that follows board and host; ``answered`` is the sample that the newest command answers."""
 
     def __init__(self, bus, wire):
-        self._bus, self._wire = bus, wire
-        self.answered = None
+        self._bus, self._wire, self.answered = bus, wire, None
 
-    def until(self, condition):
-        """The first encoder frame that fulfils ``condition(frame)``."""
+    def until(self, amplifier):
+        """The first encoder frame after a command that has the amplifier in this state."""
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
             message = self._bus.recv(1.0)
-            if message is None:
-                continue
-            if message.arbitration_id == self._wire.command.identifier:
+            if message is not None and message.arbitration_id == self._wire.command.identifier:
                 self.answered = self._wire.command.unpack(bytes(message.data)).echo
-            elif message.arbitration_id == self._wire.sample.identifier:
+            elif message is not None and message.arbitration_id == self._wire.sample.identifier:
                 frame = self._wire.sample.unpack(bytes(message.data))
-                if condition(frame):
+                if frame.amplifier is amplifier and self.answered is not None:
                     return frame
         raise AssertionError("the board never did what was waited for")
 
@@ -121,8 +115,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     board = graph.start_program("board", verb_command("dsp", "--params-file", str(file)))
     bag = tmp_path / "bag"
     processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in NODES}
-    operator.until(operator.enabled)
-    operator.until(operator.on)
+    operator.switch_on()
     waypoints = forward_and_back(MotionParameters(stroke=0.3, settle=0.0))
     operator.trajectory.publish(message_from_waypoints(waypoints))
     operator.until(lambda: operator.x > 0.01)
@@ -131,7 +124,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     board.send_signal(signal.SIGKILL)
     log = graph.log("driver")
     operator.until(lambda: "no good sample" in log.read_text() or "no heartbeat" in log.read_text())
-    assert not operator.enabled()
+    assert not operator.enable().success
     assert all(process.poll() is None for process in [hub, *processes.values()])
 
     # The second stage knows of no motion: as long as the driver expects one, x that stands still is a fault too.
@@ -142,18 +135,17 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     operator.until(lambda: operator.stamps[-1] > restarted_ns)
     operator.stamps.clear()
     operator.until(lambda: len(operator.stamps) > 100)
-    assert not operator.enabled() and not operator.on()
+    assert not operator.enable().success and not operator.amplifier_on()
     assert operator.trigger("driver/reset_fault").success
-    operator.until(operator.enabled)
-    operator.until(operator.on)
+    operator.switch_on()
 
     wire = CanParameters(node=values["driver"].get("can.node", 1)).make_wire()
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
         watch = Watch(bus, wire)
         # On, and commanded, before the kill: what follows is an answer to it.
-        watch.until(lambda frame: frame.amplifier is Amplifier.ON and watch.answered is not None)
+        watch.until(Amplifier.ON)
         processes["driver"].send_signal(signal.SIGKILL)
-        frame = watch.until(lambda frame: frame.amplifier is Amplifier.FAULT)
+        frame = watch.until(Amplifier.FAULT)
     assert frame.fault == wire.fault_codes[BoardFault.COMMAND_TIMEOUT]
     # By the board's own count, so that a busy computer takes no part. No command acts before the sample it answers.
     assert (frame.counter - watch.answered) / RATE >= values["driver"]["simulated.command_timeout"]

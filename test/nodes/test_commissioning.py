@@ -8,7 +8,7 @@ import sys
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from parameters_of_tests import of_node, short_parameters
+from parameters_of_tests import LOOP, of_node, short_parameters
 from participant import Participant
 
 from straightcomp_ros.cell.launcher import RECORDED, verb_command
@@ -107,11 +107,9 @@ def test_steps_that_the_node_does_are_in_the_record(shared_graph, asker, node):
 
 
 def left_as_found(asker, output):
-    for node in ("driver", "feedforward", "controller"):
-        assert asker.state(node) == "inactive"
-    assert asker.parameter("controller", "error_limit") == 0.1
     # A cell can configure the logger.
-    assert asker.state("logger") == "unconfigured"
+    assert [asker.state(node) for node in (*LOOP, "logger")] == [*["inactive"] * len(LOOP), "unconfigured"]
+    assert asker.parameter("controller", "error_limit") == 0.1
     assert asker.parameter("logger", "output") == str(output)
     # Its client left with the amplifier off.
     assert asker.trigger("driver/reset_fault").message == "there was no fault"
@@ -119,7 +117,7 @@ def left_as_found(asker, output):
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.nightly)])
 def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_next_one_leaves_all_as_found(
-    shared_graph, loop, asker, number, tmp_path
+    loop, asker, number, tmp_path
 ):
     client = subprocess.Popen(verb_command(*MEASURE))
     try:
@@ -132,9 +130,8 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
     assert asker.safety[-1].code == Fault.CLIENT_GONE.code
     assert asker.parameter("controller", "error_limit") != 0.1
     # The next one does not take what was left for the machine's own.
-    done = subprocess.run(
-        verb_command(*MEASURE, "-o", "loop.png"), capture_output=True, text=True, timeout=120, cwd=tmp_path
-    )
+    words = verb_command(*MEASURE, "-o", "loop.png")
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["law"] == "smc_observer" and 15.0 < found["margins"]["phase_deg"] < 60.0
@@ -144,9 +141,7 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
 
 
 @pytest.mark.nightly
-def test_a_client_that_is_terminated_leaves_the_nodes_as_they_were_and_another_is_refused_meanwhile(
-    shared_graph, loop, asker
-):
+def test_a_client_that_is_terminated_leaves_the_nodes_as_they_were_and_another_is_refused_meanwhile(loop, asker):
     words = verb_command("frequency-response", "--graph", "running", "--draws", "40")
     client = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     try:

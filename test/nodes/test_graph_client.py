@@ -1,7 +1,6 @@
 """Clients of the graph: parameters are collected even if a response is lost, and one client commissions at a time."""
 
-import time
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import rclpy
@@ -9,6 +8,7 @@ from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterVal
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.task import Future
+from waiting import comes_true
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT
 from straightcomp_ros.runtime import graph_client
@@ -43,57 +43,28 @@ class LossyClient:
 
 def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch):
     monkeypatch.setattr(graph_client, "AsyncParameterClient", LossyClient)
-    look, cancelled = [], []
-    timer = SimpleNamespace(cancel=lambda: cancelled.append(True))
-    node = SimpleNamespace(create_timer=lambda period, callback: look.append(callback) or timer)
+    node = Mock()
     remote = graph_client.RemoteParameters(node, ["driver"])
+    ((_, look), _) = node.create_timer.call_args
     for _ in range(30):
-        look[0]()
+        look()
     assert remote.complete and remote.values == {"driver": {"stage.rate": 2000.0}}
-    assert remote._clients["driver"].asked == 2 and cancelled
+    assert remote._clients["driver"].asked == 2 and node.create_timer.return_value.cancel.called
 
 
-class Other:
-    """Another client, with a context of its own as in another process."""
-
-    def __init__(self) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = Node(COMMISSIONING_CLIENT, context=self._context)
-        CommissioningSign(self._node).report("acceptance")
-
-    def end(self) -> None:
-        if self._context.ok():
-            self._node.destroy_node()
-            rclpy.shutdown(context=self._context)
-
-
-@pytest.fixture
-def other():
-    one = Other()
-    yield one
-    one.end()
-
-
-def test_a_client_is_refused_with_what_another_one_does(other):
-    with (
-        WaitingClient(()) as client,
-        pytest.raises(GraphError, match="machine: acceptance"),
-    ):
+def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_has_just_ended():
+    # With a context of its own, as in another process.
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    other = Node(COMMISSIONING_CLIENT, context=context)
+    CommissioningSign(other).report("acceptance")
+    with WaitingClient(()) as client, pytest.raises(GraphError, match="machine: acceptance"):
         client.claim()
-
-
-def test_a_client_may_begin_when_another_one_has_just_ended(other):
     with WaitingClient(()) as client:
-        end = time.monotonic() + 30.0
-        while not client._graph.commissioning and time.monotonic() < end:
-            time.sleep(0.01)
-        assert client._graph.commissioning
-        other.end()
+        assert comes_true(lambda: client._graph.commissioning)
+        other.destroy_node()
+        rclpy.shutdown(context=context)
         client.claim()("connection")
-
-
-def test_a_client_is_not_in_its_own_way():
-    for _ in range(2):
-        with WaitingClient(()) as client:
-            client.claim()
+    # Nor is a client in its own way.
+    with WaitingClient(()) as client:
+        client.claim()

@@ -1,24 +1,26 @@
-"""What the cell, the gateway and the view see of the graph, from a driver that is played by the test."""
+"""What nodes report of themselves, and what the cell, the gateway and the view see of it."""
 
 import time
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from participant import Participant
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
 from straightcomp_ros.runtime.graph_watch import GraphWatch, Heartbeats
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
 from straightcomp_ros.runtime.streams import publisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 STATES = {"driver": "active", "controller": "active"}
 
 
 class Driver:
-    """Sends samples that say the contrary of its safety state."""
+    """Played by the test: sends samples that say the contrary of its safety state."""
 
     def __init__(self):
         self.node = Node("driver")
@@ -45,26 +47,21 @@ class Driver:
 @pytest.fixture
 def seen():
     """A driver, and a function that gives the observation as soon as it is as wanted."""
-    rclpy.init()
-    driver, node = Driver(), Node("watch")
-    watch = GraphWatch(node)
+    with Participant("watch") as participant:
+        driver, watch = Driver(), GraphWatch(participant.node)
 
-    def until(wanted, states=STATES):
-        end = time.monotonic() + 60.0
-        while True:
-            driver.sample()
-            rclpy.spin_once(node, timeout_sec=0.02)
-            watch.fetch()
-            observation = watch.observation(states)
-            if wanted(observation):
-                return observation
-            assert time.monotonic() < end, f"it never came true: {observation}"
+        def until(wanted, states=STATES):
+            def came():
+                driver.sample()
+                watch.fetch()
+                return wanted(watch.observation(states))
 
-    yield driver, until
-    watch.streams.close()
-    node.destroy_node()
-    driver.node.destroy_node()
-    rclpy.shutdown()
+            participant.until(came)
+            return watch.observation(states)
+
+        yield driver, until
+        watch.streams.close()
+        driver.node.destroy_node()
 
 
 @pytest.mark.live
@@ -135,3 +132,44 @@ def test_a_node_started_anew_is_silent_until_its_next_heartbeat():
     assert heartbeats.silent() == ["logger"]
     node.receive(beat)
     assert heartbeats.in_state("active")
+
+
+@pytest.fixture
+def aggregator():
+    """A participant that keeps the statuses of nodes."""
+    with Participant("aggregator") as aggregator:
+        aggregator.found = []
+        aggregator.node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS, lambda message: aggregator.found.extend(message.status), 100
+        )
+        yield aggregator
+
+
+def reported(aggregator, node, diagnostics):
+    """The node's next report."""
+    aggregator.until(lambda: aggregator.node.get_publishers_info_by_topic("/diagnostics"))
+    aggregator.until(lambda: node.count_subscribers("/diagnostics") > 0)
+    before = len(aggregator.found)
+    diagnostics._collect()
+    diagnostics._publish()
+    aggregator.until(lambda: len(aggregator.found) > before)
+    return aggregator.found[-1]
+
+
+@pytest.mark.live
+def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean_and_the_namespace_is_in_the_name(aggregator):
+    node, values = Node("reporter", namespace="/line_3"), {SAMPLES: 0, LOST: 0}
+    diagnostics = Diagnostics(node, lambda: values, "bench 7")
+
+    def level(error=""):
+        values.update({"error": error, SAMPLES: values[SAMPLES] + 2000})
+        status = reported(aggregator, node, diagnostics)
+        return status.level, status.message
+
+    assert level() == (DiagnosticStatus.OK, "running")
+    assert level("coil burnt") == (DiagnosticStatus.ERROR, "coil burnt")
+    assert [level()[0] for _ in range(5)] == [*[DiagnosticStatus.WARN] * 4, DiagnosticStatus.OK]
+    values[LOST] += 3
+    assert level() == (DiagnosticStatus.WARN, "3 samples lost in the last second")
+    assert {(status.name, status.hardware_id) for status in aggregator.found} == {("line_3/reporter", "bench 7")}
+    node.destroy_node()

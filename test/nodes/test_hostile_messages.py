@@ -3,6 +3,7 @@
 What is attacked is read from the running graph, so that a new subscription or service is attacked too.
 """
 
+import itertools
 import random
 import sys
 from importlib import import_module
@@ -13,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from participant import Participant
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import verb_command
@@ -41,34 +41,23 @@ def interface(name):
 
 
 class Attacker:
-    """Sends a hostile message or request to one of the graph's entrances; all by one seed."""
+    """Sends hostile messages and requests to all of the graph's entrances, by one seed."""
 
     def __init__(self, node, seed):
         self.node, self.draw = node, random.Random(seed)
-        self.publishers, self.clients = {}, {}
-        self.targets = set(self._targets())
-
-    def _targets(self):
-        node = self.node
+        topics, services = {}, {}
         for name, namespace in node.get_node_names_and_namespaces():
-            if name == node.get_name():
-                continue
-            for topic, kinds in node.get_subscriber_names_and_types_by_node(name, namespace):
-                yield "topic", topic, kinds[0]
-            for service, kinds in node.get_service_names_and_types_by_node(name, namespace):
-                yield "service", service, kinds[0]
-
-    def connect(self):
-        for sort, name, kind in self.targets:
-            if sort == "topic":
-                self.publishers[name] = self.node.create_publisher(interface(kind), name, self._qos(name))
-            else:
-                fields = interface(kind).Request.get_fields_and_field_types().values()
-                # A request without fields, or of a boolean alone, cannot be malformed.
-                if set(fields) - {"boolean"}:
-                    self.clients[name] = self.node.create_client(interface(kind), name)
-        self.entrances = [(True, one) for one in sorted(self.publishers)] + [
-            (False, one) for one in sorted(self.clients)
+            if name != node.get_name():
+                topics |= dict(node.get_subscriber_names_and_types_by_node(name, namespace))
+                services |= dict(node.get_service_names_and_types_by_node(name, namespace))
+        self.publishers = [
+            node.create_publisher(interface(kind), name, self._qos(name)) for name, (kind, *_) in sorted(topics.items())
+        ]
+        # A request without fields, or of a boolean alone, cannot be malformed.
+        self.clients = [
+            node.create_client(interface(kind), name)
+            for name, (kind, *_) in sorted(services.items())
+            if set(interface(kind).Request.get_fields_and_field_types().values()) - {"boolean"}
         ]
 
     def _qos(self, topic):
@@ -78,15 +67,13 @@ class Attacker:
         return QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL, liveliness_lease_duration=lease)
 
     def attack(self):
-        is_topic, name = self.draw.choice(self.entrances)
-        if not is_topic:
-            client = self.clients[name]
-            client.call_async(self.message(client.srv_type.Request()))
-            return
-        publisher = self.publishers[name]
-        publisher.publish(
-            self.malformed(publisher.msg_type) if self.draw.random() < 0.6 else self.message(publisher.msg_type())
-        )
+        entrance = self.draw.choice([*self.publishers, *self.clients])
+        if entrance in self.clients:
+            entrance.call_async(self.message(entrance.srv_type.Request()))
+        elif self.draw.random() < 0.6:
+            entrance.publish(self.malformed(entrance.msg_type))
+        else:
+            entrance.publish(self.message(entrance.msg_type()))
 
     def malformed(self, kind):
         """Bytes that are a message of the loop with wild values, or no message at all."""
@@ -149,8 +136,8 @@ class Watched:
             self.states.append(SafetyState.of(message))
 
     def switched_on(self):
-        self.participant.call(Trigger, "driver/reset_fault", Trigger.Request())
-        return self.participant.call(SetBool, "driver/enable", SetBool.Request(data=True)).success
+        self.participant.trigger("driver/reset_fault")
+        return self.participant.enable().success
 
 
 def spin(participant, turns):
@@ -171,12 +158,13 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
     output["opcua"] = {"opcua.users": str(tmp_path / "users"), "opcua.port": free_port()}
     # A cell that waits for a node that never comes sees all that one in a cycle sees.
     output["cell"] = {"nodes": "driver feedforward controller logger player", "start_timeout": 600.0}
-    for node in (*LOOP, "commissioning", "opcua", "cell"):
+    nodes = (*LOOP, "commissioning", "opcua", "cell")
+    for node in nodes:
         short_cycle[node]["realtime.priority"] = 0
     short_cycle["driver"]["realtime.exclusive"] = False
     processes = {
         name: graph.start(name, {**short_cycle.get(name, {}), **output.get(name, {})}, command=COMMANDS.get(name))
-        for name in (*LOOP, "commissioning", "opcua", "cell")
+        for name in nodes
     }
     processes["view"] = graph.start_program("view", verb_command("view", "--port", "0"))
     with Participant("stranger") as stranger:
@@ -187,7 +175,6 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
         stranger.until(lambda: wanted <= set(stranger.node.get_node_names()))
         spin(stranger, 300)
         attacker = Attacker(stranger.node, seed=count)
-        attacker.connect()
         # Eight nodes have six services of parameters each, and four of them one that changes their state.
         assert len(attacker.publishers) >= 14 and len(attacker.clients) >= 8 * 6 + 4
         stranger.until(watched.switched_on)
@@ -197,9 +184,7 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
             spin(stranger, 2)
             if number % 10 == 9:
                 ended = {
-                    name: graph.log(name).read_text()[-3000:]
-                    for name in processes
-                    if processes[name].poll() is not None
+                    one: graph.log(one).read_text()[-3000:] for one in processes if processes[one].poll() is not None
                 }
                 # A cell that was claimed the machine, or sees a fault, ends its cycle, and says so.
                 assert not {name for name in ended if name != "cell" or "cycle failed: " not in ended[name]}, ended
@@ -208,12 +193,8 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
         spin(stranger, 500)
         # They work still: each answers, and the loop can be switched on.
         stranger.until(watched.switched_on)
-        unstated = [
-            after
-            for before, after in zip(watched.states, watched.states[1:], strict=False)
-            if before.amplifier_on and not after.amplifier_on and not after.fault
-        ]
-        assert not unstated
+        for before, after in itertools.pairwise(watched.states):
+            assert after.amplifier_on or after.fault or not before.amplifier_on
     for name, process in processes.items():
         assert process.poll() is None or (name, process.poll()) == ("cell", 1), name
         log = graph.log(name)

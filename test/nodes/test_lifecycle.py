@@ -1,4 +1,4 @@
-"""The nodes as managed nodes: transitions over the standard services, what each state does, what each node reports."""
+"""The nodes as managed nodes: transitions by a lifecycle manager, what each state does, what each node reports."""
 
 import platform
 import re
@@ -6,7 +6,6 @@ import re
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from parameters_of_tests import LOOP, loop_parameters
-from participant import Participant
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.contract import CONTROLLER_STATE, DIAGNOSTICS, ENCODER
@@ -17,13 +16,6 @@ pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 COUNT = re.compile(r"\d+")
 UNITS = ("_us", "_hz")
-
-
-@pytest.fixture
-def manager(own_domain):
-    """Stands for a lifecycle manager and a cell controller."""
-    with Participant("manager") as manager:
-        yield manager
 
 
 @pytest.fixture(scope="module")
@@ -37,60 +29,56 @@ def nodes(shared_graph, tmp_path_factory):
 
 
 @pytest.fixture
-def loop(nodes, manager):
+def loop(nodes, participant):
     """A manager of the loop, whose amplifier is on."""
-    manager.trigger("driver/reset_fault")
-    manager.switch_on()
-    return manager
+    participant.trigger("driver/reset_fault")
+    participant.switch_on()
+    return participant
 
 
-def received(manager, stream, count=20):
+def received(participant, stream, count=20):
     """Some messages of a stream: this process cannot read all 2000 a second for long."""
-    found, before = [], set(manager.node.subscriptions)
-    subscribe(manager.node, stream, lambda _, numbers: found.append(numbers))
-    manager.until(lambda: len(found) >= count)
-    for subscription in set(manager.node.subscriptions) - before:
-        manager.node.destroy_subscription(subscription)
+    found, before = [], set(participant.node.subscriptions)
+    subscribe(participant.node, stream, lambda _, numbers: found.append(numbers))
+    participant.until(lambda: len(found) >= count)
+    for subscription in set(participant.node.subscriptions) - before:
+        participant.node.destroy_subscription(subscription)
     return found
 
 
-def switching(manager):
-    return any(numbers[_SWITCHING] for numbers in received(manager, CONTROLLER_STATE))
+def switching(participant):
+    return any(numbers[_SWITCHING] for numbers in received(participant, CONTROLLER_STATE))
 
 
-def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(graph, manager):
+def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(graph, participant):
     process = graph.start("driver", {"stage.rate": 200, "autostart": False})
-    assert manager.state("driver") == "unconfigured"
-    assert not manager.change("driver", "activate")
-    assert manager.state("driver") == "unconfigured"
+    assert not participant.change("driver", "activate") and participant.state("driver") == "unconfigured"
     # What cannot be configured stays as it is; the next attempt takes what was corrected.
-    assert manager.set("driver", {"simulated.truth.guide": "nowhere.csv"}).successful
-    assert not manager.change("driver", "configure")
-    assert manager.state("driver") == "unconfigured"
-    assert manager.set("driver", {"simulated.truth.guide": "config/guide_synthetic.csv"}).successful
-    for _ in range(2):
-        assert manager.change("driver", "configure") and manager.state("driver") == "inactive"
-        assert not manager.enable().success
-        assert manager.change("driver", "activate") and manager.state("driver") == "active"
-        received(manager, ENCODER)
-        assert manager.change("driver", "deactivate") and manager.state("driver") == "inactive"
-        assert manager.change("driver", "cleanup") and manager.state("driver") == "unconfigured"
-    assert manager.change("driver", "shutdown") and manager.state("driver") == "finalized"
+    assert participant.set("driver", {"simulated.truth.guide": "nowhere.csv"}).successful
+    assert not participant.change("driver", "configure") and participant.state("driver") == "unconfigured"
+    assert participant.set("driver", {"simulated.truth.guide": "config/guide_synthetic.csv"}).successful
+    way = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
+    for label, state in [*way.items(), *way.items(), ("shutdown", "finalized")]:
+        assert participant.change("driver", label) and participant.state("driver") == state
+        if label == "configure":
+            assert not participant.enable().success
+        if label == "activate":
+            received(participant, ENCODER)
     assert process.poll() is None
     assert graph.stop(["driver"])["driver"] == 0
 
 
-def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(shared_graph, nodes, manager):
-    assert manager.change("logger", "configure") and manager.change("logger", "activate")
+def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(nodes, participant):
+    assert participant.change("logger", "configure") and participant.change("logger", "activate")
     statuses = {}
-    manager.node.create_subscription(
+    participant.node.create_subscription(
         DiagnosticArray,
         DIAGNOSTICS,
         lambda message: statuses.update({one.name: one for one in message.status if message.header.stamp.sec > 0}),
         100,
     )
-    manager.until(lambda: {*LOOP, "logger"} <= {name for name, one in statuses.items() if len(one.values) > 4})
-    assert manager.change("logger", "deactivate") and manager.change("logger", "cleanup")
+    participant.until(lambda: {*LOOP, "logger"} <= {name for name, one in statuses.items() if len(one.values) > 4})
+    assert participant.change("logger", "deactivate") and participant.change("logger", "cleanup")
     for node in (*LOOP, "logger"):
         status = statuses[node]
         assert status.hardware_id == ("simulated" if node == "driver" else platform.node())
@@ -102,7 +90,7 @@ def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_uni
                 assert COUNT.fullmatch(value), f"{node}: {name} = {value} is no count and names no unit"
 
 
-def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(shared_graph, loop):
+def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loop):
     loop.trip()
     loop.until(lambda: loop.safety[-1].fault.startswith("tripped"))
     assert loop.change("driver", "deactivate") and loop.change("driver", "activate")
@@ -116,13 +104,14 @@ def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(sha
     assert loop.change("driver", "activate")
 
 
-def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(shared_graph, loop):
-    refused = loop.set("controller", {"control.law": "linear", "control.smc.rho": -1.0})
-    assert not refused.successful and "control.smc.rho" in refused.reason
-    refused = loop.set("controller", {"control.law": "linear", "stage.rate": 100})
-    assert not refused.successful and "'stage.rate' is fixed" in refused.reason
-    refused = loop.set("controller", {"control.law": "smc", "control.smc.boundary_layer": 5e-4})
-    assert not refused.successful and "the law 'smc' is unstable" in refused.reason
+def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
+    for law, name, value, words in (
+        ("linear", "control.smc.rho", -1.0, "control.smc.rho"),
+        ("linear", "stage.rate", 100, "'stage.rate' is fixed"),
+        ("smc", "control.smc.boundary_layer", 5e-4, "the law 'smc' is unstable"),
+    ):
+        refused = loop.set("controller", {"control.law": law, name: value})
+        assert not refused.successful and words in refused.reason
     assert switching(loop)  # the law is as before
     assert loop.set("controller", {"control.law": "linear", "stage.actuator.current_limit": 0.5}).successful
     loop.until(lambda: not switching(loop))
@@ -134,20 +123,20 @@ def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(shared_g
     assert loop.amplifier_on()
 
 
-def test_a_managed_logger_ends_its_bag_at_cleanup_and_is_unconfigured_when_it_fails(shared_graph, nodes, manager):
+def test_a_managed_logger_ends_its_bag_at_cleanup_and_is_unconfigured_when_it_fails(nodes, participant):
     bag, other = nodes / "managed", nodes / "other"
-    assert manager.set("logger", {"output": str(bag)}).successful
-    assert manager.change("logger", "configure") and manager.change("logger", "activate")
-    assert manager.change("logger", "deactivate") and manager.change("logger", "cleanup")
+    assert participant.set("logger", {"output": str(bag)}).successful
+    assert participant.change("logger", "configure") and participant.change("logger", "activate")
+    assert participant.change("logger", "deactivate") and participant.change("logger", "cleanup")
     assert (bag / "metadata.yaml").exists() and "parameters.yaml" in read_attachments(bag)
     # The folder is not empty now: the logger refuses it, and takes another.
-    assert not manager.change("logger", "configure")
-    assert manager.set("logger", {"output": str(other)}).successful
-    assert manager.change("logger", "configure") and manager.change("logger", "activate")
+    assert not participant.change("logger", "configure")
+    assert participant.set("logger", {"output": str(other)}).successful
+    assert participant.change("logger", "configure") and participant.change("logger", "activate")
     # It fails at work: it is unconfigured, and works again when it is configured anew.
-    assert manager.set("logger", {"min_free_bytes": 10**18}).successful
-    manager.until(lambda: manager.state("logger") == "unconfigured")
-    assert (other / "metadata.yaml").exists() and shared_graph.exit_code("logger") is None
-    assert manager.set("logger", {"min_free_bytes": 0, "output": str(nodes / "third")}).successful
-    assert manager.change("logger", "configure") and manager.change("logger", "activate")
-    assert manager.state("logger") == "active"
+    assert participant.set("logger", {"min_free_bytes": 10**18}).successful
+    participant.until(lambda: participant.state("logger") == "unconfigured")
+    assert (other / "metadata.yaml").exists()
+    assert participant.set("logger", {"min_free_bytes": 0, "output": str(nodes / "third")}).successful
+    assert participant.change("logger", "configure") and participant.change("logger", "activate")
+    assert participant.state("logger") == "active"

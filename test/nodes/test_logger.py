@@ -35,13 +35,12 @@ def samples(tmp_path_factory):
     return path
 
 
-def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, samples, tmp_path):
+def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, samples, participant, tmp_path):
     bag = tmp_path / "bag"
     graph.start("logger", {"output": str(bag), "snapshot": 1.0, "topics": "encoder|command", "nodes": "player"})
     player = graph.start("player", {"bag": str(samples), "subscribers": 1})
     assert player.wait(120) == 0
-    with Participant() as caller:
-        response = caller.trigger("logger/snapshot")
+    response = participant.trigger("logger/snapshot")
     assert response.success and int(re.match(r"\d+", response.message)[0]) > 0
     assert graph.stop(["logger"])["logger"] == 0
     stream = read_streams(bag, {"encoder": ENCODER.layout})["encoder"]
@@ -60,22 +59,29 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, 
     assert (bag / "metadata.yaml").exists()
 
 
-def test_recording_starts_stops_and_splits_by_service_and_takes_topics_of_others(graph, tmp_path):
+def test_recording_starts_stops_and_splits_by_service_and_stores_how_each_topic_was_offered(graph, tmp_path):
     bag = tmp_path / "bag"
-    parameters = {"output": str(bag), "nodes": "logger", "record_at_start": False, "topics": "encoder"}
+    parameters = {"output": str(bag), "nodes": "logger", "record_at_start": False, "topics": "encoder|command"}
     with Participant() as caller:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         caller.node.create_publisher(String, "/recipe", latched).publish(String(data="steel"))
         probe = caller.node.create_publisher(Range, "/probe", 10)
+        # Reliable, where the logger asks for best effort: what is stored is how a topic is offered.
+        encoder = caller.node.create_publisher(JointState, "/encoder", latched)
         graph.start("logger", {**parameters, "other_topics": "/recipe|/probe"})
         assert not caller.trigger("logger/stop").success
         assert caller.trigger("logger/start").message.endswith(str(bag))
         assert not caller.trigger("logger/start").success
 
         def publish_until(enough):
-            caller.until(lambda: probe.publish(Range(range=0.25)) or enough())
+            def publish():
+                probe.publish(Range(range=0.25))
+                encoder.publish(ENCODER.layout.pack(time.time_ns(), 0.0, 0.0, 0.0, 0.0))
+                return enough()
 
-        publish_until(lambda: probe.get_subscription_count() == 1)
+            caller.until(publish)
+
+        publish_until(lambda: probe.get_subscription_count() == encoder.get_subscription_count() == 1)
         publish_until(lambda: size(bag / "bag_0.mcap") > 20_000)
         assert caller.trigger("logger/split").success
         publish_until(lambda: size(bag / "bag_1.mcap") > 5000)
@@ -87,38 +93,20 @@ def test_recording_starts_stops_and_splits_by_service_and_takes_topics_of_others
     found = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert found["relative_file_paths"] == ["bag_0.mcap", "bag_1.mcap"]
     topics = {entry["topic_metadata"]["name"]: entry for entry in found["topics_with_message_count"]}
-    assert set(topics) == {"/encoder", "/recipe", "/probe"}
-    (qos,) = topics["/recipe"]["topic_metadata"]["offered_qos_profiles"]
-    assert (qos["durability"], qos["reliability"]) == ("transient_local", "reliable")
+    # Those that no node sent are listed too.
+    assert set(topics) == {"/encoder", "/command", "/recipe", "/probe"}
+    assert topics["/encoder"]["message_count"] == len(read_messages(bag, "/encoder").data) > 0
+    assert topics["/command"]["message_count"] == 0
+    for name in ("/recipe", "/encoder"):
+        (qos,) = topics[name]["topic_metadata"]["offered_qos_profiles"]
+        assert (qos["durability"], qos["reliability"]) == ("transient_local", "reliable")
+        assert (qos["history"], qos["depth"]) in (("keep_last", 1), ("unknown", 0))
     assert set(read_field(bag, Field("/probe", "range")).values) == {0.25}
     assert (tmp_path / "bag_2" / "metadata.yaml").exists()
     # Sent once, before any bag was begun: each has it, as a late subscriber has.
     for folder in ("bag", "bag_2"):
         (recipe,) = read_messages(tmp_path / folder, "/recipe").data
         assert b"steel" in recipe
-
-
-def test_a_bag_tells_how_our_own_topics_were_offered_and_lists_those_that_nobody_sent(graph, tmp_path):
-    bag = tmp_path / "bag"
-    with Participant() as caller:
-        # Reliable, where the logger asks for best effort: what is stored is not what it asks for.
-        latched = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        encoder = caller.node.create_publisher(JointState, "/encoder", latched)
-        graph.start("logger", {"output": str(bag), "nodes": "logger", "topics": "encoder|command"})
-        caller.until(encoder.get_subscription_count)
-        # The file's size would not do: it grows by what is attached, too.
-        for stamp in range(0, 500_000_000, 500_000):
-            encoder.publish(ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0))
-            time.sleep(0.002)
-    assert graph.stop(["logger"])["logger"] == 0
-    found = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    topics = {entry["topic_metadata"]["name"]: entry for entry in found["topics_with_message_count"]}
-    assert set(topics) == {"/encoder", "/command"}
-    (qos,) = topics["/encoder"]["topic_metadata"]["offered_qos_profiles"]
-    assert (qos["reliability"], qos["durability"]) == ("reliable", "transient_local")
-    assert (qos["history"], qos["depth"]) in (("keep_last", 5), ("unknown", 0))
-    assert topics["/encoder"]["message_count"] == len(read_messages(bag, "/encoder").data) > 0
-    assert topics["/command"]["message_count"] == 0
 
 
 def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():

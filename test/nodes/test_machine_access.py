@@ -18,29 +18,19 @@ LEFT = {"driver": {"watch.travel": 3e-6, "hardware": "simulated"}, "logger": {"o
 PROCESSES = {"driver": "01", "logger": "02"}
 
 
-def test_the_next_client_finds_the_parameters_that_the_killed_one_found(tmp_path):
-    FirstParameters(FOUND, PROCESSES, tmp_path).keep()
+def test_the_next_client_finds_what_a_killed_one_found_but_for_nodes_started_anew_or_released(tmp_path):
+    first = FirstParameters(FOUND, PROCESSES, tmp_path)
+    first.keep()
     assert FirstParameters(LEFT, PROCESSES, tmp_path).values == FOUND
-
-
-def test_a_node_that_was_started_anew_has_new_parameters(tmp_path):
-    FirstParameters(FOUND, PROCESSES, tmp_path).keep()
     anew = FirstParameters({**LEFT, "driver": {"watch.travel": 0.2}}, {**PROCESSES, "driver": "03"}, tmp_path)
     assert anew.values == {"driver": {"watch.travel": 0.2}, "logger": FOUND["logger"]}
-
-
-def test_nodes_that_were_released_keep_what_they_are_given_later(tmp_path):
-    first = FirstParameters(FOUND, PROCESSES, tmp_path)
+    # A file of nonsense counts for nothing.
+    for file in tmp_path.iterdir():
+        file.write_text(json.dumps(FOUND)[:20])
+    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
     first.keep()
     first.forget()
     assert not list(tmp_path.iterdir())
-    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
-
-
-def test_a_file_of_nonsense_counts_for_nothing(tmp_path):
-    FirstParameters(FOUND, PROCESSES, tmp_path).keep()
-    for file in tmp_path.iterdir():
-        file.write_text(json.dumps(FOUND)[:20])
     assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
 
 
@@ -86,16 +76,18 @@ def test_sigterm_releases_the_machine_even_if_it_comes_twice(stands_for_graph, c
     assert signal.getsignal(signal.SIGTERM) == before
 
 
-def test_what_a_response_leaves_is_in_a_folder_named_after_its_plot(stands_for_graph, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "folder"),
+    [
+        # A measurement that fails leaves what was there before.
+        ("frequency-response --graph running -o loop.png", "loop_graph/unfinished"),
+        ("commission --graph running -o found --only connection", "found"),
+    ],
+)
+def test_nodes_get_the_whole_path_of_a_folder_and_are_released_after_a_failure(
+    stands_for_graph, tmp_path, monkeypatch, words, folder
+):
     monkeypatch.chdir(tmp_path)
     one = stands_for_graph(failed)
-    assert main(["frequency-response", "--graph", "running", "-o", "loop.png"]) == 1
-    # A measurement that fails leaves what was there before.
-    assert one.folder == tmp_path / "loop_graph" / "unfinished" and one.released
-
-
-def test_nodes_get_the_whole_path_of_a_folder(stands_for_graph, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    one = stands_for_graph(failed)
-    assert main(["commission", "--graph", "running", "-o", "found", "--only", "connection"]) == 1
-    assert one.folder == tmp_path / "found"
+    assert main(words.split()) == 1
+    assert one.folder == tmp_path / folder and one.released

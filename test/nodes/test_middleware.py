@@ -43,29 +43,31 @@ def fast_dds(profile, **more):
     return {**dict.fromkeys(FAST_DDS, str(share_path(profile))), **more}
 
 
+LOCAL, SUBNET, DEFAULT = {RANGE_VARIABLE: "LOCALHOST"}, {RANGE_VARIABLE: "SUBNET"}, "its own default"
+FAST, CYCLONE_DDS, OTHER = "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp", "rmw_of_tomorrow"
+
+
 @pytest.mark.parametrize(
-    ("middleware", "environment", "expected"),
+    ("middleware", "environment", "expected", "words"),
     [
-        (
-            "rmw_fastrtps_cpp",
-            {RANGE_VARIABLE: "LOCALHOST"},
-            fast_dds("config/fastdds_loopback.xml", **{RANGE_VARIABLE: "SYSTEM_DEFAULT"}),
-        ),
-        ("rmw_fastrtps_cpp", {RANGE_VARIABLE: "SUBNET"}, fast_dds("config/fastdds.xml")),
-        ("rmw_fastrtps_cpp", {}, fast_dds("config/fastdds.xml")),
-        *(("rmw_fastrtps_cpp", {RANGE_VARIABLE: "LOCALHOST", one: "mine.xml"}, {}) for one in FAST_DDS),
-        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST"}, {CYCLONE: LOOPBACK}),
-        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST", CYCLONE: "file:///mine.xml"}, {}),
-        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST", CYCLONE: ""}, {}),
-        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "SUBNET"}, {}),
-        ("rmw_cyclonedds_cpp", {}, {}),
-        ("rmw_of_tomorrow", {RANGE_VARIABLE: "LOCALHOST"}, {}),
+        (FAST, LOCAL, fast_dds("config/fastdds_loopback.xml", **{RANGE_VARIABLE: "SYSTEM_DEFAULT"}), ""),
+        (FAST, SUBNET, fast_dds("config/fastdds.xml"), ""),
+        (FAST, {}, fast_dds("config/fastdds.xml"), ""),
+        *((FAST, {**LOCAL, one: "mine.xml"}, {}, "") for one in FAST_DDS),
+        (CYCLONE_DDS, LOCAL, {CYCLONE: LOOPBACK}, LOOPBACK),
+        (CYCLONE_DDS, {**LOCAL, CYCLONE: "file:///mine.xml"}, {}, CYCLONE),
+        (CYCLONE_DDS, {**LOCAL, CYCLONE: ""}, {}, ""),
+        (CYCLONE_DDS, SUBNET, {}, ""),
+        (CYCLONE_DDS, {}, {}, ""),
+        (OTHER, LOCAL, {}, DEFAULT),
+        (OTHER, {}, {}, DEFAULT),
     ],
 )
-def test_a_process_gets_a_profile_that_goes_no_further_than_was_asked_unless_its_user_chose_one(
-    under, middleware, environment, expected
+def test_a_profile_goes_no_further_than_was_asked_unless_the_user_chose_one_and_the_log_names_it(
+    under, middleware, environment, expected, words
 ):
     assert under(middleware, environment) == expected
+    assert middleware_in_words().startswith(f"middleware: {middleware}, profile: {words}")
 
 
 def test_the_profiles_have_sockets_only_and_those_of_loopback_no_other_interface():
@@ -78,19 +80,6 @@ def test_the_profiles_have_sockets_only_and_those_of_loopback_no_other_interface
     }
     assert profile["NetworkInterface"] == "lo" and profile["Peer"] == "localhost"
     assert profile["AllowMulticast"] == "false" and profile["ParticipantIndex"] == "auto"
-
-
-@pytest.mark.parametrize(
-    ("middleware", "environment", "words"),
-    [
-        ("rmw_of_tomorrow", {}, "rmw_of_tomorrow, profile: its own default"),
-        ("rmw_cyclonedds_cpp", {RANGE_VARIABLE: "LOCALHOST"}, f"rmw_cyclonedds_cpp, profile: {LOOPBACK}"),
-        ("rmw_cyclonedds_cpp", {CYCLONE: "file:///mine.xml"}, f"rmw_cyclonedds_cpp, profile: {CYCLONE}"),
-    ],
-)
-def test_the_log_names_the_middleware_and_whose_profile_it_has(under, middleware, environment, words):
-    under(middleware, environment)
-    assert middleware_in_words().startswith(f"middleware: {words}")
 
 
 def test_no_module_needs_a_package_of_fast_dds():

@@ -1,18 +1,24 @@
-"""The gateway in the running graph: a cycle that a client in another process drives through OPC UA alone."""
+"""The gateway in the running graph: a cycle driven through OPC UA alone, and a flood, which costs the loop nothing."""
 
 import importlib.util
 import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from participant import Participant
+from rclpy.time import Time
 from waiting import wait_for_line
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters, node_parameters
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
 
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
@@ -21,6 +27,8 @@ from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+PROBES = str(REPOSITORY / "test" / "opcua" / "probes.py")
+NODES = ("driver", "feedforward", "controller")
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
     "stage.rate": 200,
@@ -54,18 +62,17 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", survey)
     users, advice, port = tmp_path / "users", tmp_path / "gantry.json", free_port()
     add_user(users, "ann", "correct horse", OPERATOR)
-    nodes = ("driver", "feedforward", "controller")
     stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
-    for node in nodes:
+    for node in NODES:
         own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
         graph.start(node, own | stage | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
-    own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice), "nodes": " ".join(nodes)}
+    own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice), "nodes": " ".join(NODES)}
     graph.start("opcua", {**own, **stage})
     wait_for_line(graph, "opcua", "OPC UA at")
     url = OpcuaParameters(port=port).endpoint
 
     def probed(name, file):
-        words = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), name, url, str(file)]
+        words = [sys.executable, PROBES, name, url, str(file)]
         done = subprocess.run(words, capture_output=True, text=True, timeout=200)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout.splitlines()[-1])
@@ -99,3 +106,80 @@ def test_wrong_parameters_end_the_node_with_one_sentence(single, tmp_path):
     node = single.start("opcua", {"opcua.users": str(tmp_path / "none")})
     assert node.wait(120) == EXIT_CONFIGURATION
     assert "users file" in single.last_words("opcua") and "Traceback" not in single.log("opcua").read_text()
+
+
+FLOOD_S, FLOODS, FIRST_ANSWER_S = 3.0, 3, 30.0
+LOOPS = ("driver", "controller")
+COUNTS = (SAMPLES, LOST, OVERRUNS, "commands")
+
+
+@pytest.fixture
+def grown():
+    """A function that returns what each loop's counts in its diagnostics grew by while ``work()`` was done."""
+    with Participant("counters") as participant:
+        values, stamps = {}, {}
+
+        def note(message):
+            for status in message.status:
+                found = {one.key: one.value for one in status.values}
+                values[status.name] = {name: int(found.get(name, 0)) for name in COUNTS}
+                stamps[status.name] = Time.from_msg(message.header.stamp).nanoseconds
+
+        participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, note, 10)
+
+        def now():
+            begin_ns = time.time_ns()
+            participant.until(lambda: all(stamps.get(loop, 0) > begin_ns for loop in LOOPS))
+            return {loop: dict(values[loop]) for loop in LOOPS}
+
+        def grown(work):
+            before = now()
+            work()
+            after = now()
+            return {loop: {name: after[loop][name] - before[loop][name] for name in COUNTS} for loop in LOOPS}
+
+        yield grown
+
+
+def flood(url):
+    """A flood of some seconds whose clients are killed in the end; returns the requests that were answered."""
+    # The load on the gateway is tried, not that of the clients, who are elsewhere.
+    command = ["nice", "-n", "10", sys.executable, PROBES, "storm", url, "12"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        answered, end = 0, time.monotonic() + FLOOD_S
+        try:
+            # A machine that is busy with other things leaves the gateway little: then it takes longer.
+            while not answered or time.monotonic() < end:
+                assert time.monotonic() < end + FIRST_ANSWER_S, "the gateway answers no client"
+                answered = int(process.stdout.readline())
+        finally:
+            process.kill()
+    return answered
+
+
+@pytest.mark.nightly
+@pytest.mark.keeps_time
+def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(graph, short_cycle, grown, capsys):
+    """Counted against the bound in docs/opcua.md."""
+    port = free_port()
+    # What the test itself does to the machine is not to end the run.
+    short_cycle["controller"]["sample_timeout"] = 30.0
+    for node in NODES:
+        graph.start(node, short_cycle[node])
+    graph.start("opcua", {**short_cycle["opcua"], "opcua.port": port, "nodes": " ".join(NODES)})
+    wait_for_line(graph, "opcua", "OPC UA at")
+    quiet, answers = grown(lambda: time.sleep(FLOODS * FLOOD_S)), []
+    url = OpcuaParameters(port=port).endpoint
+    flooded = grown(lambda: answers.extend(flood(url) for _ in range(FLOODS)))
+    with capsys.disabled():
+        print(f"\nanswered while flooded: {answers}\nquiet: {quiet}\nflooded: {flooded}")
+    graph.check(["opcua", *NODES])
+
+    def missed(grown):
+        """Share of the periods that a loop missed."""
+        return grown[OVERRUNS] / grown[SAMPLES]
+
+    for loop in LOOPS:
+        assert flooded[loop][LOST] == 0
+        assert missed(flooded[loop]) <= 2.0 * missed(quiet[loop]) + 0.1
+    assert flooded["driver"][SAMPLES] - flooded["driver"]["commands"] <= 0.01 * flooded["driver"][SAMPLES]

@@ -1,60 +1,135 @@
-"""A recorded bag in the real graph, without a driver."""
+"""A recorded bag in the real graph; runs of the graph replace nothing but what the tool made, and reach no machine."""
 
-import time
+import json
+import shutil
 from pathlib import Path
 
 import pytest
-import rclpy
-from rclpy.node import Node
+from parameters_of_tests import short_parameters
+from participant import Participant
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.launcher import LaunchError
-from straightcomp_ros.contract import CLOCK, ENCODER, POSITION_EVERY
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.offline.graph_replay import replay_through_graph
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.streams import stream_qos, subscribe
+
+SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
+SHORT = ["--set", "stage.motion.stroke=0.02", "--lockstep", "--json"]
+TEXTS = {"stage.name", "stage.guide.file", "realtime.cpus", "learning.file"}
+"""Parameters of the played nodes that are free texts: of them only learning.file names a file that a node writes."""
+
+
+def recorded(bag, values):
+    """The simulation whose run is in the bag."""
+    simulation = Simulation(values)
+    with SimulatedRun(bag, values, simulation.delay) as run:
+        simulation.run(observe=run.add)
+    return simulation
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    bag = tmp_path_factory.mktemp("recorded") / "run"
+    recorded(bag, short_parameters())
+    return bag
 
 
 @pytest.mark.live
-def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(tmp_path, short_cycle):
-    simulation = Simulation(short_cycle)
-    with SimulatedRun(tmp_path / "run", short_cycle, simulation.delay) as run:
-        simulation.run(observe=run.add)
-    found = replay_through_graph(tmp_path / "run", tmp_path / "replay")
+def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(run, tmp_path):
+    found = replay_through_graph(run, tmp_path / "replay")
     assert found.different == 0
     # A busy machine may lose some on the way; whatever comes back must be the same.
     assert found.equal > 0.5 * found.samples
 
 
-def test_the_time_of_the_samples_is_on_the_clock_where_it_is_asked_for(tmp_path, short_cycle, single):
-    simulation = Simulation(short_cycle)
-    with SimulatedRun(tmp_path / "run", short_cycle, simulation.delay) as run:
-        simulation.run(observe=run.add)
+def test_the_time_of_the_samples_is_on_the_clock_where_it_is_asked_for(run, single):
     times = []
-    rclpy.init()
-    node = Node("listener")
-    try:
-        node.create_subscription(Clock, CLOCK, lambda m: times.append(Time.from_msg(m.clock).nanoseconds), stream_qos())
-        subscribe(node, ENCODER, lambda stamp_ns, _: None)
-        single.start("player", {"bag": str(tmp_path / "run"), "subscribers": 1, "clock": True, "speed": 4.0})
-        end = time.monotonic() + 120.0
-        while len(times) < 20 and time.monotonic() < end:
-            rclpy.spin_once(node, timeout_sec=0.05)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with Participant("listener") as listener:
+        listener.node.create_subscription(
+            Clock, CLOCK, lambda message: times.append(Time.from_msg(message.clock).nanoseconds), stream_qos()
+        )
+        subscribe(listener.node, ENCODER, lambda stamp_ns, _: None)
+        single.start("player", {"bag": str(run), "subscribers": 1, "clock": True, "speed": 4.0})
+        listener.until(lambda: len(times) >= 20)
     # The clock may be connected after the first samples, and a busy machine may lose some of its messages.
-    ticks = read_streams(tmp_path / "run", {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp[::POSITION_EVERY]
-    assert len(times) >= 20 and set(times) <= set(ticks.tolist())
-    assert times == sorted(set(times))
+    ticks = read_streams(run, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp[::POSITION_EVERY]
+    assert set(times) <= set(ticks.tolist()) and times == sorted(set(times))
 
 
-def test_a_bag_without_samples_stops_the_player_with_the_reason(tmp_path, short_cycle, single):
-    player = single.start("player", {"bag": str(Path(tmp_path) / "nowhere")})
+def test_a_bag_without_samples_stops_the_player_with_the_reason(tmp_path, single):
+    player = single.start("player", {"bag": str(tmp_path / "nowhere")})
     assert player.wait(120) == 2
     assert "does not exist" in single.last_words("player")
     with pytest.raises(LaunchError, match="player"):
         single.check(["player"])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(SMC, "out/bag")
+    return tmp_path
+
+
+def content():
+    return {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "replay out/bag --graph -o out --force",
+        "replay out/bag/smc_0.mcap --graph -o out --force",
+        "replay out/bag --graph -o out",
+        "demo -o out",
+        "demo -o out --params-file out/parameters.yaml --force",
+        "demo -o out/..",
+    ],
+)
+def test_a_run_removes_neither_its_input_nor_what_the_tool_did_not_make(folder, line):
+    Path("out/parameters.yaml").write_text("/**/cell:\n  ros__parameters:\n    strokes: 1\n")
+    Path("run.png").write_text("mine")
+    before = content()
+    assert main(line.split()) == 2
+    assert content() == before
+
+
+def test_a_node_of_a_replay_has_no_other_parameter_that_names_a_file():
+    for node in ("feedforward", "controller"):
+        found = {one.name for one in declarations(NODE_PARAMETERS[node]) if one.kind is str and not one.choices}
+        assert found <= TEXTS, node
+
+
+@pytest.mark.nightly
+@pytest.mark.live
+def test_a_replay_leaves_the_table_that_the_machine_has_learned(tmp_path, short_cycle, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    short_cycle["controller"].update({"learning.learn": True, "learning.file": str(tmp_path / "learned.csv")})
+    recorded(tmp_path / "run", short_cycle).save_learning()
+    before = content()
+    assert "learned.csv" in before
+    found = replay_through_graph(tmp_path / "run", tmp_path / "replay")
+    assert found.commands > 0 and {name: data for name, data in content().items() if name in before} == before
+    assert {Path(name).parts[0] for name in content().keys() - before.keys()} == {"replay"}
+    # Not where a driver listens.
+    assert read_streams(found.bag, {"/replay/command": COMMAND.layout})
+    assert not read_streams(found.bag, {"/command": COMMAND.layout})
+
+
+@pytest.mark.nightly
+@pytest.mark.live
+def test_a_demonstration_is_run_twice_without_an_option(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["demo", *SHORT]) in (0, 1)
+        assert json.loads(capsys.readouterr().out)["bag"] == "demo_output/bag"
+    made = {path.name for path in Path("demo_output").glob("[!.]*")}
+    assert made == {"bag", "logs", "parameters.yaml", "run.png"}

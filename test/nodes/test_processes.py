@@ -50,16 +50,11 @@ def refusal(capfd, monkeypatch):
     [
         ("driver", signal.SIGINT),
         ("logger", signal.SIGTERM),
-        *(
-            pytest.param(node, number, marks=pytest.mark.nightly)
-            for node, number in (
-                ("driver", signal.SIGTERM),
-                ("feedforward", signal.SIGINT),
-                ("controller", signal.SIGTERM),
-                ("logger", signal.SIGINT),
-                ("cell", signal.SIGINT),
-            )
-        ),
+        pytest.param("driver", signal.SIGTERM, marks=pytest.mark.nightly),
+        pytest.param("feedforward", signal.SIGINT, marks=pytest.mark.nightly),
+        pytest.param("controller", signal.SIGTERM, marks=pytest.mark.nightly),
+        pytest.param("logger", signal.SIGINT, marks=pytest.mark.nightly),
+        pytest.param("cell", signal.SIGINT, marks=pytest.mark.nightly),
     ],
 )
 def test_a_node_stops_on_a_signal_without_a_traceback(single, tmp_path, node, number):
@@ -72,14 +67,13 @@ def test_a_node_stops_on_a_signal_without_a_traceback(single, tmp_path, node, nu
         assert "parameters.yaml" in read_attachments(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("node", [*COMPONENTS, "cell"])
-def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(refusal, node):
-    assert "'realtime.priorty' is unknown; did you mean 'realtime.priority'" in refusal(node, **{"realtime.priorty": 1})
+UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean 'realtime.priority'")
 
 
 @pytest.mark.parametrize(
     ("node", "name", "value", "words"),
     [
+        *((node, *UNKNOWN) for node in (*COMPONENTS, "cell")),
         ("driver", "stage.platform.mass", -1.0, "-1.0 kg is too small; allowed: > 0"),
         ("driver", "stage.rate", "fast", "'fast' Hz is not an integer"),
         ("driver", "hardware", "none", "'none' is not known; allowed: one of simulated"),
@@ -91,17 +85,18 @@ def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(refusal, node
         ("cell", "stage.motion.speed", 0, "0.0 m/s is too small"),
     ],
 )
-def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(refusal, node, name, value, words):
+def test_an_unknown_parameter_or_refused_value_ends_a_node_with_code_2_and_what_is_allowed(
+    refusal, node, name, value, words
+):
     # The reaching condition is that of 'smc'.
     law = {"control.law": "smc"} if node == "controller" else {}
     assert words in refusal(node, **{**law, name: value})
 
 
 def test_the_logger_refuses_a_folder_that_is_not_empty(refusal, tmp_path):
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "precious").write_text("data")
-    assert str(tmp_path / "bag") in refusal("logger", output=str(tmp_path / "bag"))
-    assert (tmp_path / "bag" / "precious").read_text() == "data"
+    precious = tmp_path / "precious"
+    precious.write_text("data")
+    assert str(tmp_path) in refusal("logger", output=str(tmp_path)) and precious.read_text() == "data"
 
 
 def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(single):

@@ -23,18 +23,17 @@ print(sorted(os.sched_getaffinity(0)), open("/proc/self/status").read().partitio
 """
 
 
+def printed(code):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout.splitlines()
+
+
 def report(arguments):
-    code = REPORT.format(arguments=arguments)
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    return result.stdout.splitlines()
+    return printed(REPORT.format(arguments=arguments))
 
 
-def test_nothing_is_touched_unless_asked_for():
-    lines = report("")
-    assert {line.split(" ", 1)[1] for line in lines[:-1]} == {f"{os.SCHED_OTHER} 0"}
-
-
-def test_all_threads_but_the_node_s_own_helpers_get_the_priority_or_the_refusal_is_said():
+def test_all_threads_but_the_node_s_own_helpers_get_the_priority_if_asked_for_or_the_refusal_is_said():
+    assert {line.split(" ", 1)[1] for line in report("")[:-1]} == {f"{os.SCHED_OTHER} 0"}
     *threads, _ = report("priority=7")
     if threads[0].startswith("refused"):
         assert "priority 7 was refused" in threads[0] and "rtprio in limits.conf" in threads[0]
@@ -59,8 +58,7 @@ for thread in os.listdir("/proc/self/task"):
 
 @pytest.mark.nightly
 def test_fast_dds_s_polling_thread_cannot_keep_a_cpu_from_the_threads_that_it_waits_for():
-    result = subprocess.run([sys.executable, "-c", MIDDLEWARE], capture_output=True, text=True, timeout=60, check=True)
-    found = {name: rest for name, _, rest in (line.partition(" ") for line in result.stdout.splitlines())}
+    found = {name: rest for name, _, rest in (line.partition(" ") for line in printed(MIDDLEWARE))}
     if "refused" in found:
         pytest.skip(found["refused"])
     polling = {name for name in found if name.startswith("dds.asyn")}
@@ -78,15 +76,12 @@ def test_loop_and_rest_share_out_the_cpus_or_the_process_stays_on_those_named():
     assert threads[0].startswith("refused") or f"False {os.SCHED_FIFO} 6" in threads
 
 
-@pytest.mark.parametrize("cpus", ["4095", "none", "0,", "-1"])
-def test_cpus_that_cannot_be_had_are_refused_in_words(cpus):
+def test_cpus_that_cannot_be_had_are_refused_and_memory_is_locked_or_the_refusal_is_said():
     before = os.sched_getaffinity(0)
-    (refusal,) = realtime.apply(RealtimeParameters(cpus=cpus))
-    assert f"CPUs '{cpus}'" in refusal and "Remedy" in refusal
+    for cpus in ("4095", "none", "0,", "-1"):
+        (refusal,) = realtime.apply(RealtimeParameters(cpus=cpus))
+        assert f"CPUs '{cpus}'" in refusal and "Remedy" in refusal
     assert os.sched_getaffinity(0) == before
-
-
-def test_memory_is_locked_or_the_refusal_is_said():
     lines = report("lock_memory=True")
     assert int(lines[-1].rsplit(" ", 1)[1]) > 0 or "memlock in limits.conf" in lines[0]
 

@@ -16,6 +16,7 @@ from straightcomp_ros.tuning.frequency_response import ExcitationEnded
 from straightcomp_ros.tuning.graph import running_machine
 from straightcomp_ros.tuning.graph.running_machine import RunningMachine
 
+SHIPPED = shipped_parameters()
 LOGGER = {"output": "", "record_at_start": False, "compression": "zstd"}
 OFF, ON = SafetyState(), SafetyState(Condition.ON)
 STRAYED = SafetyState(Condition.FAULT, "following_error: 0.7 mm", Fault.FOLLOWING_ERROR.code)
@@ -72,7 +73,13 @@ def at_once(monkeypatch):
 
 
 def machine(client: Client, folder: Path) -> RunningMachine:
-    return RunningMachine(client, shipped_parameters(), LOGGER, folder)
+    return RunningMachine(client, SHIPPED, LOGGER, folder)
+
+
+def stroke(client: Client, folder: Path, count: int = 1) -> RunningMachine:
+    used = machine(client, folder)
+    used.stroke(SHIPPED, folder / "bag", 3e-4, count=count)
+    return used
 
 
 def off_at_the_end(client: Client) -> bool:
@@ -80,30 +87,31 @@ def off_at_the_end(client: Client) -> bool:
     return bool(switched) and switched[-1] is False
 
 
-def test_the_logger_gets_a_folder_that_is_the_same_wherever_it_was_started(tmp_path, monkeypatch):
+def test_strokes_follow_each_other_from_where_they_begin_and_a_released_logger_has_its_first_parameters(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     client = Client()
-    machine(client, Path("found")).stroke(shipped_parameters(), Path("found/bags/one"), 3e-4)
-    assert client.given["logger"]["output"] == str(tmp_path / "found" / "bags" / "one")
-
-
-def test_a_released_logger_has_its_first_parameters_and_can_be_configured_by_a_cell(tmp_path):
-    client = Client()
-    one = machine(client, tmp_path)
-    one.stroke(shipped_parameters(), tmp_path / "bag", 3e-4)
-    one.release()
+    used = stroke(client, Path("found"), count=3)
+    assert len(client.moves) == 3
+    assert all(points[0].position == points[-1].position == client.x for points in client.moves)
+    # The folder is the same wherever the logger was started.
+    assert client.given["logger"]["output"] == str(tmp_path / "found" / "bag")
+    used.release()
     assert client.given["logger"] == {"output": "", "record_at_start": False}
-    assert client.states == {"driver": "inactive", "feedforward": "inactive", "controller": "inactive"} | {
-        "logger": "unconfigured"
-    }
+    loop = dict.fromkeys(("driver", "feedforward", "controller"), "inactive")
+    # A cell can configure the logger.
+    assert client.states == {**loop, "logger": "unconfigured"}
 
 
-def test_the_travel_that_a_killed_client_left_in_the_driver_is_taken_back_before_anything_moves(tmp_path):
+def test_after_an_interrupt_no_further_stroke_begins_and_the_travel_that_a_killed_client_left_was_taken_back(tmp_path):
     client = Client(interrupt="move")
     client.given["driver"] = {"watch.travel": 3e-6}
     with pytest.raises(KeyboardInterrupt):
-        machine(client, tmp_path).stroke(shipped_parameters(), tmp_path / "bag", 3e-4)
-    assert client.given["driver"]["watch.travel"] == shipped_parameters()["driver"].get("watch.travel", 0.0)
+        stroke(client, tmp_path, count=100)
+    (points,) = client.moves
+    assert list(points) == forward_and_back(MotionParameters()) and off_at_the_end(client)
+    assert client.given["driver"]["watch.travel"] == SHIPPED["driver"].get("watch.travel", 0.0)
 
 
 def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(tmp_path):
@@ -114,25 +122,10 @@ def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(t
     assert client.given["driver"]["watch.travel"] != ExcitationParameters().travel
 
 
-def test_after_an_interrupt_no_further_stroke_begins(tmp_path):
-    client = Client(interrupt="move")
-    with pytest.raises(KeyboardInterrupt):
-        machine(client, tmp_path).stroke(shipped_parameters(), tmp_path / "bag", 3e-4, count=100)
-    (points,) = client.moves
-    assert list(points) == forward_and_back(MotionParameters()) and off_at_the_end(client)
-
-
-def test_strokes_of_learning_are_made_one_after_the_other_from_where_they_begin(tmp_path):
-    client = Client()
-    machine(client, tmp_path).stroke(shipped_parameters(), tmp_path / "bag", 3e-4, count=3)
-    assert len(client.moves) == 3
-    assert all(points[0].position == points[-1].position == client.x for points in client.moves)
-
-
 def test_a_platform_that_strays_in_a_frequency_response_ended_the_excitation(tmp_path):
     client = Client(moved=STRAYED)
     with pytest.raises(ExcitationEnded, match="following_error"):
-        machine(client, tmp_path).response(shipped_parameters(), MultisineParameters(draws=3), moving=True)
+        machine(client, tmp_path).response(SHIPPED, MultisineParameters(draws=3), moving=True)
     assert off_at_the_end(client)
 
 

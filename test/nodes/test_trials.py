@@ -1,0 +1,86 @@
+"""Test rigs of `trials/` in real processes: the bench of the graph, a short soak run, the load on the logger."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from straightcomp_ros.bags.reader import read_messages
+from straightcomp_ros.cell.launcher import LaunchError
+from straightcomp_ros.cli.main import main
+from trials.soak_actions import ACTIONS
+from trials.traffic import TRAFFIC, record_traffic
+
+pytestmark = [pytest.mark.keeps_time, pytest.mark.nightly]
+
+NODES = ("driver", "feedforward", "controller", "logger")
+
+
+@pytest.mark.live
+def test_both_triggers_are_measured_in_one_run_and_only_json_is_printed(capfd, tmp_path):
+    arguments = ["--rate", "100", "--soak", "0.07", "--triggers", "--json", "--output", str(tmp_path)]
+    assert main(["bench", "graph", *arguments]) == 0
+    figures = json.loads(capfd.readouterr().out)
+    assert figures["trigger"] == "sample"
+    timer = figures["timer"]
+    assert figures["soak"]["growth_mb_per_hour"].keys() == set(NODES)
+    for measured in (figures, timer):
+        assert measured["seconds"] == pytest.approx(4.2, abs=2.0)
+        assert measured["bag"]["expected_samples"] == pytest.approx(100 * measured["seconds"], abs=2)
+        for node in NODES:
+            # It reports once a second. None means that it fell silent.
+            assert measured[node]["rate_hz"] is not None, f"{node} reported less than twice in the window"
+            # None handles more than there is, but for a backlog.
+            assert 0 < measured[node]["rate_hz"] < 200
+            assert 0 < measured[node]["cpu_cores"] < 2 and min(measured[node]["rss_mb"]) > 10
+            late = measured[node]["timer_error_us"]
+            assert 0 <= late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
+        assert measured["cpu_cores"] == pytest.approx(sum(measured[node]["cpu_cores"] for node in NODES))
+        assert measured["lost_samples"] == measured["bag"]["missing"]["command"] <= measured["bag"]["expected_samples"]
+        latency = measured["latency_us"]
+        assert 0 < latency["p50"] <= latency["p99"] <= latency["p999"] <= latency["max"]
+    assert figures["ratio"]["cpu_cores"] == pytest.approx(figures["cpu_cores"] / timer["cpu_cores"])
+    assert figures["ratio"]["latency_p50"] == pytest.approx(figures["latency_us"]["p50"] / timer["latency_us"]["p50"])
+    # Both really recorded, and each its own.
+    assert all((tmp_path / graph / "bag" / "metadata.yaml").exists() for graph in ("graph", "timer"))
+    assert main(["bench", "graph", *arguments]) == 2
+    assert str(tmp_path) in capfd.readouterr().err
+
+
+@pytest.mark.live
+def test_the_graph_is_at_work_again_after_every_kind_of_action_and_nothing_is_lost(tmp_path):
+    # A process of its own: the run takes real-time priority.
+    words = ["soak", "--minutes", "1", "--seed", "4", "--output", str(tmp_path / "soak")]
+    command = [sys.executable, "-m", "trials", *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    figures = json.loads(done.stdout)
+    assert figures["failures"] == [], done.stderr
+    assert done.returncode == 0 and figures["passed"]
+    # Each kind comes once before one comes again; a busy machine does fewer in the time.
+    assert sum(figures["actions"].values()) >= len(ACTIONS) // 2
+    assert figures["strokes"]["found"] == figures["strokes"]["commanded"] > 0
+    assert figures["bags"]["finished"] >= 1
+    assert {life["name"] for life in figures["processes"]} >= {"driver", "logger"}
+
+
+@pytest.mark.live
+def test_the_logger_records_eight_topics_at_2_khz_without_a_loss(tmp_path):
+    missing, busy = record_traffic(tmp_path, 2.0)
+    assert missing == 0
+    assert 0 < busy < 1
+    for stream in TRAFFIC:
+        assert len(read_messages(tmp_path / "traffic", f"/{stream.topic}").data) == 2.0 * 2000
+
+
+@pytest.mark.live
+def test_a_node_that_cannot_publish_says_why(tmp_path):
+    with pytest.raises(LaunchError, match=r"node 'traffic' ended: .*'seconds'.*allowed: > 0"):
+        record_traffic(tmp_path, 0.0)
+
+
+def test_traffic_without_a_reader_ends_with_their_names(single):
+    command = [sys.executable, "-m", "trials.traffic"]
+    traffic = single.start("traffic", {"start_timeout": 0.5}, command=command)
+    assert traffic.wait(120) == 1
+    assert "no subscriber of encoder, reference" in single.log("traffic").read_text()
