@@ -80,6 +80,13 @@ def test_the_disturbance_enters_equation_10_with_a_plus(a, force, integral, r, v
     assert common - sb_eta == pytest.approx(truth - 2.0 * sb_eta, rel=1e-9, abs=1e-9)
 
 
+def test_the_printed_sign_is_wrong_wherever_there_is_a_disturbance():
+    x = np.zeros(3)
+    with_plus = float(S @ B) * matched_disturbance(x, 0.0, 0.5, with_current=False)
+    assert float(S @ state_rate(x, 0.0, 0.0, 0.5)) == pytest.approx(with_plus)
+    assert abs(2.0 * with_plus) > 0.3
+
+
 positive = st.floats(0.1, 100.0)
 
 
