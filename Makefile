@@ -66,7 +66,7 @@ CORE := analysis control messages model stage straightness timing
 CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/parameters/declaration.py
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 # What sums, solves and fits the most.
-PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py map_building.py) \
+PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py) tuning/survey \
   bench/test_graph_bench.py control/test_observer.py control/test_sliding_mode.py
 nightly: setup
 	@mkdir -p .coverage_data

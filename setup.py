@@ -14,7 +14,7 @@ FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17", "ruptures>=1.1.9"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
-SERVO_VERBS = "bench can completion demo doctor dsp evaluate map recover replay simulate stage view"
+SERVO_VERBS = "bench can completion demo doctor dsp evaluate recover replay simulate stage view"
 TUNING_VERBS = "commission design frequency-response friction reproduce robustness"
 
 
@@ -141,6 +141,7 @@ setup(
         "straightcomp.verbs": [
             *_verbs("cli", SERVO_VERBS),
             *_verbs("cli", "opcua", "[opcua]"),
+            *_verbs("tuning.verbs", "map"),
             *_verbs("tuning.verbs", TUNING_VERBS, "[tuning]"),
             *_verbs("fleet.verbs", "history", "[fleet]"),
         ],

@@ -1,238 +1,38 @@
-"""A map from a measured survey: its runs recognised, outliers rejected, repeatability reported, provenance written.
+"""A map from the runs of a survey: outliers rejected, repeatability reported, provenance written.
 
-A survey over time, from a bag or CSV, has the stage's x and the sensor's reading. Two ways of measuring are recognised.
-*On the fly*: the stage passes without a stop; the readings within each ``step`` of x make one point, at their mean x.
-*At rest*: the stage stops at each point; the readings of the second half of each stop make one.
+Spikes within a run, and points or runs that differ from the others, are found by Hampel's identifier: a value is an
+outlier if it is further from the median than ``limit`` robust standard deviations, 1.4826 times the median absolute
+deviation (F. R. Hampel, J. Am. Stat. Assoc. 69, 1974). Neither the median nor that deviation moves with the outliers
+themselves, as mean and standard deviation do.
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
-from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.bags.information import origin
-from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.survey import (
-    DEVIATION,
-    Run,
-    Survey,
-    SurveyError,
-    X,
-    check_gaps,
-    number,
-    read_table,
-    write_survey,
-)
-from straightcomp_ros.straightness.survey_runs import Repeatability, disagreement, on_common_grid, repeatability, spikes
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
+from straightcomp_ros.straightness.survey_runs import Repeatability, on_common_grid, repeatability
 
-TIME_COLUMN = "time_s"
-"""A CSV file with this column is a recording over time; without it, a list of the points of runs."""
-STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
-"""The slider's x in the topics of our own graph."""
-_WHOLE = 0.9
-"""Fraction of the longest run's travel from which a run is whole: others were broken off, or lead to the start."""
-_STOP = 0.2
-"""Time in s from which a stand between two moves of a run is a stop for a measurement."""
-_FEWEST_STOPS = 5
-"""Stops from which a run is measured at rest."""
-_HALF_WINDOW = 7
-"""Readings to each side with which a reading is compared to find spikes."""
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """How the displacement sensor's readings become deviations.
-
-    Attributes:
-        readings: topic and field; a relative topic as :func:`straightcomp_ros.bags.topics.resolved` takes it.
-        unit: of the readings, ``m``, ``mm``, ``um`` or ``nm``.
-        inverted: the reading falls when the slider moves towards +y.
-        delay: time in s by which a reading is older than its stamp; an error in it shows as hysteresis.
-        on_platform: the sensor rides on the platform, so that the platform's own y is part of its reading.
-    """
-
-    readings: Field = Field(DISPLACEMENT.topic, f"position[{DISPLACEMENT.topic}]")
-    unit: str = "m"
-    inverted: bool = False
-    delay: float = 0.0
-    on_platform: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """Samples of a survey.
-
-    Attributes:
-        source: the survey's name in messages.
-        time: (n,) s, rising, from the first sample.
-        x, deviation: (n,) m.
-        unusable: number of readings left out: not finite, or while the stage's x was not recorded.
-        inputs: origin of the columns, in words by name.
-    """
-
-    source: str
-    time: NDArray[np.float64]
-    x: NDArray[np.float64]
-    deviation: NDArray[np.float64]
-    unusable: int
-    inputs: Mapping[str, str]
-
-
-def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) -> Series:
-    """Read a survey from a bag; x is interpolated to the times of the readings.
-
-    Raises:
-        BagError: the bag cannot be read, or lacks a topic or a field.
-        SurveyError: stage and sensor were not recorded at the same time.
-    """
-    positions, readings = _read(bag, stage), _read(bag, sensor.readings)
-    taken_at = readings.stamp - round(sensor.delay * 1e9)
-    x, usable = positions.at(taken_at)
-    deviation = readings.values / DEVIATION.per_metre[sensor.unit] * (-1.0 if sensor.inverted else 1.0)
-    if sensor.on_platform:
-        y, known = _read(bag, Field(stage.topic, f"position[{PLATFORM}]")).at(taken_at)
-        deviation, usable = deviation - y, usable & known
-    usable &= np.isfinite(deviation) & np.isfinite(x)
-    if np.count_nonzero(usable) < 3:
-        raise SurveyError(
-            f"survey {bag}: {stage} and {sensor.readings} have {np.count_nonzero(usable)} common samples; were both "
-            "recorded, and on one clock?"
-        )
-    time = (taken_at[usable] - taken_at[usable][0]) * 1e-9
-    inputs = {
-        "stage": str(stage) + ("" if positions.stamped else ", by time of sending"),
-        "sensor": f"{sensor.readings} in {sensor.unit}"
-        + (", inverted" if sensor.inverted else "")
-        + (f", {sensor.delay * 1e3:g} ms old" if sensor.delay else "")
-        + (", on the platform" if sensor.on_platform else "")
-        + ("" if readings.stamped else ", by time of sending"),
-    }
-    return Series(str(bag), time, x[usable], deviation[usable], int(np.count_nonzero(~usable)), inputs)
-
-
-def is_series(path: Path, names: Mapping[str, str] | None = None) -> bool:
-    """Whether a CSV file is a recording over time; SurveyError if it is unreadable or lacks x or deviation."""
-    return TIME_COLUMN in read_table(path, names).header
-
-
-def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series:
-    """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file, where they may have
-    these ``names``.
-
-    SurveyError if a column is missing, a cell is no number, or time does not rise.
-    """
-    table = read_table(path, names)
-    time_column = table.header.index(TIME_COLUMN)
-    samples: list[tuple[float, float, float]] = []
-    for line, row in table.rows:
-        where = f"survey {path}, line {line}"
-        time = number(where, TIME_COLUMN, row[time_column].strip())
-        if samples and time <= samples[-1][0]:
-            raise SurveyError(f"{where}: time_s {time:g} after {samples[-1][0]:g}; allowed: rising")
-        samples.append((time, table.x.metres(where, row), table.deviation.metres(where, row)))
-    if len(samples) < 3:
-        raise SurveyError(f"survey {path}: {len(samples)} rows; allowed: >= 3")
-    time, x, deviation = np.array(samples).T
-    inputs = {"stage": table.header[table.x.index], "sensor": table.header[table.deviation.index]}
-    return Series(str(path), time - time[0], x, deviation, 0, inputs)
-
-
-def _read(bag: Path, field: Field) -> FieldValues:
-    """The values of a field by stamp, without repetitions."""
-    values = read_field(bag, field)
-    stamp, first = np.unique(values.stamp, return_index=True)
-    return FieldValues(stamp, values.values[first], values.stamped)
-
-
-class Passage(NamedTuple):
-    """One run as it was recognised: when it was driven in s, whether its points were measured at stops, and the numbers
-    of its readings and of those that were rejected."""
-
-    run: Run
-    start: float
-    duration: float
-    at_rest: bool
-    samples: int
-    spikes: int
-
-
-class Recognised(NamedTuple):
-    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start)."""
-
-    passages: tuple[Passage, ...]
-    partial: int
-
-
-def recognise(series: Series, step: float, limit: float) -> Recognised:
-    """Find the runs of a survey; SurveyError if the stage does not move.
-
-    On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
-    """
-    try:
-        strokes = motion_of(series.time, series.x).strokes
-    except MetricsError as error:
-        raise SurveyError(f"survey {series.source}: {str(error).removeprefix('record: ')}") from error
-    # Each move with the end of the rest after it; successive moves in one direction belong to one run.
-    moves = zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True)
-    groups = [list(group) for _, group in groupby(moves, key=lambda move: move[0].direction)]
-    travels = [abs(float(series.x[group[-1][0].stop - 1] - series.x[group[0][0].start])) for group in groups]
-    passages: list[Passage] = []
-    for group, travel in zip(groups, travels, strict=True):
-        if travel >= _WHOLE * max(travels):
-            name = str(1 + sum(passage.run.direction == group[0][0].direction for passage in passages))
-            passages.append(_passage(series, group, name, step, limit))
-    return Recognised(tuple(passages), len(groups) - len(passages))
-
-
-def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
-    begin, end = moves[0][0].start, moves[-1][0].stop
-    stops = [
-        (move.stop, rest_end)
-        for move, rest_end in moves
-        if rest_end > move.stop and series.time[rest_end - 1] - series.time[move.stop] >= _STOP
-    ]
-    at_rest = len(stops) >= _FEWEST_STOPS
-    if at_rest:
-        # The second half of each stop, when vibration from the motion has decayed.
-        pieces = [np.arange((first + stop) // 2, stop) for first, stop in stops]
-        chosen = np.concatenate(pieces)
-        group = np.repeat(np.arange(len(stops)), [len(piece) for piece in pieces])
-    else:
-        chosen = np.arange(begin, end)
-        group = np.round(series.x[chosen] / step).astype(np.int64)
-    values = series.deviation[chosen]
-    bad = spikes(values - (_middles(values, group) if at_rest else _from_neighbours(values)), limit)
-    run = Run(name, moves[0][0].direction, *group_means(series.x[chosen][~bad], values[~bad], group[~bad]))
-    start = float(series.time[begin])
-    return Passage(run, start, float(series.time[end - 1]) - start, at_rest, len(chosen), int(bad.sum()))
-
-
-def _from_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each reading estimated from its neighbours: the median of the means of opposite ones, which is exact on a slope.
-
-    The reading itself is left out. In a running median it would be the result wherever the readings rise steadily.
-    """
-    half = min(_HALF_WINDOW, len(values) - 1)
-    # Beyond the ends the readings are mirrored at the end point: a slope stays a slope.
-    before, after = 2.0 * values[0] - values[half:0:-1], 2.0 * values[-1] - values[-2 : -half - 2 : -1]
-    window = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, values, after]), 2 * half + 1)
-    return np.asarray(np.median(0.5 * (window[:, :half] + window[:, : -half - 1 : -1]), axis=1))
-
-
-def _middles(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
-    """For each value the median of its group."""
-    names, place = np.unique(group, return_inverse=True)
-    return np.array([np.median(values[group == name]) for name in names])[place]
+GAUSSIAN = 1.4826
+FLOOR = 20e-9
+"""Distance in m from the median below which nothing is an outlier: runs that agree to a nanometre by chance must not
+condemn one that differs by five."""
+_WHOLE_RUN = 0.25
+"""Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
+_WIDEST = 3
+"""Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
+_FEWEST = 3
+"""Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
 
 @dataclass(frozen=True)
@@ -262,9 +62,8 @@ class BuiltMap:
         rejected_points: (run's name and direction, x in m) of points that no other run confirms.
         rejected_runs: names and directions.
         provenance: by name, in words; the head of the file.
-        passages: the runs as they were recognised; empty for a survey that lists its points.
-        partial: number of movements that were no whole run.
-        unusable: number of readings that were left out before.
+        counts: how many samples and movements of a recording were used and left out, by the names in
+            :meth:`figures`; empty for a survey that lists its points.
     """
 
     survey: Survey
@@ -272,9 +71,7 @@ class BuiltMap:
     rejected_points: tuple[tuple[str, float], ...]
     rejected_runs: tuple[str, ...]
     provenance: Mapping[str, str]
-    passages: tuple[Passage, ...] = ()
-    partial: int = 0
-    unusable: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def repeatability(self) -> Repeatability:
@@ -296,11 +93,9 @@ class BuiltMap:
             "forward_runs": len(self.survey.in_direction("forward")),
             "backward_runs": len(self.survey.in_direction("backward")),
             "rejected_runs": len(self.rejected_runs),
-            "partial_runs": self.partial,
+            "partial_runs": self.counts.get("partial_runs", 0),
             "rejected_points": len(self.rejected_points),
-            "samples": sum(p.samples for p in self.passages),
-            "rejected_samples": sum(p.spikes for p in self.passages),
-            "unusable_samples": self.unusable,
+            **{name: self.counts.get(name, 0) for name in ("samples", "rejected_samples", "unusable_samples")},
             "straightness_least_squares_um": peak_to_peak(least_squares_residual(x, mean)) * 1e6,
             "straightness_end_points_um": peak_to_peak(end_point_residual(x, mean)) * 1e6,
             "correction_pp_um": peak_to_peak(mean) * 1e6,
@@ -310,25 +105,6 @@ class BuiltMap:
     def write(self, path: Path) -> None:
         """Write the map as a survey file with its provenance in comments at the head."""
         write_survey(path, self.survey, [f"{name}: {text}" for name, text in self.provenance.items()])
-
-
-def build_from_series(series: Series, source: Path, choices: Choices) -> BuiltMap:
-    """Recognise the runs of a recording, and :func:`build` the map; SurveyError also if there is no run."""
-    found = recognise(series, choices.step, choices.limit)
-    for passage in found.passages:
-        run = passage.run
-        where = f"survey {series.source}, run '{run.name}' {run.direction}"
-        if run.x.size < choices.parameters.min_points:
-            raise SurveyError(
-                f"{where}: {run.x.size} points; allowed: >= {choices.parameters.min_points} (min_points): "
-                f"a smaller step than {choices.step * 1e3:g} mm gives more"
-            )
-        X.check_extent(where, float(run.x[-1] - run.x[0]))
-        DEVIATION.check_extent(where, float(np.ptp(run.deviation)))
-        check_gaps(where, run, choices.parameters.max_gap)
-    survey = Survey(tuple(p.run for p in found.passages), series.source)
-    built = build(survey, source, choices, series.inputs)
-    return replace(built, passages=found.passages, partial=found.partial, unusable=series.unusable)
 
 
 def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, str] | None = None) -> BuiltMap:
@@ -399,3 +175,35 @@ def _digest(source: Path) -> str:
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()[:16]
+
+
+class Disagreement(NamedTuple):
+    """Which runs are rejected as a whole, (runs,), and which single points of the other runs, (runs, n)."""
+
+    runs: NDArray[np.bool_]
+    points: NDArray[np.bool_]
+
+
+def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
+    """Compare the runs of one direction by their ``values`` (runs, n) in m on one grid of at least four points.
+
+    ``limit`` is in robust standard deviations, which are taken over all points.
+    """
+    rejected = np.zeros(len(values), np.bool_)
+    points = np.zeros(values.shape, np.bool_)
+    while np.count_nonzero(~rejected) >= _FEWEST:
+        kept = values[~rejected]
+        distance = np.abs(kept - np.median(kept, axis=0))
+        # With an odd number of runs one is the median itself; its zeros would make the others' spread seem small.
+        others = distance[distance > 0.0]
+        spread = float(np.median(others)) if others.size else 0.0
+        flagged = distance > max(limit * GAUSSIAN * spread, FLOOR)
+        stretches = sliding_window_view(flagged, _WIDEST + 1, axis=1)
+        unusable = (flagged.mean(axis=1) > _WHOLE_RUN) | np.any(np.all(stretches, axis=2), axis=1)
+        if not unusable.any():
+            points[~rejected] = flagged
+            break
+        # One by one: the worst run moves the median for the others.
+        worst = np.where(unusable, distance.sum(axis=1), -1.0).argmax()
+        rejected[np.flatnonzero(~rejected)[worst]] = True
+    return Disagreement(rejected, points)

@@ -194,6 +194,16 @@ _LINES_BEFORE = 100
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 """A number whose mark may separate thousands."""
 
+OTHER_KINDS = {
+    "aerotech": r":START2?D?\b",
+    "crosscomp": r"kw\.crosscomp\.",
+    "etalon": r"(?i)gridpoints\s*=",
+    "linuxcnc": r"\A(?:\s*[-+]?[\d.]+){3}\s*$",
+    "renishaw": r"(?i)run target data\s*:",
+    "api": r"(?i)position\s+\w+[\w\s]*avg error",
+}
+"""What the text of a file has that `straightcomp map convert` makes a survey of, by the name of its format."""
+
 
 def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
     """Read the header and the rows of a CSV file.
@@ -215,10 +225,8 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
     try:
         x, deviation = (_find_column(where, header, name) for name in (X, DEVIATION))
     except SurveyError as error:
-        # Not at the top of the file: the formats import this module.
-        from straightcomp_ros.straightness.tables.formats import recognised
-
-        kind = recognised(path)
+        text = "\n".join(text for _, text in lines)
+        kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
         if kind is None:
             raise
         raise SurveyError(

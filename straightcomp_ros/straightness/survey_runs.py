@@ -1,4 +1,4 @@
-"""The runs of a survey together: on one grid of x, their mean and repeatability, and what cannot be the guide.
+"""The runs of a survey together: on one grid of x, their mean and repeatability.
 
 Mean and repeatability are those of ISO 230-2:2014, which defines repeatability for positioning; here the deviation
 across the motion takes the place of the one along it. At each point i, over the n runs of one direction: the mean, and
@@ -11,20 +11,14 @@ coverage factor 2 of the standard,
 
 and of each the largest over the points is the figure of the axis. The standard asks for five runs each way; fewer make
 the figures less certain. Offsets between runs count: nothing is removed from a run before.
-
-Spikes within a run, and points or runs that differ from the others, are found by Hampel's identifier: a value is an
-outlier if it is further from the median than ``limit`` robust standard deviations, 1.4826 times the median absolute
-deviation (F. R. Hampel, J. Am. Stat. Assoc. 69, 1974). Neither the median nor that deviation moves with the outliers
-themselves, as mean and standard deviation do.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -36,16 +30,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _RECOMMENDED = 5
-_GAUSSIAN = 1.4826
-FLOOR = 20e-9
-"""Distance in m from the median below which nothing is an outlier: runs that agree to a nanometre by chance must not
-condemn one that differs by five."""
-_WHOLE_RUN = 0.25
-"""Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
-_WIDEST = 3
-"""Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
-_FEWEST = 3
-"""Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
 
 def cubic_spline(x: Array, values: Array) -> CubicSpline:
@@ -178,41 +162,3 @@ def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
         return Directed(len(chosen), chosen.mean(axis=0), chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None)
 
     return Repeatability(x, directed("forward"), directed("backward"))
-
-
-def spikes(residual: Array, limit: float) -> NDArray[np.bool_]:
-    """Which samples of a run are outliers; ``residual`` (n,) in m is the difference from the smoothed run."""
-    distance = np.abs(residual - np.median(residual))
-    return np.asarray(distance > max(limit * _GAUSSIAN * float(np.median(distance)), FLOOR))
-
-
-class Disagreement(NamedTuple):
-    """Which runs are rejected as a whole, (runs,), and which single points of the other runs, (runs, n)."""
-
-    runs: NDArray[np.bool_]
-    points: NDArray[np.bool_]
-
-
-def disagreement(values: Array, limit: float) -> Disagreement:
-    """Compare the runs of one direction by their ``values`` (runs, n) in m on one grid of at least four points.
-
-    ``limit`` is in robust standard deviations, which are taken over all points.
-    """
-    rejected = np.zeros(len(values), np.bool_)
-    points = np.zeros(values.shape, np.bool_)
-    while np.count_nonzero(~rejected) >= _FEWEST:
-        kept = values[~rejected]
-        distance = np.abs(kept - np.median(kept, axis=0))
-        # With an odd number of runs one is the median itself; its zeros would make the others' spread seem small.
-        others = distance[distance > 0.0]
-        spread = float(np.median(others)) if others.size else 0.0
-        flagged = distance > max(limit * _GAUSSIAN * spread, FLOOR)
-        stretches = sliding_window_view(flagged, _WIDEST + 1, axis=1)
-        unusable = (flagged.mean(axis=1) > _WHOLE_RUN) | np.any(np.all(stretches, axis=2), axis=1)
-        if not unusable.any():
-            points[~rejected] = flagged
-            break
-        # One by one: the worst run moves the median for the others.
-        worst = np.where(unusable, distance.sum(axis=1), -1.0).argmax()
-        rejected[np.flatnonzero(~rejected)[worst]] = True
-    return Disagreement(rejected, points)

@@ -1,350 +1,69 @@
-"""Surveys with known guides, hysteresis and faults: what is recognised, rejected, reported and written."""
+"""Maps of runs: which runs and points are rejected, and what is taken out of the mean."""
 
-import itertools
-import json
-import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
 
-from straightcomp_ros.analysis.map_building import (
-    Choices,
-    Sensor,
-    Series,
-    _from_neighbours,
-    build,
-    build_from_series,
-    is_series,
-    recognise,
-    series_of_bag,
-    series_of_csv,
-)
-from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cli.main import main
-from straightcomp_ros.contract import DISPLACEMENT, ENCODER
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey
-from straightcomp_ros.straightness.survey_runs import disagreement, repeatability, spikes
-
-CHOICES = Choices(step=10e-3, limit=6.0, level=False)
-SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"
-LENGTH = 0.4
-START_NS = 1_700_000_000_000_000_000
-JOINT_STATE = "sensor_msgs/msg/JointState"
-
-
-def guide(x):
-    return 5e-6 * np.sin(2.0 * np.pi * x / 0.3)
-
-
-def driven(*ends, rate=200.0, speed=0.2, rest=0.3):
-    """time, x: from end to end at constant speed, resting at each."""
-    x = [np.full(round(rest * rate), ends[0])]
-    for start, end in itertools.pairwise(ends):
-        count = round(abs(end - start) / speed * rate)
-        x += [start + (end - start) * np.arange(1, count + 1) / count, np.full(round(rest * rate), end)]
-    x = np.concatenate(x)
-    return np.arange(x.size) / rate, x
-
-
-def series(time, x, deviation):
-    return Series("made up", time, x, deviation, 0, {})
-
-
-def test_repeatability_of_two_runs_each_way_is_that_of_iso_230_2_and_one_run_each_way_has_a_reversal_only():
-    def of(ways, values):
-        x = np.arange(25) * 0.01
-        rows = np.outer(values, np.ones(25)) * 1e-6
-        made = (Run(str(number), way, x, row) for number, (way, row) in enumerate(zip(ways, rows, strict=True)))
-        return repeatability(Survey(tuple(made)), x, rows)
-
-    # One point is worth checking by hand: forward 1 and 3 µm, backward 0 and 0 µm.
-    found = of(["forward"] * 2 + ["backward"] * 2, [1.0, 3.0, 0.0, 0.0])
-    s = math.sqrt(2.0) * 1e-6
-    assert found.forward.repeatability == pytest.approx(4 * s)
-    assert found.backward.repeatability == pytest.approx(0.0, abs=1e-15)
-    assert found.reversal == pytest.approx(np.full(25, 2e-6))
-    assert found.bidirectional == pytest.approx(max(2 * s + 2e-6, 4 * s))
-    assert found.short_of_the_standard
-    found = of(["forward", "backward"], [1.0, 0.0])
-    assert found.bidirectional is None and found.forward.repeatability is None
-    assert found.to_display()["reversal_max_um"] == pytest.approx(1.0)
-
-
-def test_clean_noise_is_hardly_ever_an_outlier():
-    random = np.random.default_rng(1)
-    assert spikes(random.normal(0.0, 1e-7, 20_000), 6.0).mean() < 1e-3
-    rejected = [disagreement(random.normal(0.0, 1e-7, (count, 200)), 6.0) for count in (3, 4, 5, 10) for _ in range(10)]
-    assert not any(one.runs.any() for one in rejected)
-    assert np.mean([one.points.mean() for one in rejected]) < 2e-3
-
-
-def test_a_run_that_was_knocked_is_rejected_and_a_single_bad_point_only_itself():
-    random = np.random.default_rng(2)
-    values = random.normal(0.0, 3e-8, (5, 100))
-    values[1, 40:50] += 2e-6
-    values[3, 7] += 2e-6
-    found = disagreement(values, 6.0)
-    assert found.runs.tolist() == [False, True, False, False, False]
-    assert np.argwhere(found.points).tolist() == [[3, 7]]
-    # Of two runs that differ none can be said to be wrong.
-    found = disagreement(np.array([np.zeros(50), np.full(50, 5e-6)]), 6.0)
-    assert not found.runs.any() and not found.points.any()
-
-
-def test_strokes_directions_and_a_broken_off_run_are_recognised():
-    time, x = driven(0.0, LENGTH, 0.0, 0.15, 0.0, LENGTH, 0.0)
-    found = recognise(series(time, x, guide(x)), 5e-3, 6.0)
-    assert [p.run.direction for p in found.passages] == ["forward", "backward", "forward", "backward"]
-    assert [p.run.name for p in found.passages] == ["1", "1", "2", "2"]
-    assert found.partial == 2
-    for passage in found.passages:
-        assert not passage.at_rest
-        assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
-
-
-def test_a_spike_does_not_reach_the_points_even_where_a_point_has_one_reading():
-    time, x = driven(0.0, LENGTH, rate=50.0)
-    deviation = guide(x) + np.random.default_rng(3).normal(0.0, 1e-8, x.size)
-    bad = np.arange(25, x.size - 20, 17)
-    deviation[bad] += 3e-6
-    (passage,) = recognise(series(time, x, deviation), 4e-3, 6.0).passages
-    assert passage.spikes >= len(bad)
-    assert np.abs(passage.run.deviation - guide(passage.run.x)).max() < 1e-7
-
-
-@pytest.mark.parametrize("count", [3, 5, 8, 9, 30])
-def test_on_a_slope_the_neighbours_say_what_each_reading_says(count):
-    slope = np.linspace(1e-6, 9e-6, count)
-    assert _from_neighbours(slope) == pytest.approx(slope, abs=1e-18)
-
-
-def test_stops_make_points_of_their_second_halves():
-    time, x = driven(*np.arange(0.0, LENGTH + 1e-9, 0.01), *np.arange(LENGTH, -1e-9, -0.01)[1:], rest=0.5)
-    moving = np.abs(np.gradient(x, time)) > 1e-6
-    # The probe still swings when the stage has stopped.
-    settled_for = np.zeros(x.size)
-    for i in range(1, x.size):
-        settled_for[i] = 0.0 if moving[i] else settled_for[i - 1] + time[i] - time[i - 1]
-    deviation = guide(x) + 2e-6 * np.exp(-settled_for / 0.02)
-    found = recognise(series(time, x, deviation), 5e-3, 6.0)
-    assert [p.run.direction for p in found.passages] == ["forward", "backward"]
-    for passage in found.passages:
-        assert passage.at_rest and 38 <= passage.run.x.size <= 41
-        assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
+from straightcomp_ros.analysis.map_building import FLOOR, Choices, build, disagreement
+from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.tuning.survey.recording import spikes
 
 
 def test_level_takes_the_slope_of_the_straight_edge_out():
-    x = np.linspace(0.0, LENGTH, 81)
-    survey = Survey((Run("1", "forward", x, guide(x) + 1e-5 * x + 1e-3),), "made up")
-    level = build(survey, SAMPLE, replace(CHOICES, level=True))
+    x = np.linspace(0.0, 0.4, 81)
+    survey = Survey((Run("1", "forward", x, 5e-6 * np.sin(2.0 * np.pi * x / 0.3) + 1e-5 * x + 1e-3),), "made up")
+    level, tilted = (build(survey, Path(__file__), Choices(10e-3, 6.0, way)) for way in (True, False))
     assert np.polyfit(level.repeatability.x, level.mean, 1)[0] == pytest.approx(0.0, abs=1e-9)
-    tilted = build(survey, SAMPLE, CHOICES)
     assert tilted.mean.mean() == pytest.approx(0.0, abs=1e-12)
     assert tilted.figures()["straightness_least_squares_um"] == pytest.approx(
         level.figures()["straightness_least_squares_um"]
     )
 
 
-def test_a_stage_that_never_moved_is_refused():
-    time = np.arange(100) * 0.01
-    with pytest.raises(SurveyError, match=r"made up.*does not move"):
-        build_from_series(series(time, np.zeros(100), np.zeros(100)), SAMPLE, CHOICES)
-
-
-def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys):
-    output = tmp_path / "map.csv"
-    assert main(["map", "build", str(SAMPLE), "-o", str(output), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["forward_runs"], found["backward_runs"]) == (5, 4)
-    assert found["rejected_run_names"] == ["2 backward"]
-    assert 10 <= found["rejected_samples"] <= 40
-    assert 0.2 < found["repeatability_bidirectional_um"] < 0.6
-    assert len(found["x_mm"]) == found["points"] == len(found["mean_um"])
-    survey = read_survey(output)
-    assert len(survey.runs) == 9
-    head = output.read_text().splitlines()[:8]
-    assert any(line.startswith("# source: survey, sha256 ") for line in head)
-    assert any("rejected runs: 2 backward" in line for line in head)
-    built, true = load_map(MapParameters(str(output))), load_map(MapParameters("config/guide_synthetic.csv"))
-    x = np.linspace(0.002, 1.758, 1000)
-    assert np.ptp(built.deviations(x) - true.deviations(x)) < 0.12e-6
-
-
-def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):
-    time, x = driven(0.0, LENGTH, 0.0, LENGTH, 0.0)
-    rows = "\n".join(f"{t:.3f},{a * 1e3:.4f},{d * 1e6:.3f}" for t, a, d in zip(time, x, guide(x), strict=True))
-    recording, survey, plot = tmp_path / "time.csv", tmp_path / "survey.csv", tmp_path / "survey.png"
-    recording.write_text(f"time_s,x_mm,deviation_um\n{rows}\n")
-    assert main(["map", "build", str(recording), "-o", str(survey), "--plot", str(plot), "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)
-    assert first["forward_runs"] == first["backward_runs"] == 2
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    assert main(["map", "build", str(survey), "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)
-    assert again["straightness_least_squares_um"] == pytest.approx(first["straightness_least_squares_um"], abs=2e-3)
-
-
-def other_bag(path, *, unit=1e6, header=True):
-    """A survey with another maker's types: an axis by the name of `carriage`, a sensor that counts µm downwards."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
-    sensor_type = "geometry_msgs/msg/PointStamped" if header else "std_msgs/msg/Float64"
-    with BagWriter(path) as bag:
-        for topic, kind in (("/axes", JOINT_STATE), ("/probe", sensor_type)):
-            bag.add_topic(topic, kind)
-        for t, a in zip(*driven(0.0, LENGTH, 0.0, rate=100.0), strict=True):
-            ns = START_NS + round(t * 1e9)
-            stamp = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
-            joints = ["spindle", "carriage"], np.array([1.0, a]), np.empty(0), np.empty(0)
-            bag.write("/axes", bytes(store.serialize_cdr(types[JOINT_STATE](stamp, *joints), JOINT_STATE)), ns, ns)
-            reading = -guide(a) * unit
-            content = (stamp, types["geometry_msgs/msg/Point"](0.0, reading, 0.0)) if header else (reading,)
-            bag.write("/probe", bytes(store.serialize_cdr(types[sensor_type](*content), sensor_type)), ns, ns)
-
-
-@pytest.mark.parametrize("header, field", [(True, "point.y"), (False, "data")])
-def test_topics_and_types_of_others_are_named_by_options(tmp_path, capsys, header, field):
-    other_bag(tmp_path / "bag", header=header)
-    arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", "--unit", "um", "--json"]
-    assert main([*arguments, "--invert", "--sensor", f"/probe:{field}"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    true = guide(np.array(found["x_mm"]) * 1e-3) * 1e6
-    assert np.array(found["mean_um"]) == pytest.approx(true - true.mean(), abs=0.02)
-    assert ("by time of sending" in found["provenance"]["sensor"]) is not header
+def noisy(count=5, points=40):
+    return np.random.default_rng(3).normal(0.0, 3e-8, (count, points))
 
 
 @pytest.mark.parametrize(
-    "options, words",
+    ("bad", "rejected"),
     [
-        (["--sensor", "/probe:point.q"], "no field 'q'"),
-        (["--sensor", "/probe:point"], "is no number"),
-        (["--sensor", "/nothing:data"], "no topic '/nothing'"),
-        (["--sensor", "/probe:point.y", "--stage", "axes:position[gantry]"], "no element 'gantry'"),
-        (["--sensor", "/probe:po int"], "allowed: TOPIC or TOPIC:FIELD"),
-        (["--step", "0"], "--step 0; allowed"),
+        ([10], False),
+        ([10, 11, 12], False),
+        ([10, 11, 12, 13], True),
+        ([3, 4, 5, 8, 9, 10], False),  # two stretches of three are no stretch of six
+        (range(2, 32, 3), False),  # a quarter of all, none of them neighbours
+        (range(2, 35, 3), True),
     ],
 )
-def test_what_cannot_be_read_is_named(tmp_path, capsys, options, words):
-    other_bag(tmp_path / "bag")
-    arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", *options]
-    assert main(arguments) != 0
-    assert words in " ".join(capsys.readouterr().err.split())
+def test_single_points_are_rejected_up_to_three_neighbours_and_a_quarter_and_then_the_run(bad, rejected):
+    values = noisy()
+    values[2, list(bad)] -= 3e-6
+    found = disagreement(values, 6.0)
+    assert found.runs.tolist() == [False, False, rejected, False, False]
+    assert np.argwhere(found.points).tolist() == ([] if rejected else [[2, at] for at in bad])
 
 
-SPEED = 0.2
+def test_the_worst_run_goes_first_and_the_others_are_judged_anew_while_there_are_three():
+    values = noisy(7)
+    values[3] += 9e-6
+    values[5] += 3e-6
+    assert np.flatnonzero(disagreement(values, 6.0).runs).tolist() == [3, 5]
+    values = noisy(3)
+    values[1, 10:22] += 3e-6
+    assert disagreement(values, 6.0).runs.tolist() == [False, True, False]
+    found = disagreement(values[:2], 6.0)
+    assert not found.runs.any() and not found.points.any()
 
 
-def survey_bag(path, stage_s, readings_s, reading, y=lambda t: 0.0 * t):
-    """A bag of a stage at x = SPEED t, sampled at ``stage_s``, and of ``reading(t)`` at ``readings_s``."""
-    rows = [(ENCODER, t, (SPEED * t, float(y(t)), np.nan, np.nan)) for t in stage_s]
-    rows += [(DISPLACEMENT, t, (float(reading(t)),)) for t in readings_s]
-    with BagWriter(path) as bag:
-        for stream in (ENCODER, DISPLACEMENT):
-            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
-        for stream, t, numbers in rows:
-            ns = START_NS + round(t * 1e9)
-            bag.write(f"/{stream.topic}", stream.layout.pack(ns, *numbers), ns, ns)
-    return path
-
-
-SECOND = np.arange(0.0, 1.0001, 0.01)
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.02, -0.02])
-def test_a_reading_belongs_to_the_x_of_the_time_before_its_delay(tmp_path, delay):
-    # The sensor shows at t what was there at t − delay: with the right delay deviation and x agree again.
-    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: 1e-6 * SPEED * (t - delay))
-    found = series_of_bag(bag, sensor=Sensor(delay=delay))
-    assert found.deviation == pytest.approx(1e-6 * found.x, abs=1e-15)
-    assert found.unusable == round(abs(delay) / 0.01)
-    assert (f"{delay * 1e3:g} ms old" in found.inputs["sensor"]) is (delay != 0.0)
-
-
-def test_the_delay_of_the_platforms_y_is_that_of_the_reading(tmp_path):
-    def y(t):
-        return 3e-6 * t * t
-
-    bag = survey_bag(tmp_path / "bag", np.arange(0.0, 1.0, 0.001), SECOND, lambda t: 1e-6 + y(t - 0.05), y)
-    found = series_of_bag(bag, sensor=Sensor(delay=0.05, on_platform=True))
-    assert found.deviation == pytest.approx(1e-6, abs=1e-11)
-    assert "on the platform" in found.inputs["sensor"]
-
-
-def test_unit_and_sign_of_the_sensor_are_those_that_are_named(tmp_path):
-    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: 2.0 * t)
-    assert series_of_bag(bag, sensor=Sensor(unit="mm")).deviation[-1] == pytest.approx(2e-3)
-    inverted = series_of_bag(bag, sensor=Sensor(unit="um", inverted=True))
-    assert inverted.deviation[-1] == pytest.approx(-2e-6)
-    assert "inverted" in inverted.inputs["sensor"] and "in um" in inverted.inputs["sensor"]
-    plain = series_of_bag(bag)
-    assert plain.inputs["sensor"].endswith("in m") and plain.inputs["stage"].endswith("position[stage_x]")
-
-
-def test_x_is_not_interpolated_over_more_than_a_tenth_of_a_second(tmp_path):
-    for gap, unusable in ((0.1, 0), (0.11, 10), (0.12, 11)):
-        for begin in (0.0, 0.4, 1.0 - gap):
-            stage = np.array([t for t in SECOND if not begin + 0.0001 < t < begin + gap - 0.0001])
-            bag = survey_bag(tmp_path / f"bag{gap}{begin}", stage, SECOND, lambda t: 1e-6)
-            found = series_of_bag(bag)
-            assert found.unusable == unusable
-            assert found.x == pytest.approx(SPEED * found.time, abs=1e-9)
-
-
-def test_samples_are_put_in_order_and_readings_before_and_after_the_stages_are_left_out(tmp_path):
-    found = series_of_bag(survey_bag(tmp_path / "bag", SECOND[20:81], SECOND, lambda t: 1e-6))
-    assert found.x[[0, -1]] == pytest.approx([SPEED * 0.2, SPEED * 0.8])
-    assert len(found.x) == 61 and found.unusable == 40
-    assert found.time[0] == 0.0 and found.time[-1] == pytest.approx(0.6)
-    shuffled = np.random.default_rng(1).permutation(np.concatenate([SECOND, SECOND[:30]]))
-    found = series_of_bag(survey_bag(tmp_path / "disorder", shuffled, shuffled[::-1], lambda t: 1e-6 * t))
-    assert found.time == pytest.approx(SECOND) and found.deviation == pytest.approx(1e-6 * SECOND)
-
-
-def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(tmp_path):
-    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: np.nan if t > 0.025 else 1e-6)
-    assert (len(series_of_bag(bag).x), series_of_bag(bag).unusable) == (3, 98)
-    bag = survey_bag(tmp_path / "less", SECOND, SECOND, lambda t: np.nan if t > 0.015 else 1e-6)
-    with pytest.raises(SurveyError, match="2 common samples"):
-        series_of_bag(bag)
-    with pytest.raises(SurveyError, match="1 common samples"):
-        series_of_bag(survey_bag(tmp_path / "one", SECOND[:1], SECOND, lambda t: 1e-6))
-
-
-def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
-    path = tmp_path / "series.csv"
-    path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.5,2,20\n6.0,3,30\n")
-    assert is_series(path)
-    (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
-    assert not is_series(tmp_path / "points.csv")
-    found = series_of_csv(path)
-    assert found.time.tolist() == [0.0, 0.5, 1.0]
-    assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])
-    assert found.unusable == 0
-
-
-@pytest.mark.parametrize(
-    "rows, words",
-    [
-        ("0,1,1\n1,2,2\n", "2 rows"),
-        ("0,1,1\n2,2,2\n1,3,3\n", "line 4: time_s 1 after 2"),
-        ("0,1,1\n2,2,2\n2,3,3\n", "line 4: time_s 2 after 2"),
-        ("0,1,1\n1,2\n2,3,3\n", "line 3: 2 cells"),
-    ],
-)
-def test_a_recording_as_csv_that_is_none_is_refused(tmp_path, rows, words):
-    path = tmp_path / "series.csv"
-    path.write_text("time_s,x_mm,deviation_um\n" + rows)
-    with pytest.raises(SurveyError, match=words):
-        series_of_csv(path)
-
-
-def test_where_the_platforms_y_was_not_recorded_a_reading_on_it_says_nothing(tmp_path):
-    hole = [t for t in np.arange(0.0, 1.0001, 0.001) if not 0.4 < t < 0.6]
-    bag = survey_bag(tmp_path / "bag", hole, SECOND, lambda t: 2e-6, lambda t: 1e-6)
-    found = series_of_bag(bag, sensor=Sensor(on_platform=True))
-    assert found.unusable == 19 and found.deviation == pytest.approx(1e-6)
-    assert not np.any((found.x > 0.41 * SPEED) & (found.x < 0.59 * SPEED))
+def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whole():
+    residual = np.zeros(100)
+    residual[[5, 6]] = 0.99 * FLOOR, 1.01 * FLOOR
+    assert np.flatnonzero(spikes(residual, 6.0)).tolist() == [6]
+    guide = 1e-5 * np.sin(np.linspace(0.0, 6.0, 40))
+    for count in (3, 4, 7):
+        found = disagreement(guide + noisy(count), 6.0)
+        assert not found.runs.any() and not found.points.any()
+    values = guide + noisy(4) / 60.0
+    values[1, [5, 6]] += (0.9 * FLOOR, 1.1 * FLOOR)
+    assert np.argwhere(disagreement(values, 6.0).points).tolist() == [[1, 6]]

@@ -1,4 +1,4 @@
-"""The runs of a survey together: on one grid, their repeatability by its definition, and outliers."""
+"""The runs of a survey together: on one grid; their repeatability by its definition."""
 
 import math
 
@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
-from straightcomp_ros.straightness.survey_runs import (
-    FLOOR,
-    disagreement,
-    on_common_grid,
-    repeatability,
-    spikes,
-)
+from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
 
 X = np.linspace(0.0, 1.0, 101)
 
@@ -107,61 +101,3 @@ def test_the_standard_asks_for_five_runs_each_way():
     assert not found_of([row] * 5, [row] * 5).short_of_the_standard
     for forward, backward in ((4, 5), (5, 4), (5, 0), (0, 5)):
         assert found_of([row] * forward, [row] * backward).short_of_the_standard
-
-
-def test_a_spike_is_further_out_than_so_many_robust_standard_deviations():
-    # The median is 0, the median distance 1 µm: 1.4826 µm is one robust standard deviation.
-    base = np.array([-1.0, 1.0] * 20)
-    for value, spike in ((8.8, False), (9.0, True), (-8.8, False), (-9.0, True)):
-        readings = np.append(base, [0.0, value, -value / 100.0]) * 1e-6
-        assert spikes(readings, 6.0).tolist() == [False] * 41 + [spike, False]
-        # Where the zero lies does not matter.
-        assert spikes(readings + 5e-3, 6.0).tolist() == [False] * 41 + [spike, False]
-
-
-def noisy(count=5, points=40):
-    return np.random.default_rng(3).normal(0.0, 3e-8, (count, points))
-
-
-@pytest.mark.parametrize(
-    ("bad", "rejected"),
-    [
-        ([10], False),
-        ([10, 11, 12], False),
-        ([10, 11, 12, 13], True),
-        ([3, 4, 5, 8, 9, 10], False),  # two stretches of three are no stretch of six
-        (range(2, 32, 3), False),  # a quarter of all, none of them neighbours
-        (range(2, 35, 3), True),
-    ],
-)
-def test_single_points_are_rejected_up_to_three_neighbours_and_a_quarter_and_then_the_run(bad, rejected):
-    values = noisy()
-    values[2, list(bad)] -= 3e-6
-    found = disagreement(values, 6.0)
-    assert found.runs.tolist() == [False, False, rejected, False, False]
-    assert np.argwhere(found.points).tolist() == ([] if rejected else [[2, at] for at in bad])
-
-
-def test_the_worst_run_goes_first_and_the_others_are_judged_anew_while_there_are_three():
-    values = noisy(7)
-    values[3] += 9e-6
-    values[5] += 3e-6
-    assert np.flatnonzero(disagreement(values, 6.0).runs).tolist() == [3, 5]
-    values = noisy(3)
-    values[1, 10:22] += 3e-6
-    assert disagreement(values, 6.0).runs.tolist() == [False, True, False]
-    found = disagreement(values[:2], 6.0)
-    assert not found.runs.any() and not found.points.any()
-
-
-def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whole():
-    residual = np.zeros(100)
-    residual[[5, 6]] = 0.99 * FLOOR, 1.01 * FLOOR
-    assert np.flatnonzero(spikes(residual, 6.0)).tolist() == [6]
-    guide = 1e-5 * np.sin(np.linspace(0.0, 6.0, 40))
-    for count in (3, 4, 7):
-        found = disagreement(guide + noisy(count), 6.0)
-        assert not found.runs.any() and not found.points.any()
-    values = guide + noisy(4) / 60.0
-    values[1, [5, 6]] += (0.9 * FLOOR, 1.1 * FLOOR)
-    assert np.argwhere(disagreement(values, 6.0).points).tolist() == [[1, 6]]

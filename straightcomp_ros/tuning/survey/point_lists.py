@@ -41,7 +41,7 @@ import re
 from pathlib import Path
 
 from straightcomp_ros.straightness.survey import SurveyError, decimal, number, numbered_lines
-from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
+from straightcomp_ros.tuning.survey.error_table import Conventions, ErrorTable, error_table
 
 _LINUXCNC = ("nominal", "forward", "reverse")
 _CROSSCOMP = 1e7

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import SurveyError, decimal, number, numbered_lines
-from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions, ErrorTable, error_table
+from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, ErrorTable, error_table
 
 _HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")
 _KEYWORD = re.compile(r"([A-Z0-9]+)\s*=\s*(\S+)")

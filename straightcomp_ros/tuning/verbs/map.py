@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,8 @@ from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.map_building import BuiltMap
-    from straightcomp_ros.straightness.tables.error_table import Conventions
+    from straightcomp_ros.tuning.survey.error_table import Conventions
+    from straightcomp_ros.tuning.survey.recording import Passage
 
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 PURPOSE = "set up"
@@ -58,7 +60,7 @@ def _build(options: argparse.Namespace) -> None:
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     with noted_warnings(UserWarning) as texts:
         try:
-            built = _built(options)
+            built, passages = _built(options)
         except SurveyError as error:
             # The survey is this tool's work, no option: exit code 1.
             raise CommandFailed(str(error)) from error
@@ -69,24 +71,23 @@ def _build(options: argparse.Namespace) -> None:
 
         plot_map(built, plot)
     if options.json:
-        print_json({**_built_in_json(built), "output": options.output, "warnings": texts})
+        print_json({**_built_in_json(built, passages), "output": options.output, "warnings": texts})
     else:
         _print_built(built, options.output)
 
 
-def _built(options: argparse.Namespace) -> BuiltMap:
-    from straightcomp_ros.analysis.map_building import (
-        Choices,
+def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
+    from straightcomp_ros.analysis.map_building import Choices, build
+    from straightcomp_ros.bags.fields import Field
+    from straightcomp_ros.bags.folder import STORED
+    from straightcomp_ros.straightness.survey import SurveyError, read_survey
+    from straightcomp_ros.tuning.survey.recording import (
         Sensor,
-        build,
         build_from_series,
         is_series,
         series_of_bag,
         series_of_csv,
     )
-    from straightcomp_ros.bags.fields import Field
-    from straightcomp_ros.bags.folder import STORED
-    from straightcomp_ros.straightness.survey import SurveyError, read_survey
 
     choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
     source = Path(options.source)
@@ -106,10 +107,10 @@ def _built(options: argparse.Namespace) -> BuiltMap:
         return build_from_series(series_of_csv(source, names), source, choices)
     parameters = choices.parameters
     survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap, names=names)
-    return build(survey, source, choices)
+    return build(survey, source, choices), ()
 
 
-def _built_in_json(built: BuiltMap) -> dict[str, Any]:
+def _built_in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
     found = built.repeatability
 
     def um(values: Any) -> list[float] | None:
@@ -130,7 +131,7 @@ def _built_in_json(built: BuiltMap) -> dict[str, Any]:
                 "rejected_samples": passage.spikes,
                 "rejected": f"{passage.run.name} {passage.run.direction}" in built.rejected_runs,
             }
-            for passage in built.passages
+            for passage in passages
         ],
         "rejected_run_names": list(built.rejected_runs),
         "rejected_point_list": [{"run": run, "x_mm": x * 1e3} for run, x in built.rejected_points],
@@ -170,7 +171,7 @@ def _convert(options: argparse.Namespace) -> None:
     The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
     use --negate if it has the other sign."""
     from straightcomp_ros.straightness.survey import Survey, write_survey
-    from straightcomp_ros.straightness.tables.formats import format_of
+    from straightcomp_ros.tuning.survey.formats import format_of
 
     conventions = _chosen_conventions(options)
     source, output = Path(options.file), output_file(options, "--output")
@@ -200,8 +201,8 @@ def _convert(options: argparse.Namespace) -> None:
 
 def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
     """Declare the options of all tools that read error tables of controllers, or those that have them ``written``."""
-    from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
-    from straightcomp_ros.straightness.tables.formats import FORMATS, WRITTEN
+    from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions
+    from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN
 
     formats = tuple(WRITTEN if written else FORMATS)
     add = parser.add_argument
@@ -219,7 +220,7 @@ def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False
 
 def _chosen_conventions(options: argparse.Namespace) -> Conventions:
     """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
-    from straightcomp_ros.straightness.tables.error_table import Conventions
+    from straightcomp_ros.tuning.survey.error_table import Conventions
 
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
@@ -247,8 +248,8 @@ def _export(options: argparse.Namespace) -> None:
     motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
     from straightcomp_ros.parameters.output_files import write_whole
     from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-    from straightcomp_ros.straightness.tables.error_table import sampled
-    from straightcomp_ros.straightness.tables.formats import WRITTEN, format_of
+    from straightcomp_ros.tuning.survey.error_table import sampled
+    from straightcomp_ros.tuning.survey.formats import WRITTEN, format_of
 
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import Survey, SurveyError, number, numbered_lines, orient
-from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
+from straightcomp_ros.tuning.survey.error_table import Conventions, ErrorTable, error_table
 
 _OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
 _BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
