@@ -146,10 +146,10 @@ def services() -> Iterator[tuple[str, str, str, str]]:
 
 
 def _offered(tree: ast.AST) -> Iterator[tuple[list[tuple[str, str]], str, str]]:
-    """([(service, callback if it is in the loop)], type, callback) of each call of create_service."""
+    """([(service, callback if it is in the loop)], type, callback) of each call that makes a service."""
     loops = {id(call): loop for loop in ast.walk(tree) if isinstance(loop, ast.For) for call in ast.walk(loop)}
     for call in ast.walk(tree):
-        if not (isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "create_service"):
+        if not (isinstance(call, ast.Call) and getattr(call.func, "attr", "") in ("create_service", "offer")):
             continue
         kind, name, callback = call.args[0], call.args[1], call.args[2]
         if isinstance(name, ast.Name):

@@ -24,8 +24,7 @@ from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRA
 from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.runtime.graph_client import message_from_waypoints
-from straightcomp_ros.runtime.graph_watch import Heartbeats
+from straightcomp_ros.runtime.graph_client import Heartbeats, message_from_waypoints
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node

@@ -17,7 +17,6 @@ from straightcomp_ros.cell.packml import Command, State
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.node_parameters import CellNodeParameters
 from straightcomp_ros.runtime.graph_client import GraphClient
-from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
@@ -40,13 +39,14 @@ class CellNode(Runnable):
     def __init__(self, node: Node, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
-        self._graph = GraphClient(node, parameters.nodes.split(), parameters.heartbeat_timeout)
-        self._watch = GraphWatch(
+        self._graph = GraphClient(
             node,
+            parameters.nodes.split(),
             batches=False,
             fresh=parameters.sample_timeout,
             patient=True,
             description=parameters.stage.identity,
+            silent_after=parameters.heartbeat_timeout,
         )
         self._seen = Observation()
         self._sequence = make_sequence(
@@ -67,14 +67,14 @@ class CellNode(Runnable):
             yield from cycle
         except CycleFailed as failure:
             self._failing = True
-            before, end = self._watch.reports(), time.monotonic() + _REPORTED_S
+            before, end = self._graph.reports(), time.monotonic() + _REPORTED_S
             # Keep ticking: the sequencer still has to switch the amplifier off.
             while time.monotonic() < end or (not self._seen.missing and self._graph.quiet(_QUIET_S)):
                 yield
             if self._seen.missing:
                 gone = self._seen.absence
                 raise CycleFailed(str(failure) if gone in str(failure) else f"{failure} ({gone})") from failure
-            after = self._watch.reports()
+            after = self._graph.reports()
             why = blamed({node: held_up([before.get(node, {}), after[node]]) for node in IN_THE_LOOP if node in after})
             raise CycleFailed(f"{failure} ({why})" if why else str(failure)) from failure
 
@@ -84,12 +84,12 @@ class CellNode(Runnable):
         yield from self._until(State.IDLE)
         sequence.command(Command.START, strokes)
         yield from self._until(State.EXECUTE)
-        self._watch.expect_samples()
+        self._graph.expect_samples()
         log.info(f"stage moves: {cycles(self._parameters.stage.motion, strokes)[-1].time_ns * 1e-9:.1f} s")
         yield from self._follow_motion()
         yield from self._until(State.COMPLETE)
         yield from self._all_alive()
-        lost = self._watch.reports().get("driver", {}).get(LOST, "?")
+        lost = self._graph.reports().get("driver", {}).get(LOST, "?")
         log.info(f"cycle complete: {strokes} strokes, {sequence.recovered} faults, {lost} samples lost")
 
     def _all_alive(self) -> Iterator[None]:
@@ -126,8 +126,8 @@ class CellNode(Runnable):
     def _tick(self) -> None:
         if self.done.done():
             return
-        self._watch.fetch()
-        self._seen = self._watch.observation(self._graph.states, self._graph.commissioning)
+        self._graph.fetch()
+        self._seen = self._graph.observation()
         self._sequence.tick(self._seen)
         try:
             next(self._steps)

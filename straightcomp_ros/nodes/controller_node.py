@@ -18,6 +18,7 @@ from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
+from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, WorkerThread, awaited, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -265,7 +266,7 @@ class ExcitationService:
         self._node, self._servo, self._make, self._left_travel = node, servo, make, left_travel
         self._injection: Injection | None = None
         self.state = ""
-        node.create_service(SetBool, "~/excite", self._on_excite)
+        node.offer(SetBool, "~/excite", self._on_excite)
 
     def look(self) -> None:
         """Follow the excitation; call it after each cycle."""
@@ -279,30 +280,24 @@ class ExcitationService:
             if self._servo.running:
                 self._left_travel(injection.stopped)
 
-    def _on_excite(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_excite(self, on: bool) -> str:
         """Inject what the parameters `excitation.*` describe into the commands (refused while the amplifier is off), or
         end that early."""
-        refusal = self._start() if request.data else self._stop()
-        response.success, response.message = not refusal, refusal or ("excites" if request.data else "stops")
-        return response
-
-    def _start(self) -> str:
+        if not on:
+            if self._injection is not None:
+                self._injection.stop("it was stopped by request")
+            return "stops"
         if not self._servo.running:
-            return "the amplifier is off; switch it on first"
+            raise Refused("the amplifier is off; switch it on first")
         if self._injection is not None:
-            return "an excitation is running; stop it first"
+            raise Refused("an excitation is running; stop it first")
         try:
             injection = self._make()
         except (FrequencyResponseError, ValueError) as error:
-            return str(error)
+            raise Refused(str(error)) from error
         self._servo.inject(injection)
         self._injection, self.state = injection, EXCITING
-        return ""
-
-    def _stop(self) -> str:
-        if self._injection is not None:
-            self._injection.stop("it was stopped by request")
-        return ""
+        return "excites"
 
 
 def main() -> int:

@@ -10,6 +10,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import FeedforwardNodeParameters
+from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import LockedLoop, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -51,8 +52,8 @@ class FeedforwardComponent:
         self._gaps = StampGaps()
         self._queue = node.streams.batches(ENCODER)
         self.loop = LockedLoop(_BATCH_NS, self._queue.wait, self._cycle)
-        node.create_service(Trigger, "~/reload_map", self._on_reload_map)
-        node.create_service(SetBool, "~/center", self._on_center)
+        node.offer(Trigger, "~/reload_map", self._on_reload_map)
+        node.offer(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
         Diagnostics(node, self._counters, description=parameters.stage.identity)
 
@@ -92,26 +93,22 @@ class FeedforwardComponent:
 
         return awaited(lambda: load_map(parameters), answer)
 
-    def _on_reload_map(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reload_map(self) -> str:
         """Read the map's file again; the reference fades over to it."""
         try:
             self.prepare(self._parameters)()
-            response.success, response.message = True, f"map {self._parameters.stage.guide.file}: {self._map.report}"
         except (ParameterError, SurveyError, OSError) as error:
-            response.success, response.message = False, str(error)
-        return response
+            raise Refused(str(error)) from error
+        return f"map {self._parameters.stage.guide.file}: {self._map.report}"
 
-    def _on_center(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_center(self, middle: bool) -> str:
         """Fade the reference to the middle of the platform's travel, or back to the map."""
         if self._feedforward.changing:
-            response.success, response.message = False, "the previous change of reference has not finished"
-            return response
-        if request.data != self._centred:
-            self._centred = request.data
-            self._feedforward.change(_middle if request.data else self._map.reference)
-        response.success = True
-        response.message = "reference goes to " + ("the middle of the travel" if request.data else "the map")
-        return response
+            raise Refused("the previous change of reference has not finished")
+        if middle != self._centred:
+            self._centred = middle
+            self._feedforward.change(_middle if middle else self._map.reference)
+        return f"reference goes to {'the middle of the travel' if middle else 'the map'}"
 
     def _look_at_map(self) -> None:
         # Beyond the survey the reference runs out to a constant. That is harmless, so there is time to request a stop.

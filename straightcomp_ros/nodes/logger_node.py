@@ -24,6 +24,7 @@ from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
 from straightcomp_ros.parameters.yaml_text import dump_yaml
 from straightcomp_ros.runtime.graph_client import RemoteParameters
+from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.other_topics import OtherTopics, stored
@@ -127,20 +128,16 @@ class LoggerComponent:
 
         for act in (self._start, stop, pause, resume, split, snapshot):
             name = act.__name__.strip("_")
-            self.node.create_service(Trigger, f"~/{name}", partial(self._answer, act, name != "start"))
+            self.node.offer(Trigger, f"~/{name}", partial(self._answer, act, name != "start"))
 
-    def _answer(
-        self, act: Callable[[], str], needs_bag: bool, _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _answer(self, act: Callable[[], str], needs_bag: bool) -> str:
         self._fetch()
         if needs_bag and not self._recorder.recording:
-            response.success, response.message = False, "nothing is being recorded; allowed after ~/start"
-            return response
+            raise Refused("nothing is being recorded; allowed after ~/start")
         try:
-            response.success, response.message = True, act()
+            return act()
         except BagError as error:
-            response.success, response.message = False, str(error)
-        return response
+            raise Refused(str(error)) from error
 
     def _start(self) -> str:
         """Record to a new bag."""

@@ -18,7 +18,6 @@ from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
-from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
@@ -38,8 +37,7 @@ class OpcuaNode:
         self._parameters = parameters = declare(node, OpcuaNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         names = parameters.nodes.split()
-        self._watch = GraphWatch(node, description=parameters.stage.identity)
-        self._graph = GraphClient(node, names)
+        self._graph = GraphClient(node, names, description=parameters.stage.identity)
         self._remote = RemoteParameters(node, ["driver"])
         self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)
@@ -56,8 +54,8 @@ class OpcuaNode:
     def _tick(self) -> None:
         if self.done.done():
             return
-        self._watch.fetch()
-        seen = self._watch.observation(self._graph.states, self._graph.commissioning)
+        self._graph.fetch()
+        seen = self._graph.observation()
         for request in self._server.requests():
             self._commands += 1
             self._obey(request)

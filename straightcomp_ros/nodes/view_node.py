@@ -9,7 +9,6 @@ from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
 from straightcomp_ros.runtime.graph_client import GraphClient
-from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.runner import run
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
@@ -46,8 +45,8 @@ class ViewNode:
     ) -> None:
         self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
-        self._watch, self._graph = GraphWatch(node), GraphClient(node, _NODES)
-        self._reference = self._watch.streams.batches(REFERENCE)
+        self._graph = GraphClient(node, _NODES)
+        self._reference = self._graph.streams.batches(REFERENCE)
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
         buttons = {
@@ -64,7 +63,7 @@ class ViewNode:
     def _fetch(self) -> None:
         if self.done.done():
             return
-        fetched = self._watch.fetch()
+        fetched = self._graph.fetch()
         for name, messages, column, sign in (
             ("x", fetched.positions, 0, 1.0),
             ("y", fetched.positions, 1, 1.0),
@@ -80,8 +79,8 @@ class ViewNode:
         self._show()
 
     def _show(self) -> None:
-        seen = self._watch.observation(self._graph.states, self._graph.commissioning)
-        reports = self._watch.reports()
+        seen = self._graph.observation()
+        reports = self._graph.reports()
         self._on = self._own and (self._on or seen.amplifier_on)
         self._own = self._own and (seen.amplifier_on or not self._on)
         nodes = {

@@ -1,12 +1,20 @@
-"""A node's requests to the others of its graph, without waiting: lifecycle, amplifier, faults, motion, parameters."""
+"""A node's access to the others of its graph, without waiting: it requests what they are to do, and observes them.
+
+It reads batches and slow topics only, which costs the publishing loops almost nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
@@ -16,41 +24,130 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT
-from straightcomp_ros.contract import STAGE, STAGE_TRAJECTORY
+from straightcomp_ros.cell.cell_sequence import Answer
+from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT, Observation, StrokeErrors
+from straightcomp_ros.contract import (
+    ALWAYS_PUBLISHED,
+    CONTROLLER_STATE,
+    DIAGNOSTICS,
+    DRIVER_STATE,
+    HEARTBEAT,
+    POSITION,
+    SAFETY_STATE,
+    STAGE,
+    STAGE_TRAJECTORY,
+    UNCONNECTED,
+)
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
-from straightcomp_ros.runtime.graph_watch import Heartbeats
+from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
+from straightcomp_ros.runtime.streams import Streams
+from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, count, reporting_node
 
+_TICK_S = 0.05
 _LOOK_EVERY_S = 0.5
 _WARN_EVERY_S = 5.0
+_REPORT_LASTS_S = 5.0
 _MOST_WAITING = 4
+_YIELD_EVERY = 64
 _UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transition.TRANSITION_ACTIVATE}
 _PARAMETERS_EVERY_S = 0.25
 _AGAIN_AFTER = 8
 """Looks until a node is asked again: a response is lost if the node receives the request before it knows the client."""
-Answer = Callable[[str], None]
-"""Called with the reason for a refusal; an empty text means success."""
+_DRIVER = "driver"
+_ERROR = CONTROLLER_STATE.layout.columns.index("error")
+_SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
+Messages = Sequence[tuple[int, Sequence[float], int]]
+"""As :meth:`SubscriptionQueue.fetch` returns them."""
 
 
 def _ignored(refusal: str) -> None:
     pass
 
 
-class GraphClient:
-    """Calls services of the nodes ``names`` in ``node``'s namespace: see the sequencer's `Machine`.
+class Heartbeats:
+    """Which nodes are alive. A node is silent until its first heartbeat, and again ``timeout`` s after its last one.
 
-    ``then`` is called with the reason for a refusal, or an empty text. A node counts as silent ``silent_after`` seconds
-    after its last heartbeat.
+    Attributes:
+        states: lifecycle state of each node by its last heartbeat; empty before the first.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
+        self._timeout = timeout
+        self._ages = dict.fromkeys(names, timeout)
+        self.states = dict.fromkeys(names, "")
+        self._ticked = time.monotonic()
+        node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
+        node.create_timer(_TICK_S, self._tick)
+
+    def silent(self, seconds: float | None = None) -> list[str]:
+        """Nodes without a heartbeat within the timeout, or within ``seconds``."""
+        limit = self._timeout if seconds is None else seconds
+        return [name for name, age in self._ages.items() if age >= limit]
+
+    def forget(self, name: str) -> None:
+        """Count a node that is started again as silent until its next heartbeat."""
+        self._ages[name] = self._timeout
+
+    def in_state(self, state: str) -> bool:
+        """Whether all nodes are alive and in this lifecycle state."""
+        return not self.silent() and set(self.states.values()) == {state}
+
+    def _tick(self) -> None:
+        # A process that was suspended must not mistake its own pause for silence of the nodes.
+        now = time.monotonic()
+        passed, self._ticked = min(now - self._ticked, 2.0 * _TICK_S), now
+        for name in self._ages:
+            self._ages[name] += passed
+
+    def _on_heartbeat(self, message: DiagnosticStatus) -> None:
+        if message.name in self._ages:
+            self._ages[message.name] = 0.0
+            self.states[message.name] = message.message
+
+
+class FetchedMessages(NamedTuple):
+    """Messages since the last call."""
+
+    positions: Messages
+    controller: Messages = ()
+    driver: Messages = ()
+
+
+class GraphClient:
+    """Requests to the nodes ``names`` in ``node``'s namespace (see the sequencer's `Machine`), and their observation.
+
+    A request calls ``then`` with the reason for a refusal, or an empty text. An executor must spin ``node``.
+
+    Args:
+        batches: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
+        fresh: time after the last sample for which the observation is fresh, s.
+        patient: the observation is also fresh before the first sample, until :meth:`expect_samples` is called.
+        description: of the stage, by which ``node`` itself moves it; empty if it does not.
+        silent_after: time in s after its last heartbeat from which a node counts as silent.
 
     Attributes:
         refusal: why the amplifier was not switched on by the last request; empty if it was.
+        commissioning: what another client that commissions the machine is doing.
+        safety: the driver's newest safety state.
     """
 
-    def __init__(self, node: Node, names: Sequence[str], silent_after: float = 5.0) -> None:
-        self._node = node
-        self.refusal = ""
+    def __init__(
+        self,
+        node: Node,
+        names: Sequence[str],
+        *,
+        batches: bool = True,
+        fresh: float = 0.5,
+        patient: bool = False,
+        description: str = "",
+        silent_after: float = 5.0,
+    ) -> None:
+        self.node, self._fresh = node, fresh
+        self._own = {node.get_name(): description} if description else {}
+        self.refusal, self.safety = "", SafetyState()
         self._clients: dict[str, ServiceClient] = {}
         self._enable = self.service(SetBool, "driver/enable")
         self._reset = self.service(Trigger, "driver/reset_fault")
@@ -59,14 +156,24 @@ class GraphClient:
         self._change_state = {name: self.service(ChangeState, f"{name}/change_state") for name in names}
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self._heartbeats = Heartbeats(node, names, silent_after)
-        self._commissioning = CommissioningWatch(node)
+        self.commissioning = CommissioningWatch(node)
         self._present: set[str] = set()
         node.create_timer(_LOOK_EVERY_S, self._look)
+        self.streams = Streams(node)
+        self._queues = [self.streams.queue(POSITION)]
+        if batches:
+            self._queues += [self.streams.batches(stream) for stream in (CONTROLLER_STATE, DRIVER_STATE)]
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
+        node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        self._strokes = StrokeErrors()
+        self._newest = Observation()
+        self._last_came = math.inf if patient else -math.inf
+        self._reports: dict[str, tuple[float, str | None, dict[str, str]]] = {}
 
     def service(self, kind: Any, name: str) -> ServiceClient:
         """The client of a service."""
         if name not in self._clients:
-            self._clients[name] = ServiceClient(self._node, kind, name)
+            self._clients[name] = ServiceClient(self.node, kind, name)
         return self._clients[name]
 
     @property
@@ -80,11 +187,6 @@ class GraphClient:
     def quiet(self, seconds: float) -> bool:
         """Whether a node has had no heartbeat for ``seconds`` since it had one."""
         return any(self._heartbeats.states[name] for name in self._heartbeats.silent(seconds))
-
-    @property
-    def commissioning(self) -> str:
-        """What a client that commissions the machine is doing; empty without one."""
-        return self._commissioning.doing
 
     @property
     def stage_listens(self) -> bool:
@@ -108,7 +210,7 @@ class GraphClient:
     def _changed(self, name: str, state: str, response: ChangeState.Response) -> None:
         if not response.success:
             words = f"{name} did not leave the state '{state}'; its log says why"
-            self._node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
+            self.node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
 
     def switch_on(self, then: Answer = _ignored) -> None:
         self.refusal = ""
@@ -141,9 +243,90 @@ class GraphClient:
         """Move the stage along ``waypoints``, from now."""
         self._trajectory.publish(message_from_waypoints(waypoints))
 
+    def expect_samples(self) -> None:
+        """Count the absence of a first sample as silence from now on."""
+        self._last_came = min(self._last_came, time.monotonic())
+
+    def fetch(self) -> FetchedMessages:
+        """Take the messages that have arrived; call it at least ten times a second."""
+        fetched = FetchedMessages(*(queue.fetch() for queue in self._queues))
+        for stamp_ns, (x, _), _ in _giving_way(fetched.positions):
+            self._strokes.add_position(stamp_ns, x)
+        for _, numbers, _ in _giving_way(fetched.controller):
+            self._strokes.add_error(numbers[_ERROR])
+        if fetched.positions:
+            x, y = fetched.positions[-1][1]
+            self._newest = replace(self._newest, x=x, y=y)
+        if fetched.controller:
+            numbers = fetched.controller[-1][1]
+            self._newest = replace(self._newest, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
+        for messages in (fetched.driver, fetched.positions):
+            if messages:
+                first_ns = self._newest.first_ns or messages[0][0]
+                self._newest = replace(self._newest, stamp_ns=messages[-1][0], first_ns=first_ns)
+                self._last_came = time.monotonic()
+        return fetched
+
+    def reports(self) -> dict[str, dict[str, str]]:
+        """Values of each node's newest diagnostics, without the nodes that have fallen silent."""
+        oldest = time.monotonic() - _REPORT_LASTS_S
+        return {node: values for node, (came, _, values) in self._reports.items() if came > oldest}
+
+    def observation(self) -> Observation:
+        """The graph now."""
+        fresh = time.monotonic() - self._last_came < self._fresh
+        states, reports = self.states, self.reports()
+        controller = reports.get("controller", {})
+        # A fault of the driver is in its safety state at once, but in its diagnostics up to a second later.
+        safety = self.safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
+        errors = {node: error for node, (_, error, _) in self._reports.items() if error is not None}
+        faults = {node: error for node, error in errors.items() if node in reports and node != _DRIVER}
+        reported = {node: values[DESCRIPTION] for node, values in reports.items() if DESCRIPTION in values}
+        return replace(
+            self._newest,
+            nodes=states,
+            faults=faults | ({_DRIVER: safety.fault} if safety.fault else {}),
+            fault_code=safety.code,
+            unrecorded=self._unrecorded(reports) if "logger" in states else (),
+            descriptions=self._own | reported,
+            fresh=fresh,
+            commissioning=self.commissioning.doing or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
+            amplifier_on=fresh and self.safety.amplifier_on,
+            still=self._strokes.still,
+            stroke_error_pp=self._strokes.last_pp,
+            samples=count(controller, SAMPLES),
+            lost_samples=count(controller, LOST),
+        )
+
+    def _unrecorded(self, reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
+        unconnected = reports.get("logger", {}).get(UNCONNECTED)
+        if unconnected is None:
+            return ("all topics",)
+        wanted = {self.node.resolve_topic_name(stream.topic) for stream in ALWAYS_PUBLISHED}
+        return tuple(sorted(wanted.intersection(unconnected.split())))
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        self.safety = SafetyState.of(message)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            name = reporting_node(status.name, self.node.get_namespace())
+            # Each name stays in memory, and any program may publish here.
+            if name in NODE_PARAMETERS:
+                error = status.message[:LONGEST_REASON] if status.level == DiagnosticStatus.ERROR else None
+                self._reports[name] = (time.monotonic(), error, {value.key: value.value for value in status.values})
+
     def _look(self) -> None:
-        here = self._node.get_namespace()
-        self._present = {name for name, place in self._node.get_node_names_and_namespaces() if place == here}
+        here = self.node.get_namespace()
+        self._present = {name for name, place in self.node.get_node_names_and_namespaces() if place == here}
+
+
+def _giving_way(messages: Messages) -> Iterator[tuple[int, Sequence[float], int]]:
+    """The messages; nodes of the same real-time priority would otherwise wait until the loop over all of them ends."""
+    for number, message in enumerate(messages, 1):
+        yield message
+        if number % _YIELD_EVERY == 0 or number == len(messages):
+            os.sched_yield()
 
 
 class ServiceClient:

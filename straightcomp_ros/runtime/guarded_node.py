@@ -9,8 +9,10 @@ schedule catches up: for seconds, after a slow start. A single timer on the stea
 timer of the executor calls all timers of the node.
 """
 
+import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.clock import Clock
@@ -29,23 +31,21 @@ _LOG_EVERY_S = 5.0
 _LONGEST_REASON = 200
 
 
+class Refused(Exception):
+    """A request is refused; the message is the reason."""
+
+
+@dataclass(eq=False)
 class SteadyTimer:
     """Calls ``callback`` every ``period_ns`` until cancelled; after a stall once, not once for each missed period."""
 
-    def __init__(self, period_ns: int, callback: Callable[[], object], first_ns: int) -> None:
-        self._period_ns, self._callback = period_ns, callback
-        self.due_ns: float = first_ns
+    period_ns: int
+    callback: Callable[[], object]
+    due_ns: float
 
     def cancel(self) -> None:
         """Never call again."""
-        self.due_ns = float("inf")
-
-    def call(self, now_ns: int) -> None:
-        """Call now; the next call is due one period after this one was due."""
-        self.due_ns += self._period_ns
-        if self.due_ns <= now_ns:
-            self.due_ns = now_ns + self._period_ns
-        self._callback()
+        self.due_ns = math.inf
 
 
 class SteadyTimers:
@@ -61,9 +61,8 @@ class SteadyTimers:
         period_ns = round(period_s * 1e9)
         # A timer that is due between two ticks would be called at one or the other, depending on their jitter.
         ticks = -((self._begin_ns - self._monotonic_ns()) // _TICK_NS)
-        timer = SteadyTimer(period_ns, callback, self._begin_ns + ticks * _TICK_NS + period_ns)
-        self._timers.append(timer)
-        return timer
+        self._timers.append(SteadyTimer(period_ns, callback, self._begin_ns + ticks * _TICK_NS + period_ns))
+        return self._timers[-1]
 
     def mark(self) -> int:
         """The number of timers so far, for :meth:`cancel_after`."""
@@ -81,14 +80,16 @@ class SteadyTimers:
         timer = min(self._timers, key=lambda timer: timer.due_ns, default=None)
         if timer is None or timer.due_ns > now_ns:
             return False
-        timer.call(now_ns)
+        timer.due_ns += timer.period_ns
+        if timer.due_ns <= now_ns:
+            timer.due_ns = now_ns + timer.period_ns
+        timer.callback()
         return True
 
     def call_all(self) -> None:
         """Call each timer that is due, once."""
-        for _ in range(len(self._timers)):
-            if not self.call_one():
-                return
+        for _ in list(self._timers):
+            self.call_one()
 
 
 class GuardedNode(Node):
@@ -139,12 +140,27 @@ class GuardedNode(Node):
         def answer(request: Any, response: Any) -> Any:
             try:
                 return callback(request, response)
+            except Refused as reason:
+                return refusal(response, str(reason))
             except RUN_FAILURES:
                 raise
             except Exception as error:
                 return refusal(kind.Response(), refused.log(error))
 
         return super().create_service(kind, name, answer, *more, **options)
+
+    def offer(self, kind: Any, name: str, act: Callable[..., str]) -> None:
+        """A service that answers with ``success`` and ``message``, of the kind Trigger or SetBool.
+
+        ``act`` gets the data of a SetBool; it returns the message, or raises :class:`Refused`.
+        """
+
+        def answer(request: Any, response: Any) -> Any:
+            response.message = act(request.data) if hasattr(request, "data") else act()
+            response.success = True
+            return response
+
+        self.create_service(kind, name, answer)
 
 
 class ThrottledWarning:

@@ -12,6 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
+from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault
@@ -87,8 +88,8 @@ class SafetyPanel:
         self._refusal, self._anew = refusal, anew
         self._publisher = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
         self._reported: tuple[Condition, str] | None = None
-        node.create_service(SetBool, "~/enable", self._on_enable)
-        node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
+        node.offer(SetBool, "~/enable", self._on_enable)
+        node.offer(Trigger, "~/reset_fault", self._on_reset_fault)
         node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
         self._client = CommissioningWatch(node, self._on_client_gone)
         self._on_for_client = False
@@ -105,30 +106,31 @@ class SafetyPanel:
         if fault:
             self._node.get_logger().error(f"fault, amplifier off: {self._safety.reason}")
 
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_enable(self, on: bool) -> str:
         """Switch the amplifier on (refused while a fault is latched or fresh commands are missing), or off."""
-        if not request.data:
+        refusal = ""
+        if not on:
             self._safety.disable()
-            response.success, response.message = True, "amplifier off"
         else:
             refusal = "" if self._safety.fault else self._refusal()
             if not refusal:
                 self._anew()
                 refusal = self._safety.enable()
                 self._on_for_client = bool(self._client.doing)
-            response.success, response.message = not refusal, refusal or "amplifier on"
-        self._node.get_logger().info(f"enable: {response.message}")
+        message = refusal or f"amplifier {'on' if on else 'off'}"
+        self._node.get_logger().info(f"enable: {message}")
         self.report()
-        return response
+        if refusal:
+            raise Refused(refusal)
+        return message
 
-    def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset_fault(self) -> str:
         """Clear the latched fault; the amplifier stays off."""
         reason = self._safety.reason
         self._anew()
         self._safety.reset()
         self.report()
-        response.success, response.message = True, f"cleared: {reason}" if reason else "there was no fault"
-        return response
+        return f"cleared: {reason}" if reason else "there was no fault"
 
     def _on_client_gone(self) -> None:
         # A client that was refused since another client uses the machine leaves it as it is.

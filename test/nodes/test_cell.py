@@ -142,9 +142,8 @@ def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
         "driver": {SCHEDULING: REFUSED, CPU_WAIT: "900", "timer_error_max_us": "1200.0"},
         "controller": {SCHEDULING: REFUSED, CPU_WAIT: "181000", "timer_error_max_us": "180000.0"},
     }
-    cell._watch = SimpleNamespace(reports=lambda: reports)
+    cell._graph = SimpleNamespace(reports=lambda: reports, quiet=lambda seconds: False)
     cell._seen = SimpleNamespace(missing=())
-    cell._graph = SimpleNamespace(quiet=lambda seconds: False)
 
     def cycle():
         yield

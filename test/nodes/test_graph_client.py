@@ -61,7 +61,7 @@ def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_
     with WaitingClient(()) as client, pytest.raises(GraphError, match="machine: acceptance"):
         client.claim()
     with WaitingClient(()) as client:
-        assert comes_true(lambda: client._graph.commissioning)
+        assert comes_true(lambda: client.commissioning.doing)
         other.destroy_node()
         rclpy.shutdown(context=context)
         client.claim()("connection")

@@ -8,7 +8,7 @@ from participant import Participant
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
-from straightcomp_ros.runtime.graph_watch import GraphWatch, Heartbeats
+from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
 from straightcomp_ros.runtime.streams import publisher
@@ -44,23 +44,30 @@ class Driver:
         self._diagnostics.publish(DiagnosticArray(status=[status]))
 
 
+class Client(GraphClient):
+    states = STATES
+    """In place of heartbeats."""
+
+
 @pytest.fixture
 def seen():
     """A driver, and a function that gives the observation as soon as it is as wanted."""
     with Participant("watch") as participant:
-        driver, watch = Driver(), GraphWatch(participant.node)
+        driver, client = Driver(), Client(participant.node, list(STATES))
 
         def until(wanted, states=STATES):
+            client.states = states
+
             def came():
                 driver.sample()
-                watch.fetch()
-                return wanted(watch.observation(states))
+                client.fetch()
+                return wanted(client.observation())
 
             participant.until(came)
-            return watch.observation(states)
+            return client.observation()
 
         yield driver, until
-        watch.streams.close()
+        client.streams.close()
         driver.node.destroy_node()
 
 

@@ -19,7 +19,7 @@ from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import SAFETY_STATE, STREAMS
 from straightcomp_ros.messages.cdr import pack_batch
-from straightcomp_ros.runtime.graph_watch import Heartbeats
+from straightcomp_ros.runtime.graph_client import Heartbeats
 from straightcomp_ros.runtime.safety_panel import SafetyState
 
 LOOP = ("driver", "feedforward", "controller", "logger")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -25,18 +26,17 @@ STRAYED = SafetyState(Condition.FAULT, "following_error: 0.7 mm", Fault.FOLLOWIN
 class Client:
     """Nodes that do what they are asked at once; ``interrupt`` names what raises `KeyboardInterrupt` instead."""
 
-    samples_come = stage_listens = True
+    stage_listens = True
 
     def __init__(self, interrupt: str = "", safety: SafetyState = OFF, moved: SafetyState = ON) -> None:
         self.interrupt, self.safety, self.moved = interrupt, safety, moved
-        self.x = 0.0
         self.given: dict[str, dict[str, object]] = {}
         self.states: dict[str, str] = {}
         self.asked: list[tuple[str, object]] = []
         self.moves: list[object] = []
 
-    def unrecorded(self):
-        return ()
+    def observation(self):
+        return Observation(x=0.0, fresh=True)
 
     def wait(self, done, within, otherwise):
         """Time is not waited for."""
@@ -94,7 +94,7 @@ def test_strokes_follow_each_other_from_where_they_begin_and_a_released_logger_h
     client = Client()
     used = stroke(client, Path("found"), count=3)
     assert len(client.moves) == 3
-    assert all(points[0].position == points[-1].position == client.x for points in client.moves)
+    assert all(points[0].position == points[-1].position == 0.0 for points in client.moves)
     # The folder is the same wherever the logger was started.
     assert client.given["logger"]["output"] == str(tmp_path / "found" / "bag")
     used.release()

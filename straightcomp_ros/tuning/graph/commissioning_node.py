@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -28,6 +27,7 @@ from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters, node_parameters
 from straightcomp_ros.parameters.output_files import making
+from straightcomp_ros.runtime.guarded_node import GuardedNode, Refused
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import Runnable, run
@@ -52,7 +52,7 @@ class Result(NamedTuple):
 class CommissioningNode(Runnable):
     """Provides ``~/run`` and ``~/stop``, ``~/measure_response``, and each step of commissioning by its name."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: GuardedNode) -> None:
         self._parameters = parameters = declare(node, CommissioningNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         if not parameters.output:
@@ -62,37 +62,36 @@ class CommissioningNode(Runnable):
         self._process: BaseProcess | None = None
         self._doing, self._answers = "", 0
         self._publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_STATE, LATCHED)
-        node.create_service(Trigger, "~/run", self._on_run)
-        node.create_service(Trigger, "~/stop", self._on_stop)
-        node.create_service(Trigger, "~/measure_response", self._on_measure_response)
+        node.offer(Trigger, "~/run", self._on_run)
+        node.offer(Trigger, "~/stop", self._on_stop)
+        node.offer(Trigger, "~/measure_response", self._on_measure_response)
         for step in STEP_NAMES:
-            node.create_service(Trigger, f"~/{step}", partial(self._on_step, step))
+            node.offer(Trigger, f"~/{step}", partial(self._on_step, step))
         node.create_timer(_LOOK_S, self._look)
         Diagnostics(node, lambda: {SAMPLES: self._answers, "doing": self._doing})
         self._report("", True, "ready")
 
-    def _on_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_run(self) -> str:
         """Do all steps that have not passed; the topic `commissioning_state` reports how it goes."""
-        return self._begin("all steps", partial(commission, self._parameters, ""), response)
+        return self._begin("all steps", partial(commission, self._parameters, ""))
 
-    def _on_step(self, step: str, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_step(self, step: str) -> str:
         """Do one step of commissioning alone, even if it is done: `connection` and so on."""
-        return self._begin(step, partial(commission, self._parameters, step), response)
+        return self._begin(step, partial(commission, self._parameters, step))
 
-    def _on_measure_response(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_measure_response(self) -> str:
         """Measure the frequency response under the controller's present law, with plots in the output folder."""
-        return self._begin("measure_response", measure_response, response)
+        return self._begin("measure_response", measure_response)
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(self) -> str:
         """End what is going on, with the amplifier off."""
-        response.success = self._interrupt()
-        response.message = f"stops {self._doing}" if response.success else "nothing is going on"
-        return response
+        if not self._interrupt():
+            raise Refused("nothing is going on")
+        return f"stops {self._doing}"
 
-    def _begin(self, doing: str, work: Callable[[Path, str], Result], response: Trigger.Response) -> Trigger.Response:
+    def _begin(self, doing: str, work: Callable[[Path, str], Result]) -> str:
         if self._process is not None:
-            response.success, response.message = False, f"{self._doing} is going on; ~/stop ends it"
-            return response
+            raise Refused(f"{self._doing} is going on; ~/stop ends it")
         # A new interpreter: a copy of this process would share its ROS context.
         new = multiprocessing.get_context("spawn")
         self._answer, answer = new.Pipe(duplex=False)
@@ -102,8 +101,7 @@ class CommissioningNode(Runnable):
         answer.close()
         self._doing = doing
         self._report(doing, True, "is going on", running=True)
-        response.success, response.message = True, f"begins {doing}"
-        return response
+        return f"begins {doing}"
 
     def _interrupt(self) -> bool:
         if self._process is None or self._process.pid is None:

@@ -155,7 +155,7 @@ class RunningMachine:
         # A client that was killed may have left another.
         self._client.give("driver", {_TRAVEL: self._travel})
         self._client.bring("driver", "active")
-        self._client.wait(lambda: self._client.samples_come, _START_S, "no samples come from the driver")
+        self._client.wait(lambda: self._client.observation().fresh, _START_S, "no samples come from the driver")
 
     def _give(self, node: str, values: Values) -> None:
         client = self._client
@@ -175,14 +175,14 @@ class RunningMachine:
     def _approach(self, start: float, speed: float, acceleration: float) -> None:
         """Move the stage to ``start``, the amplifier off."""
         client = self._client
-        here = client.x
+        here = client.observation().x
         if not abs(here - start) > _ARRIVED:
             return
         points = [Waypoint(0, here, 0.0), *trapezoid(Waypoint(0, here, 0.0), start, speed, acceleration)]
         client.wait(lambda: client.stage_listens, _START_S, "no node subscribes to the stage's trajectory")
         client.move(points)
         client.wait(
-            lambda: abs(client.x - start) <= _ARRIVED,
+            lambda: abs(client.observation().x - start) <= _ARRIVED,
             points[-1].time_ns * 1e-9 + _LATE_S,
             f"the stage did not come to its start at {start:g} m",
         )
@@ -193,7 +193,7 @@ class RunningMachine:
         client.move(waypoints)
         self._sleep(waypoints[-1].time_ns * 1e-9)
         client.wait(
-            lambda: abs(client.x - motion.start) <= _ARRIVED,
+            lambda: abs(client.observation().x - motion.start) <= _ARRIVED,
             _LATE_S,
             f"the stage did not come back to its start at {motion.start:g} m",
         )
@@ -206,7 +206,7 @@ class RunningMachine:
         # The logger may run in another folder than this process.
         client.give("logger", {"output": str(bag.resolve()), "record_at_start": True})
         client.bring("logger", "active")
-        client.wait(lambda: not client.unrecorded(), _START_S, "the logger is not connected to all topics")
+        client.wait(lambda: not client.observation().unrecorded, _START_S, "the logger is not connected to all topics")
         try:
             yield
             time.sleep(_AFTER_S)

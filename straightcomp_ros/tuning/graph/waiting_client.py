@@ -14,20 +14,17 @@ from typing import Any
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT
-from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.runtime.commissioning_client import GONE_AFTER_S, CommissioningSign
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
-from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.middleware import own_profile
-from straightcomp_ros.runtime.safety_panel import SafetyState
 
 ANSWER_S = 20.0
 """Longest wait for an answer: a busy computer takes long to configure a node."""
@@ -38,21 +35,20 @@ _ENDED_S = _LISTEN_S + 2.0 * GONE_AFTER_S
 """s after which no node counts a client as alive that ended, or was killed, when this one began."""
 _POLL_S = 0.01
 _WATCH_S = 0.05
-_KINDS: dict[type, Any] = {kind.Request: kind for kind in (ChangeState, GetState, SetBool, Trigger)}
-_UP = ("unconfigured", "inactive", "active")
-_STEPS = {
-    ("unconfigured", "inactive"): Transition.TRANSITION_CONFIGURE,
-    ("inactive", "active"): Transition.TRANSITION_ACTIVATE,
-    ("active", "inactive"): Transition.TRANSITION_DEACTIVATE,
-    ("inactive", "unconfigured"): Transition.TRANSITION_CLEANUP,
+_KINDS: dict[type, Any] = {
+    kind.Request: kind for kind in (ChangeState, GetState, SetBool, SetParametersAtomically, Trigger)
 }
+_STATES = ("unconfigured", "inactive", "active")
+_UP = (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+_DOWN = (None, Transition.TRANSITION_CLEANUP, Transition.TRANSITION_DEACTIVATE)
+"""The transition from each of these states to the next, and to the one before."""
 
 
 class GraphError(RuntimeError):
     """A node does not answer, or refuses; the message names it and its reason."""
 
 
-class WaitingClient:
+class WaitingClient(GraphClient):
     """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
 
     From :meth:`claim` on, as long as it lives, driver, cell and gateway know that a client commissions the machine.
@@ -60,20 +56,19 @@ class WaitingClient:
     """
 
     def __init__(self, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: "") -> None:
-        self._trouble = trouble
+        self._nodes, self._trouble = nodes, trouble
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             # Another name than that of a node which starts such clients.
-            self._node = node = GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None)
-        self._graph, self._watch = GraphClient(node, nodes), GraphWatch(node, batches=False)
+            super().__init__(GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None), nodes, batches=False)
         # Now, since a response is lost if the node receives the request before it knows the client.
-        self._graph.service(SetBool, "controller/excite")
+        self.service(SetBool, "controller/excite")
         for one in nodes:
-            self._graph.service(GetState, f"{one}/get_state")
-        self._parameters = {one: AsyncParameterClient(node, one) for one in nodes}
-        node.create_timer(_WATCH_S, self._watch.fetch)
+            self.service(GetState, f"{one}/get_state")
+            self.service(SetParametersAtomically, f"{one}/set_parameters_atomically")
+        self.node.create_timer(_WATCH_S, self.fetch)
         self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
+        self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
@@ -84,7 +79,7 @@ class WaitingClient:
         self._executor.shutdown(timeout_sec=1.0)
         self._thread.join(timeout=2.0)
         # Otherwise its sign would stay until it is collected.
-        self._node.destroy_node()
+        self.node.destroy_node()
         rclpy.try_shutdown()
 
     def claim(self) -> Callable[[str], None]:
@@ -92,31 +87,31 @@ class WaitingClient:
         if another client commissions it."""
         # Once the nodes are discovered, so are their other clients: on a busy computer that takes seconds.
         self.processes()
-        begin, graph = time.monotonic(), self._graph
-        while time.monotonic() < begin + _LISTEN_S or (graph.commissioning and time.monotonic() < begin + _ENDED_S):
+        begin, other = time.monotonic(), self.commissioning
+        while time.monotonic() < begin + _LISTEN_S or (other.doing and time.monotonic() < begin + _ENDED_S):
             time.sleep(_POLL_S)
-        if graph.commissioning:
-            raise GraphError(f"another client commissions the machine: {graph.commissioning}")
+        if other.doing:
+            raise GraphError(f"another client commissions the machine: {other.doing}")
         # Only now: a sign of this client would count as another's.
-        return CommissioningSign(self._node).report
+        return CommissioningSign(self.node).report
 
     def values(self) -> dict[str, dict[str, Any]]:
         """All parameters of the nodes as they are now, by node and dotted name."""
-        remote = RemoteParameters(self._node, list(self._parameters))
+        remote = RemoteParameters(self.node, self._nodes)
         self.wait(lambda: remote.complete, _START_S, "the nodes do not report their parameters")
         return {node: dict(section) for node, section in remote.values.items()}
 
     def processes(self) -> dict[str, str]:
         """By node, an identifier of its process: a node that is started anew has another."""
-        topic, found = self._node.resolve_topic_name(HEARTBEAT), dict[str, str]()
+        topic, found = self.node.resolve_topic_name(HEARTBEAT), dict[str, str]()
 
         def all_found() -> bool:
-            publishers = self._node.get_publishers_info_by_topic(topic)
+            publishers = self.node.get_publishers_info_by_topic(topic)
             found.update({one.node_name: bytes(one.endpoint_gid).hex() for one in publishers})
-            return self._parameters.keys() <= found.keys()
+            return found.keys() >= set(self._nodes)
 
         self.wait(all_found, _START_S, f"not all nodes publish on {topic}")
-        return {node: found[node] for node in self._parameters}
+        return {node: found[node] for node in self._nodes}
 
     def wait(self, done: Callable[[], bool], within: float, otherwise: str) -> None:
         """Wait until ``done``; GraphError ``otherwise`` after ``within`` s, or when the graph cannot work any more."""
@@ -129,29 +124,27 @@ class WaitingClient:
 
     def bring(self, node: str, goal: str) -> None:
         """Bring ``node`` to the lifecycle state ``goal``: unconfigured, inactive or active."""
-        here = self.ask(f"{node}/get_state", GetState.Request()).current_state.label
-        while here != goal:
-            if here not in _UP:
-                raise GraphError(f"node '{node}' is in state '{here}'; allowed: {', '.join(_UP)}")
-            step = 1 if _UP.index(goal) > _UP.index(here) else -1
-            there = _UP[_UP.index(here) + step]
-            request = ChangeState.Request(transition=Transition(id=_STEPS[here, there]))
-            if not self.ask(f"{node}/change_state", request).success:
-                raise GraphError(f"node '{node}' did not become {there}; its log says why")
+        state, wanted = self.ask(f"{node}/get_state", GetState.Request()).current_state.label, _STATES.index(goal)
+        if state not in _STATES:
+            raise GraphError(f"node '{node}' is in state '{state}'; allowed: {', '.join(_STATES)}")
+        here = _STATES.index(state)
+        while here != wanted:
+            transition, there = (_UP[here], here + 1) if here < wanted else (_DOWN[here], here - 1)
+            if not self.ask(f"{node}/change_state", ChangeState.Request(transition=Transition(id=transition))).success:
+                raise GraphError(f"node '{node}' did not become {_STATES[there]}; its log says why")
             here = there
 
     def give(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of ``node``, all or none."""
-        parameters = [Parameter(name, value=value) for name, value in values.items()]
-        future = self._parameters[node].set_parameters_atomically(parameters)
-        self.wait(future.done, ANSWER_S, f"node '{node}' does not answer")
-        result = future.result().result
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        result = self.ask(f"{node}/set_parameters_atomically", request).result
         if not result.successful:
             raise GraphError(f"node '{node}': {result.reason}")
 
     def ask(self, service: str, request: Any) -> Any:
         """The response of a service."""
-        client = self._graph.service(_KINDS[type(request)], service)
+        client = self.service(_KINDS[type(request)], service)
         self.wait(lambda: client.ready, _START_S, f"service '{service}' is not there; does the node run?")
         future = client.call(request)
         self.wait(future.done, ANSWER_S, f"service '{service}' does not answer")
@@ -162,34 +155,6 @@ class WaitingClient:
         response = self.ask(service, request)
         if not response.success:
             raise GraphError(f"{service}: {response.message or 'refused'}")
-
-    def move(self, waypoints: Sequence[Waypoint]) -> None:
-        """Move the stage along ``waypoints``, from now."""
-        self._graph.move(waypoints)
-
-    @property
-    def stage_listens(self) -> bool:
-        """Whether a node subscribes to the stage's trajectory."""
-        return self._graph.stage_listens
-
-    @property
-    def safety(self) -> SafetyState:
-        """The driver's newest safety state."""
-        return self._watch.safety
-
-    @property
-    def x(self) -> float:
-        """Newest position of the stage, m; NaN before the first."""
-        return self._watch.observation({}).x
-
-    @property
-    def samples_come(self) -> bool:
-        """Whether samples arrive."""
-        return self._watch.observation({}).fresh
-
-    def unrecorded(self) -> Sequence[str]:
-        """Topics that the logger is not connected to yet."""
-        return self._watch.observation(self._graph.states).unrecorded
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
