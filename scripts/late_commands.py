@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
-from straightcomp_ros.analysis.metrics import evaluate, true_error
-from straightcomp_ros.analysis.record import find_motion
+from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
@@ -59,11 +58,11 @@ def stalls(values: Values, period_ns: int) -> None:
             starts = range(first, _SAMPLES - length - _AFTERMATH, _EVERY)
             delays = stalled(_SAMPLES, period_ns, period_ns, stall_ms, starts)
             record, straightness = run_stroke(values, delays)
-            error = true_error(record, straightness)
+            error = record.true_error(straightness)
             if error is None:
                 raise AssertionError("a simulation has truth")
             moving = np.zeros(error.size, dtype=bool)
-            moving[find_motion(record).samples()] = True
+            moving[record.motion.samples()] = True
             after = length + _AFTERMATH
             largest += [np.abs(error[k : k + after]).max() * 1e6 for k in starts if moving[k : k + after].all()]
         median, p98 = np.percentile(largest, (50, 98))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.record import StrokeRecord, find_motion
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import PlantParameters, PlantState
@@ -51,7 +51,7 @@ class Stroke:
             self._true_r = height * np.cos(wave * true_x)
         rest = np.zeros_like(x)
         record = StrokeRecord(time=self._stamps * 1e-9, x=x, y=rest, r=rest, current=rest, law="")
-        self._window = find_motion(record).window
+        self._window = record.motion.window
         self._reference = reference
         self.rate = float(np.abs(reference[self._window, 1]).max())
 

@@ -177,8 +177,6 @@ def simulated_rows(
     stamps = np.round(record.time * 1e9).astype(np.int64)
     evaluation = BagEvaluation(
         record=record,
-        expected_samples=stamps.size,
-        received_samples=stamps.size,
         lost_references=0,
         lost_commands=0,
         latency=np.empty(0),

@@ -14,13 +14,10 @@ from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, e
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures, true_error
-from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion, runs_of
-from straightcomp_ros.analysis.run_verdict import judged_bag, partial_run
+from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures
+from straightcomp_ros.analysis.record import Array, RecordedReference, StrokeRecord, runs_of
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
-
-_AT_LIMIT = 1.0 - 1e-9
-"""Fraction of the current limit from which the command counts as limited."""
 
 
 class Interval(NamedTuple):
@@ -33,34 +30,25 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """A run with all its figures.
-
-    Attributes:
-        bag: the bag's path.
-        evaluation, motion, reference, metrics: the run, when it moved, its reference over x, its figures.
-        strokes: figures of each stroke, in order.
-        spectrum: of the compensation error as the encoder sees it, while the stage moves.
-        gaps: samples that the clock took and the bag lacks.
-        saturated: where the command was at the law's current limit.
-        amplifier_off: where the amplifier was off between the run's first motion and its last: a fault, or a stop.
-        stick_slips: events of all strokes.
-        verdict: on the run.
-        warnings: the reader's warnings about the bag.
-    """
+    """A run with all its figures."""
 
     bag: Path
     evaluation: BagEvaluation
-    motion: Motion
-    reference: RecordedReference
+    reference: RecordedReference  # over x
     metrics: Metrics
-    strokes: list[StrokeFigures]
-    spectrum: Spectrum
-    gaps: list[Interval]
-    saturated: list[Interval]
-    amplifier_off: list[Interval]
-    stick_slips: list[StickSlip]
+    strokes: list[StrokeFigures]  # in order
+    spectrum: Spectrum  # of the compensation error as the encoder sees it, while the stage moves
+    gaps: list[Interval]  # samples that the clock took and the bag lacks
+    saturated: list[Interval]  # where the command was at the law's current limit
+    amplifier_off: list[Interval]  # off between the run's first motion and its last: a fault, or a stop
+    stick_slips: list[StickSlip]  # of all strokes
     verdict: Verdict
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # the reader's about the bag
+
+    @property
+    def record(self) -> StrokeRecord:
+        """The run's samples."""
+        return self.evaluation.record
 
     def figures(self) -> dict[str, Any]:
         """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""
@@ -93,9 +81,10 @@ class Assessment:
 
     def as_json(self) -> dict[str, Any]:
         """The figures, and all lists behind them."""
+        intervals = {"gap": self.gaps, "saturation": self.saturated, "amplifier_off": self.amplifier_off}
         return {
             "bag": str(self.bag),
-            "law": self.evaluation.record.law,
+            "law": self.record.law,
             **self.verdict._asdict(),
             **self.figures(),
             "strokes": [stroke.to_display() for stroke in self.strokes],
@@ -103,9 +92,7 @@ class Assessment:
                 {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}
                 for frequency, density in self.spectrum.peaks()
             ],
-            "gap_intervals": [interval._asdict() for interval in self.gaps],
-            "saturation_intervals": [interval._asdict() for interval in self.saturated],
-            "amplifier_off_intervals": [interval._asdict() for interval in self.amplifier_off],
+            **{f"{name}_intervals": [one._asdict() for one in found] for name, found in intervals.items()},
             "stick_slip": [asdict(event) for event in self.stick_slips],
             "warnings": list(self.warnings),
         }
@@ -113,58 +100,43 @@ class Assessment:
 
 def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ()) -> Assessment:
     """Assess a recorded run; MetricsError if the stage does not move, or a number within the motion is not finite."""
-    record = evaluation.record
+    record, partial = evaluation.record, evaluation.partial()
     try:
-        motion, reference = find_motion(record), RecordedReference(record)
+        motion = record.motion
     except MetricsError as found:
-        partial = partial_run(evaluation)
         raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
-    window = motion.window
-    error = record.r - record.y
+    reference = RecordedReference(record)
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
-    strokes = evaluation.encoder.strokes if evaluation.encoder else ()
-    # As the encoder saw the stage move, whether the law ran or not.
-    first, last = (time[strokes[0].start], time[strokes[-1].stop - 1]) if strokes else (math.inf, -math.inf)
-    off = _intervals(time, evaluation.encoder.off) if evaluation.encoder else []
-    truth = true_error(record, reference)
+    off = []
+    if evaluation.encoder and (strokes := evaluation.encoder.strokes):
+        # As the encoder saw the stage move, whether the law ran or not.
+        first, last = time[strokes[0].start], time[strokes[-1].stop - 1]
+        off = [one for one in _intervals(time, evaluation.encoder.off) if one.start <= last and one.end >= first]
     columns = np.array([record.time, record.x, record.y, record.r])
     return Assessment(
         bag=bag,
         evaluation=evaluation,
-        motion=motion,
         reference=reference,
         metrics=evaluate(record, reference),
-        strokes=[stroke_figures(record, reference, truth, stroke) for stroke in motion.strokes],
-        spectrum=error_spectrum(record.time[window], error[window]),
+        strokes=[stroke_figures(record, reference, stroke) for stroke in motion.strokes],
+        spectrum=error_spectrum(record.time[motion.window], (record.r - record.y)[motion.window]),
         gaps=_gaps(time),
-        saturated=_intervals(record.time, at_current_limit(evaluation)),
-        amplifier_off=[interval for interval in off if interval.start <= last and interval.end >= first],
+        saturated=_intervals(record.time, evaluation.at_current_limit),
+        amplifier_off=off,
         stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
-        verdict=judged_bag(evaluation, record, reference, evaluation.parameters, evaluation.map),
+        verdict=partial or judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls),
         warnings=warnings,
     )
 
 
-def at_current_limit(evaluation: BagEvaluation) -> NDArray[np.bool_]:
-    """The samples (n,) of the record with the command at the law's current limit; none where that was not recorded."""
-    limit = evaluation.parameters.get("controller", {}).get("stage.actuator.current_limit", math.inf)
-    return np.asarray(np.abs(evaluation.record.current) >= _AT_LIMIT * float(limit))
+def _gaps(time: Array) -> list[Interval]:
+    steps = np.diff(time)
+    periods = steps / np.median(steps)
+    gaps = np.flatnonzero((periods > 1.5) & (steps < PAUSE))
+    return [Interval(float(time[at]), float(time[at + 1]), round(float(periods[at])) - 1) for at in gaps]
 
 
-def displayed_error(assessment: Assessment) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Compensation error in m as the encoder sees it and, where it is known, the true one."""
-    record = assessment.evaluation.record
-    return record.r - record.y, true_error(record, assessment.reference)
-
-
-def _gaps(time: NDArray[np.float64]) -> list[Interval]:
-    pauses = np.diff(time) >= PAUSE
-    steps = np.diff(time) / np.median(np.diff(time))
-    gaps = np.flatnonzero((steps > 1.5) & ~pauses)
-    return [Interval(float(time[at]), float(time[at + 1]), round(float(steps[at])) - 1) for at in gaps]
-
-
-def _intervals(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[Interval]:
+def _intervals(time: Array, mask: NDArray[np.bool_]) -> list[Interval]:
     return [Interval(float(time[a]), float(time[b - 1]), b - a) for a, b in runs_of(mask).tolist()]
 
 
@@ -172,30 +144,28 @@ class LimitsError(ValueError):
     """A file of limits is refused; the message names the file, the figure and what is allowed."""
 
 
-class Limit(NamedTuple):
-    """Smallest and largest value that is allowed for a figure."""
+class LimitCheck(NamedTuple):
+    """The smallest and the largest value that is allowed for a figure, and its value; None if it was not recorded."""
 
     name: str
     minimum: float
     maximum: float
-
-
-class LimitCheck(NamedTuple):
-    """A limit, the figure's value, and whether it is within the limit. A figure that was not recorded fails."""
-
-    limit: Limit
     value: float | None
-    passed: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within the limit; a figure that was not recorded fails."""
+        return self.value is not None and self.minimum <= self.value <= self.maximum
 
     def __str__(self) -> str:
-        bounds = ((">=", self.limit.minimum), ("<=", self.limit.maximum))
+        bounds = ((">=", self.minimum), ("<=", self.maximum))
         allowed = " and ".join(f"{sign} {value:g}" for sign, value in bounds if math.isfinite(value))
         found = "was not recorded" if self.value is None else f"is {self.value:.6g}"
-        return f"{self.limit.name} {found}; allowed: {allowed}"
+        return f"{self.name} {found}; allowed: {allowed}"
 
 
-def read_limits(path: str | Path, known: Mapping[str, Any]) -> list[Limit]:
-    """Limits of a YAML file, for figures among ``known``.
+def checked_limits(path: str | Path, figures: Mapping[str, Any]) -> list[LimitCheck]:
+    """A check of ``figures`` for each limit of a YAML file, in its order.
 
         true_pp_um: 0.5                    # at most
         lost_samples: {max: 0}
@@ -214,32 +184,22 @@ def read_limits(path: str | Path, known: Mapping[str, Any]) -> list[Limit]:
         raise LimitsError(f"{where}: {error}") from error
     if not isinstance(tree, Mapping) or not tree:
         raise LimitsError(f"{where}: sets no limit; allowed: lines 'FIGURE: MAXIMUM' or 'FIGURE: {{min: …, max: …}}'")
-    return [_limit(where, str(name), value, known) for name, value in tree.items()]
+    return [_check(where, str(name), limit, figures) for name, limit in tree.items()]
 
 
-def judged(limits: list[Limit], figures: Mapping[str, Any]) -> list[LimitCheck]:
-    """A check of each limit, in its order."""
-    checks = []
-    for limit in limits:
-        value = figures[limit.name]
-        known = value is not None and math.isfinite(value)
-        checks.append(LimitCheck(limit, value if known else None, known and limit.minimum <= value <= limit.maximum))
-    return checks
-
-
-def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit:
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any]) -> LimitCheck:
+    if name not in figures:
+        near = difflib.get_close_matches(name, figures, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(figures)}"
         raise LimitsError(f"{where}: figure '{name}' is unknown; {hint}")
-    given = value if isinstance(value, Mapping) else {"max": value}
+    given = limit if isinstance(limit, Mapping) else {"max": limit}
     bounds = {key: _number(one) for key, one in given.items()}
     if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
-        raise LimitsError(f"{where}: {name}: {value!r}; allowed: a number, or {{min: number, max: number}}")
-    limit = Limit(name, bounds.get("min", -math.inf), bounds.get("max", math.inf))
-    if limit.minimum > limit.maximum:
-        raise LimitsError(f"{where}: {name}: min {limit.minimum:g} is above max {limit.maximum:g}")
-    return limit
+        raise LimitsError(f"{where}: {name}: {limit!r}; allowed: a number, or {{min: number, max: number}}")
+    minimum, maximum, value = bounds.get("min", -math.inf), bounds.get("max", math.inf), figures[name]
+    if minimum > maximum:
+        raise LimitsError(f"{where}: {name}: min {minimum:g} is above max {maximum:g}")
+    return LimitCheck(name, minimum, maximum, value if value is not None and math.isfinite(value) else None)
 
 
 def _number(value: Any) -> float:

@@ -24,7 +24,8 @@ from straightcomp_ros.analysis.interruption import (
     latched_faults,
     stalls_of,
 )
-from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
+from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, Verdict
+from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
@@ -57,75 +58,75 @@ def attached_map(
             return None
 
 
+_TRUTH = {"true_x": "true_x", "true_y": "true_y", "guide": "guide_deviation"}
+"""Columns of the truth by those of a record."""
 FOR_EVER = int(np.iinfo(np.int64).max)
 """The last stamp, ns."""
+Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class BagEvaluation:
-    """A recorded run.
+    """A recorded run. It begins when the amplifier is switched on, after discovery, or with the bag if the amplifier is
+    never on. Latency is the time from a sample to the arrival of its command at the driver, lateness that until the
+    driver published it; both in s, as far as recorded."""
 
-    Attributes:
-        record: the samples of the run that have sample, reference and command (and truth, in a simulation). The run
-            begins when the amplifier is switched on, after discovery, or with the bag if the amplifier is never on.
-        expected_samples: samples that the sampling clock took from the run's first to its last in the bag.
-        received_samples: different samples of the run in the bag.
-        lost_references, lost_commands: samples of the run without one, up to the last that has one, or to the last of
-            the motion if the recording goes on after that.
-        latency: times in s from a sample to the arrival of its command at the driver, as far as recorded.
-        lateness: times in s from a sample until the driver published it, as far as recorded.
-        stamps: (n,) ns, the run's different samples in the bag, in order; those of ``record`` are among them.
-        amplifier_on: (n,) for the same samples.
-        parameters: of the recorded nodes, by node and dotted name; empty when none are attached.
-        map: of the attached survey; None without one.
-        stalls: when the host failed the loop, on the clock of ``record``.
-        begin_ns: stamp of the first sample of ``record``.
-        coil_current: (m,) measured control current of the coils in A at the samples of ``record``; NaN without it.
-        guide: (m,) m, the guide's deviation by the displacement sensor at the samples of ``record``, up to a constant,
-            NaN where it was not recorded; None without a sensor.
-        latency_stamps: stamps in ns of the driver's records that have ``latency``, as many.
-        encoder: all samples of the run, as the encoder saw the stage move; None for a run that was not recorded.
-        reports: what each node reported in its diagnostics, by its name.
-        faults: that were latched in the run, or after it.
-        clock_jump: where the clock of the stamps jumped, in words; empty if it ran on.
-    """
-
-    record: StrokeRecord
-    expected_samples: int
-    received_samples: int
+    record: StrokeRecord  # the samples that have sample, reference and command (and truth, in a simulation)
+    # Samples without one, up to the last that has one, or to the last of the motion if the recording goes on.
     lost_references: int
     lost_commands: int
-    latency: NDArray[np.float64]
-    lateness: NDArray[np.float64]
-    stamps: NDArray[np.int64]
-    amplifier_on: NDArray[np.bool_]
-    parameters: Mapping[str, Mapping[str, Any]]
-    map: StraightnessMap | None = None
-    stalls: tuple[Stall, ...] = ()
-    begin_ns: int = 0
-    coil_current: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    guide: NDArray[np.float64] | None = None
-    latency_stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    encoder: EncoderRun | None = None
-    reports: Mapping[str, Sequence[Report]] = field(default_factory=dict)
-    faults: tuple[LatchedFault, ...] = ()
-    clock_jump: str = ""
+    latency: Array
+    lateness: Array
+    stamps: Stamps  # (n,) ns, the run's different samples in the bag, in order; those of the record are among them
+    amplifier_on: NDArray[np.bool_]  # (n,) for the same samples
+    parameters: Mapping[str, Mapping[str, Any]]  # of the recorded nodes, by node and dotted name; empty without any
+    map: StraightnessMap | None = None  # of the attached survey
+    stalls: tuple[Stall, ...] = ()  # when the host failed the loop, on the clock of the record
+    begin_ns: int = 0  # stamp of the first sample of the record
+    # (m,) measured control current of the coils in A at the samples of the record; NaN without it.
+    coil_current: Array = field(default_factory=lambda: np.empty(0))
+    # (m,) m, the guide's deviation by the displacement sensor at the same samples, up to a constant, NaN where it was
+    # not recorded; None without a sensor.
+    guide: Array | None = None
+    # Stamps in ns of the driver's records that have a latency, as many.
+    latency_stamps: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
+    encoder: EncoderRun | None = None  # as the encoder saw the stage move; None for a run that was not recorded
+    reports: Mapping[str, Sequence[Report]] = field(default_factory=dict)  # each node's diagnostics
+    faults: tuple[LatchedFault, ...] = ()  # that were latched in the run, or after it
+    clock_jump: str = ""  # where the clock of the stamps jumped, in words; empty if it ran on
 
-    def interruption(self, begin_ns: int = 0, until_ns: int = FOR_EVER) -> str:
-        """Why the law did not run for the whole motion, or that from ``begin_ns`` to before ``until_ns``."""
-        return interruption(self.encoder, self.faults, begin_ns, until_ns) if self.encoder else ""
+    @property
+    def expected_samples(self) -> int:
+        """Samples that the clock took from the run's first to its last in the bag."""
+        return samples_taken(self.stamps)
+
+    @property
+    def received_samples(self) -> int:
+        """Different samples of the run in the bag."""
+        return len(self.stamps)
 
     @property
     def lost_samples(self) -> int:
         """Samples that the clock took and the bag does not have."""
         return self.expected_samples - self.received_samples
 
-    def latency_us(self, percentile: float) -> float:
-        """Percentile of the latency in µs; NaN if none was recorded."""
-        return percentile_us(self.latency, percentile)
+    @property
+    def at_current_limit(self) -> NDArray[np.bool_]:
+        """The samples (m,) of the record with the command at the law's limit; none where that was not recorded."""
+        limit = self.parameters.get("controller", {}).get("stage.actuator.current_limit", math.inf)
+        return np.asarray(np.abs(self.record.current) >= AT_LIMIT * float(limit))
+
+    def partial(self, begin_ns: int = 0, until_ns: int = FOR_EVER) -> Verdict | None:
+        """The verdict on a run whose figures are those of a part of its motion, or of that from ``begin_ns`` to before
+        ``until_ns``; None for a whole one."""
+        if self.clock_jump:
+            remedy = "record again, with a driver whose stamps come from a monotonic clock"
+            return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
+        reason = interruption(self.encoder, self.faults, begin_ns, until_ns) if self.encoder else ""
+        return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before") if reason else None
 
 
-def percentile_us(durations: NDArray[np.float64], percentile: float) -> float:
+def percentile_us(durations: Array, percentile: float) -> float:
     """Percentile in µs of durations in s; NaN if there are none."""
     return float(np.percentile(durations, percentile)) * 1e6 if len(durations) else math.nan
 
@@ -170,7 +171,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     if (np.diff(common) >= PAUSE * 1e9).any():
         common = common[_judged(common, x[np.searchsorted(encoder, common)])]
 
-    def column(stream: StreamColumns, name: str) -> NDArray[np.float64]:
+    def column(stream: StreamColumns, name: str) -> Array:
         return stream.columns[name][np.searchsorted(stream.stamp, common)]
 
     record = StrokeRecord(
@@ -179,10 +180,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         y=column(samples, "y"),
         r=column(reference, "r"),
         current=column(command, "control_current"),
-        true_x=column(truth, "true_x") if truth else None,
-        true_y=column(truth, "true_y") if truth else None,
-        guide=column(truth, "guide_deviation") if truth else None,
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
+        **({name: column(truth, theirs) for name, theirs in _TRUTH.items()} if truth else {}),
     )
     guide, sensor = None, unique.get(DISPLACEMENT.topic)
     if sensor and len(sensor) > 1:
@@ -208,10 +207,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     stalls = stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
-        expected_samples=samples_taken(encoder),
-        received_samples=len(encoder),
-        lost_references=_missing(run, reference.stamp),
-        lost_commands=_missing(run, command.stamp),
+        lost_references=run.unanswered(reference.stamp),
+        lost_commands=run.unanswered(command.stamp),
         latency=latency[recorded],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
@@ -230,7 +227,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     )
 
 
-def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _judged(stamps: Stamps, x: Array) -> NDArray[np.bool_]:
     """The samples (n,) to judge: all but those at rest on both sides of a pause of the recording, in which the platform
     may have been anywhere."""
     judged = np.ones(stamps.size, np.bool_)
@@ -246,16 +243,10 @@ def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.boo
     return judged
 
 
-def samples_taken(stamps: NDArray[np.int64]) -> int:
+def samples_taken(stamps: Stamps) -> int:
     """Samples that the clock took from the first of these stamps (n,) in ns to the last, counted from one to the next:
     the stamps of a board with a clock of its own lie on no common grid for a whole run. In a pause of the recording
     none counts."""
     steps = np.diff(stamps)
     taken = np.maximum(1, np.round(steps / np.median(steps)))
     return 1 + int(np.where(steps < PAUSE * 1e9, taken, 1).sum())
-
-
-def _missing(run: EncoderRun, answers: NDArray[np.int64]) -> int:
-    """Samples up to the last that had to be answered, or was, that have no answer."""
-    inside = run.stamps[run.stamps <= max(int(answers[-1]), run.end_ns)]
-    return int(np.count_nonzero(~np.isin(inside, answers)))

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck, displayed_error
+from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
 from straightcomp_ros.analysis.html_page import (
     BLACK,
     BLUE,
@@ -21,6 +21,7 @@ from straightcomp_ros.analysis.html_page import (
     line_figure,
 )
 from straightcomp_ros.analysis.metrics import residual_over
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.straightness.survey import Direction
 
 _POINTS = 6000
@@ -48,7 +49,7 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
     figures = [{"figure": name, **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
     return html_page(
         bag,
-        f"Straightness compensation, law “{assessment.evaluation.record.law}”",
+        f"Straightness compensation, law “{assessment.record.law}”",
         Markup("").join(blocks.paragraph(*note) for note in notes),
         [
             ("Limits", blocks.table(limits) if limits else ""),
@@ -61,40 +62,40 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
 
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
-    record, motion = assessment.evaluation.record, assessment.motion
+    record = assessment.record
     x, y, guide, true = record.best_known(assessment.reference)
-    seen = "true" if true else "map and encoder"
-    moving = motion.samples()
-    of_guide, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
-    figure = line_figure("slider position x / mm", f"deviation / µm ({seen})")
-    curves: tuple[tuple[str, NDArray[np.float64], str, Direction | None], ...] = (
+    moving = record.motion.samples()
+    of_guide, after = (residual_over(x, values, record) * 1e6 for values in (guide, guide + y))
+    figure = line_figure("slider position x / mm", f"deviation / µm ({'true' if true else 'map and encoder'})")
+    curves: tuple[tuple[str, Array, str, Direction | None], ...] = (
         ("before", of_guide, BLACK, None),
         ("after, forward", after, BLUE, "forward"),
         ("after, backward", after, VERMILION, "backward"),
     )
     for name, values, colour, direction in curves if before else curves[1:]:
-        chosen = np.isin(moving, motion.samples(direction))
+        chosen = np.isin(moving, record.motion.samples(direction))
         if chosen.any():
             label = f"{name}: {np.ptp(values[chosen]):.2f} µm p-p"
             _curve(figure, x[moving][chosen] * 1e3, values[chosen], label, colour)
     return figure
 
 
+def _errors(assessment: Assessment) -> tuple[Array, list[Array]]:
+    """Time in s of the samples in motion, and their error in µm as the encoder sees it, and the true one if known."""
+    record, window = assessment.record, assessment.record.motion.window
+    errors = (record.r - record.y, record.true_error(assessment.reference))
+    return record.time[window], [error[window] * 1e6 for error in errors if error is not None]
+
+
 def _error(assessment: Assessment, other: Assessment | None) -> go.Figure:
-    record = assessment.evaluation.record
-    encoder, truth = displayed_error(assessment)
-    window = assessment.motion.window
     figure = line_figure("time / s", "error r − y / µm")
-    _curve(figure, record.time[window], encoder[window] * 1e6, "encoder", GREY if truth is not None else BLUE)
-    if truth is not None:
-        _curve(figure, record.time[window], truth[window] * 1e6, "true", BLUE)
+    time, errors = _errors(assessment)
+    names = (("encoder", BLUE if len(errors) == 1 else GREY), ("true", BLUE))
+    for (name, colour), values in zip(names, errors, strict=False):
+        _curve(figure, time, values, name, colour)
     if other is not None:
-        values, true_values = displayed_error(other)
-        shown = values if true_values is None else true_values
-        start = record.time[window.start]
-        window = other.motion.window
-        time = other.evaluation.record.time[window]
-        _curve(figure, time - time[0] + start, shown[window] * 1e6, str(other.bag), VERMILION)
+        others_time, others = _errors(other)
+        _curve(figure, others_time - others_time[0] + time[0], others[-1], str(other.bag), VERMILION)
     _mark(figure, assessment.amplifier_off, "amplifier off", VERMILION)
     _mark(figure, assessment.gaps, "samples lost", GREEN)
     return figure
@@ -114,7 +115,7 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
 
 
 def _current(assessment: Assessment) -> go.Figure:
-    record, window = assessment.evaluation.record, assessment.motion.window
+    record, window = assessment.record, assessment.record.motion.window
     figure = line_figure("time / s", "control current / mA")
     _curve(figure, record.time[window], record.current[window] * 1e3, "command", BLACK)
     _mark(figure, assessment.saturated, "at the current limit", VERMILION)
@@ -146,12 +147,12 @@ def _timing(assessment: Assessment) -> go.Figure | None:
     return figure
 
 
-def _curve(figure: go.Figure, x: NDArray[np.float64], y: NDArray[np.float64], name: str, colour: str) -> None:
+def _curve(figure: go.Figure, x: Array, y: Array, name: str, colour: str) -> None:
     kept = _extremes(y)
     figure.add_scatter(x=x[kept], y=y[kept], name=name, mode="lines", line={"color": colour, "width": 1})
 
 
-def _extremes(values: NDArray[np.float64]) -> NDArray[np.intp]:
+def _extremes(values: Array) -> NDArray[np.intp]:
     """Indices of the smallest and largest value of each of several thousand equal pieces, in order."""
     size = -(-2 * len(values) // _POINTS)
     if size < 3:

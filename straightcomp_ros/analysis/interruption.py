@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from straightcomp_ros.analysis.record import MOVING, Stroke, runs_of, speed_at_e
 from straightcomp_ros.bags.reader import StreamColumns
 from straightcomp_ros.timing.node_timing import Report
 
+Stamps = NDArray[np.int64]
 _LATE = 1.0
 """Sampling periods beyond the median from which a sample or command is late: a command that is due one period after its
 sample comes too late then, and the board holds the platform by itself."""
@@ -30,10 +31,7 @@ class Stall(NamedTuple):
 
 
 def stalls_of(
-    samples: NDArray[np.int64],
-    commands: NDArray[np.int64],
-    state: NDArray[np.int64],
-    driver: Mapping[str, NDArray[np.float64]],
+    samples: Stamps, commands: Stamps, state: Stamps, driver: Mapping[str, NDArray[np.float64]]
 ) -> list[Stall]:
     """The stalls, in order and apart from each other, in s from the stamp 0.
 
@@ -45,25 +43,31 @@ def stalls_of(
     """
     none = np.full(state.size, np.nan)
     latency, lateness, enabled = (driver.get(name, none) for name in ("command_latency", "lateness", "enabled"))
-    period = float(np.median(np.diff(samples)))
     steps = np.diff(samples)
+    period = float(np.median(steps))
     gaps = np.flatnonzero((steps > 1.5 * period) & (steps < PAUSE * 1e9))
     inside = samples[(samples >= commands[0]) & (samples <= commands[-1])]
     without = inside[~np.isin(inside, commands)]
-    late = np.flatnonzero(_late(latency, period * 1e-9))
-    later = np.flatnonzero(_late(lateness, period * 1e-9))
+    late, later = (_late(times, period * 1e-9) for times in (latency, lateness))
     silent = np.isnan(latency) & (enabled == 1.0)
     # More than half: its controller answers several samples at once.
     first, stop = runs_of(silent if 2 * np.count_nonzero(silent) < silent.size else silent[:0]).T
     first, last = first[stop - first > 1], stop[stop - first > 1] - 1
-    found = [
-        *zip(samples[gaps], samples[gaps + 1], strict=True),
-        *zip(without, without + period, strict=True),
-        *zip(state[late] - latency[late] * 1e9 - period, state[late], strict=True),
-        *zip(state[first] - period, state[last], strict=True),
-        *zip(state[later], state[later] + lateness[later] * 1e9, strict=True),
-    ]
-    return _merged((float(start) * 1e-9, float(end) * 1e-9) for start, end in found)
+    begins_and_ends = (
+        (samples[gaps], samples[gaps + 1]),
+        (without, without + period),
+        (state[late] - latency[late] * 1e9 - period, state[late]),
+        (state[first] - period, state[last]),
+        (state[later], state[later] + lateness[later] * 1e9),
+    )
+    found = [(float(one) * 1e-9, float(end) * 1e-9) for ones in begins_and_ends for one, end in zip(*ones, strict=True)]
+    stalls: list[Stall] = []
+    for start, end in sorted(found):
+        if stalls and start <= stalls[-1].end:
+            stalls[-1] = Stall(stalls[-1].start, max(end, stalls[-1].end))
+        else:
+            stalls.append(Stall(start, end))
+    return stalls
 
 
 def _late(times: NDArray[np.float64], period: float) -> NDArray[np.bool_]:
@@ -71,16 +75,6 @@ def _late(times: NDArray[np.float64], period: float) -> NDArray[np.bool_]:
     usual = float(np.median(known)) if known.size else 0.0
     # A comparison with NaN is false.
     return np.asarray(times > usual + _LATE * period)
-
-
-def _merged(times: Iterable[tuple[float, float]]) -> list[Stall]:
-    stalls: list[Stall] = []
-    for start, end in sorted(times):
-        if stalls and start <= stalls[-1].end:
-            stalls[-1] = Stall(stalls[-1].start, max(end, stalls[-1].end))
-        else:
-            stalls.append(Stall(start, end))
-    return stalls
 
 
 ENDS_APART = 0.02
@@ -106,25 +100,15 @@ class LatchedFault(NamedTuple):
 
 
 class EncoderRun(NamedTuple):
-    """All samples of a run, whether the law answered them or not.
+    """All samples of a run, whether the law answered them or not."""
 
-    Attributes:
-        stamps: (n,) ns, rising.
-        off: (n,) where the amplifier was off; all False where it never was on.
-        judged_ns: stamp of the last sample that has reference and command and, in a simulation, the truth.
-        strokes: movements of the stage.
-        jumps: (m,) samples at which x is not where the stage can have gone.
-        lost_at: speed in m/s at the last sample, if the recording was cut off there or went on without samples; else 0.
-        left_on: whether the samples end so with the amplifier on.
-    """
-
-    stamps: NDArray[np.int64]
-    off: NDArray[np.bool_]
-    judged_ns: int
+    stamps: Stamps  # (n,) ns, rising
+    off: NDArray[np.bool_]  # (n,) where the amplifier was off; all False where it never was on
+    judged_ns: int  # stamp of the last sample that has reference and command and, in a simulation, the truth
     strokes: Sequence[Stroke]
-    jumps: NDArray[np.intp]
-    lost_at: float
-    left_on: bool
+    jumps: NDArray[np.intp]  # (m,) samples at which x is not where the stage can have gone
+    lost_at: float  # speed in m/s at the last sample, if the recording was cut off there or went on without samples
+    left_on: bool  # whether the samples end so with the amplifier on
 
     @property
     def end_ns(self) -> int:
@@ -134,9 +118,14 @@ class EncoderRun(NamedTuple):
             return self.judged_ns
         return max(self.judged_ns, int(self.stamps[self.strokes[-1].stop - 1]))
 
+    def unanswered(self, answers: Stamps) -> int:
+        """Samples without an answer up to the last that had to have one, or has one of the ``answers`` (m,), stamps."""
+        inside = self.stamps[self.stamps <= max(int(answers[-1]), self.end_ns)]
+        return int(np.count_nonzero(~np.isin(inside, answers)))
+
 
 def encoder_run(
-    stamps: NDArray[np.int64],
+    stamps: Stamps,
     x: NDArray[np.float64],
     on: NDArray[np.bool_],
     judged_ns: int,
@@ -147,14 +136,13 @@ def encoder_run(
     """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on. Whether the
     machine ``goes_on`` after the last of them, or is ``silent``: the recording is cut off, or goes on without samples
     for longer than a host stalls."""
-    off = ~on if on.any() else np.zeros(on.size, np.bool_)
     # An encoder that fails reads NaN.
     known = np.flatnonzero(np.isfinite(x))
     time, x = (stamps[known] - stamps[0]) * 1e-9, x[known]
     strokes, jumps = strokes_and_jumps(time, x) if known.size > 2 else ((), known[:0])
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
     lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
-    return EncoderRun(stamps, off, judged_ns, placed, known[jumps], lost_at, silent and bool(on[-1]))
+    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, silent and bool(on[-1]))
 
 
 def interruption(run: EncoderRun, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
@@ -163,27 +151,25 @@ def interruption(run: EncoderRun, faults: Sequence[LatchedFault], begin_ns: int,
     def at(stamp_ns: int) -> str:
         return f"{(stamp_ns - int(run.stamps[0])) * 1e-9:.3f} s"
 
-    def inside(samples: NDArray[np.intp]) -> NDArray[np.intp]:
-        return samples[(run.stamps[samples] >= begin_ns) & (run.stamps[samples] < until_ns)]
-
-    reasons = []
+    within = (run.stamps >= begin_ns) & (run.stamps < until_ns)
+    moving = np.zeros(within.size, np.bool_)
+    for stroke in run.strokes:
+        moving[stroke.samples] = within[stroke.samples]
     latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
-    reasons += [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
-    for jump in inside(run.jumps)[:1].tolist():
-        reasons.append(f"x jumps at {at(int(run.stamps[jump]))}")
-    in_motion = inside(np.concatenate([np.arange(0), *(np.arange(one.start, one.stop) for one in run.strokes)]))
-    off = int(np.count_nonzero(run.off[in_motion]))
-    if off:
-        reasons.append(f"the amplifier was off for {off} samples of the motion")
+    found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
+    found += [f"x jumps at {at(int(run.stamps[jump]))}" for jump in run.jumps[within[run.jumps]][:1]]
+    if off := np.count_nonzero(moving & run.off):
+        found.append(f"the amplifier was off for {off} samples of the motion")
     if begin_ns <= run.end_ns < until_ns and run.end_ns > run.judged_ns:
-        left = int(np.count_nonzero(run.stamps[in_motion] > run.judged_ns))
-        reasons.append(
+        left = np.count_nonzero(moving & (run.stamps > run.judged_ns))
+        found.append(
             f"after {at(run.judged_ns)} no sample has both reference and command, {left} more of the motion have none"
         )
-    if begin_ns <= run.stamps[-1] < until_ns and (run.lost_at >= MOVING or run.left_on):
-        moves = f" and the stage moving at {run.lost_at * 1e3:.3g} mm/s" if run.lost_at >= MOVING else ""
-        reasons.append(f"the samples end with the amplifier {'on' if run.left_on or not run.off[-1] else 'off'}{moves}")
-    return "; ".join(reasons)
+    moves = run.lost_at >= MOVING
+    if within[-1] and (moves or run.left_on):
+        speed = f" and the stage moving at {run.lost_at * 1e3:.3g} mm/s" if moves else ""
+        found.append(f"the samples end with the amplifier {'on' if run.left_on or not run.off[-1] else 'off'}{speed}")
+    return "; ".join(found)
 
 
 def latched_faults(reports: Mapping[str, Sequence[Report]], begin_ns: int) -> tuple[LatchedFault, ...]:
@@ -210,71 +196,61 @@ def clock_jump(samples: StreamColumns) -> str:
     if not rising.size:
         return ""
     period = int(np.median(rising))
-    places = np.flatnonzero(np.abs(steps - period) > max(_NOTICED * 1e9, 1.5 * period))
+    least = max(_NOTICED * 1e9, 1.5 * period)
+    places = np.flatnonzero(np.abs(steps - period) > least)
     if not places.size and rising.size == steps.size:
         return ""
-    usual = int(np.median(recorded - stamps))
-
-    def late_by(part: slice) -> int:
-        return int(np.abs(recorded[part] - stamps[part] - usual).max())
-
-    edges = [0, *(places + 1).tolist(), len(stamps)]
-    parts = [slice(*edge) for edge in itertools.pairwise(edges)]
+    delay = recorded - stamps
+    late_by = np.abs(delay - int(np.median(delay)))
+    parts = [slice(*edge) for edge in itertools.pairwise([0, *(places + 1).tolist(), len(stamps)])]
     # Single messages that came late stand among later ones.
-    late = [part for part in parts[1:-1] if part.stop - part.start < _STEADY and late_by(part) < PAUSE * 1e9]
+    late = [one for one in parts[1:-1] if one.stop - one.start < _STEADY and late_by[one].max() < PAUSE * 1e9]
     for before, after in itertools.pairwise([part for part in parts if part not in late]):
-        for jump in (
-            _by_recording(stamps, recorded, before, after, period),
-            _by_motion(stamps, x, before, after, period),
-        ):
-            if abs(jump) > max(_NOTICED * 1e9, 1.5 * period):
+        by_recording = _by_recording(stamps, recorded, before, after, period)
+        for jump in (by_recording, _by_motion(stamps, x, before, after, period)):
+            if abs(jump) > least:
                 by = _duration(jump * 1e-9)
                 return f"the stamps jump by {by} after sample {before.stop - 1}, though the machine ran on"
-    repeated = _repeated(stamps, np.stack([x, samples.columns["y"]]))
+    order = np.argsort(stamps, kind="stable")
+    same = np.diff(stamps[order]) == 0
+    # By their bytes: NaN is the same reading as NaN.
+    readings = np.stack([x, samples.columns["y"]])[:, order].view(np.int64)
+    repeated = np.count_nonzero(same & (np.diff(readings, axis=1) != 0).any(axis=0))
     return f"{repeated} stamps came twice, with other readings: the clock was set back" if repeated else ""
 
 
-def _by_recording(
-    stamps: NDArray[np.int64], recorded: NDArray[np.int64], before: slice, after: slice, period: int
-) -> float:
+def _sides(before: slice, after: slice, most: int) -> tuple[slice, slice]:
+    """Up to ``most`` samples to each side of a jump, the last ``before`` it and the first ``after`` it."""
+    last, first = max(before.start, before.stop - most), min(after.stop, after.start + most)
+    return slice(last, before.stop), slice(after.start, first)
+
+
+def _by_recording(stamps: Stamps, recorded: Stamps, before: slice, after: slice, period: int) -> float:
     """Jump in ns by the clock of the recording; 0 where that clock says nothing."""
     for part in (before, after):
         span = int(stamps[part.stop - 1] - stamps[part.start])
         pace = (recorded[part.stop - 1] - recorded[part.start]) / span if span > _NOTICED * 1e10 else 1.0
         if not _PACE[0] <= pace <= _PACE[1]:
             return 0.0
-    delay, most = recorded - stamps, max(1, round(_AROUND * 1e9 / period))
-    least_before = int(delay[max(before.start, before.stop - most) : before.stop].min())
-    least_after = int(delay[after.start : min(after.stop, after.start + most)].min())
+    sides = _sides(before, after, max(1, round(_AROUND * 1e9 / period)))
+    least_before, least_after = (int((recorded[side] - stamps[side]).min()) for side in sides)
     return float(least_before - least_after)
 
 
-def _by_motion(stamps: NDArray[np.int64], x: NDArray[np.float64], before: slice, after: slice, period: int) -> float:
+def _by_motion(stamps: Stamps, x: NDArray[np.float64], before: slice, after: slice, period: int) -> float:
     """Jump in ns by the way of the stage from the last sample before to the first after; 0 where it stands."""
-    sides = [
-        x[max(before.start, before.stop - _STEADY) : before.stop],
-        x[after.start : min(after.stop, after.start + _STEADY)],
-    ]
+    sides = [x[side] for side in _sides(before, after, _STEADY)]
     if min(map(len, sides)) < _STEADY:
         return 0.0
     # Of each side in m a sample: the stage accelerates little within some samples.
     speeds = [float(side[-1] - side[0]) / (len(side) - 1) for side in sides]
-    least = MOVING * period * 1e-9
-    if min(map(abs, speeds)) < least or speeds[0] * speeds[1] < 0.0:
+    if min(map(abs, speeds)) < MOVING * period * 1e-9 or speeds[0] * speeds[1] < 0.0:
         return 0.0
     way = float(x[after.start] - x[before.stop - 1])
     elapsed = way / (0.5 * sum(speeds)) * period
     stamped = float(stamps[after.start] - stamps[before.stop - 1])
     # The stage may have stopped or turned in a pause: then its way says nothing of the time.
     return stamped - elapsed if 0.0 <= elapsed <= 5.0 * period else 0.0
-
-
-def _repeated(stamps: NDArray[np.int64], readings: NDArray[np.float64]) -> int:
-    order = np.argsort(stamps, kind="stable")
-    same = np.diff(stamps[order]) == 0
-    # By their bytes: NaN is the same reading as NaN.
-    other = (np.diff(readings[:, order].view(np.int64), axis=1) != 0).any(axis=0)
-    return int(np.count_nonzero(same & other))
 
 
 def _duration(seconds: float) -> str:

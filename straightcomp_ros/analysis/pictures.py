@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
-from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion, group_means
+from straightcomp_ros.analysis.metrics import Metrics, residual_over
+from straightcomp_ros.analysis.record import StrokeRecord, group_means
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
@@ -34,7 +34,6 @@ def plot_run(
     the control current, motion shaded by direction. ``straightness`` is the map of the record's reference. MetricsError
     if the stage does not move in the record.
     """
-    motion = find_motion(record)
     figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(as_text(title), fontsize=13)
@@ -43,18 +42,19 @@ def plot_run(
     error = figure.add_subplot(rows[1, :])
     current = figure.add_subplot(rows[2, :], sharex=error)
 
-    _straightness(both, after, record, straightness, metrics, motion)
+    _straightness(both, after, record, straightness, metrics)
     for axes in (error, current):
-        _shade(axes, record, motion)
-    window = motion.window
+        _shade(axes, record)
+    window = record.motion.window
     time = record.time[window]
-    label = f"encoder: {metrics.encoder_pp * 1e6:.2f} µm p-p, {metrics.encoder_rms * 1e6:.3f} µm RMS"
-    truth = true_error(record, straightness)
-    colour = BLUE if truth is None else GREY
-    error.plot(time, (record.r - record.y)[window] * 1e6, color=colour, linewidth=0.6, label=label)
-    if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
-        label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
-        error.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)
+    truth = record.true_error(straightness)
+    for name, values, pp, rms, colour, width in (
+        ("encoder", record.r - record.y, metrics.encoder_pp, metrics.encoder_rms, BLUE if truth is None else GREY, 0.6),
+        ("true", truth, metrics.true_pp, metrics.true_rms, BLUE, 0.8),
+    ):
+        if values is not None and pp is not None and rms is not None:
+            label = f"{name}: {pp * 1e6:.2f} µm p-p, {rms * 1e6:.3f} µm RMS"
+            error.plot(time, values[window] * 1e6, color=colour, linewidth=width, label=label)
     _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
     label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
     current.plot(time, record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
@@ -118,13 +118,13 @@ def plot_map(built: BuiltMap, path: Path) -> None:
 
 
 def _straightness(
-    both: Axes, after: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, motion: Motion
+    both: Axes, after: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics
 ) -> None:
     x, y, guide, true = record.best_known(straightness)
-    moving = motion.samples()
+    moving = record.motion.samples()
     x_mm = x[moving] * 1e3
-    before_um, after_um = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
-    forward = np.isin(moving, motion.samples("forward"))
+    before_um, after_um = (residual_over(x, values, record) * 1e6 for values in (guide, guide + y))
+    forward = np.isin(moving, record.motion.samples("forward"))
 
     both.plot(x_mm, before_um, color=BLACK, label=f"before: {metrics.uncompensated_pp * 1e6:.2f} µm p-p")
     both.plot(x_mm, after_um, color=BLUE, label=f"after: {metrics.residual_pp * 1e6:.2f} µm p-p")
@@ -143,10 +143,10 @@ def _straightness(
         _finish(axes, title, "slider position x / mm", "deviation / µm", 2)
 
 
-def _shade(axes: Axes, record: StrokeRecord, motion: Motion) -> None:
+def _shade(axes: Axes, record: StrokeRecord) -> None:
     """Mark the strokes, each direction named once."""
     named: set[str] = set()
-    for stroke in motion.strokes:
+    for stroke in record.motion.strokes:
         colour = "#DCEBF5" if stroke.direction == "forward" else "#FBE9DD"
         label = None if stroke.direction in named else f"{stroke.direction} stroke"
         begin, end = record.time[stroke.start], record.time[stroke.stop - 1]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Direction
 
+Array = NDArray[np.float64]
 SPEED_SPAN = 0.02
 """Time in s over which the stage's speed is taken: one encoder quantum of 0.1 µm is then 5 µm/s."""
 MOVING = 0.5e-3
@@ -21,6 +23,8 @@ ARRIVED = 1e-6
 """Distance in m from a stroke's resting ends within which the stage counts as standing: above its jitter."""
 SHORTEST_STROKE = 1e-3
 """Travel in m below which a movement is no stroke."""
+AT_LIMIT = 1.0 - 1e-9
+"""Fraction of the current limit from which the command counts as limited."""
 _FASTEST_CHANGE = 1000.0
 """Acceleration in m/s² that no linear motor gives a stage: the fastest reach some 300."""
 
@@ -32,35 +36,26 @@ class MetricsError(ValueError):
 class BestKnown(NamedTuple):
     """Slider x, platform y and the guide's deviation there, (n,) each in m, and whether they are the true ones."""
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    guide: NDArray[np.float64]
+    x: Array
+    y: Array
+    guide: Array
     true: bool
 
 
 @dataclass(frozen=True, eq=False)
 class StrokeRecord:
-    """One run at the sample rate: all arrays (n,), sample k of each belonging to the same encoder sample.
+    """One run at the sample rate: all arrays (n,), sample k of each belonging to the same encoder sample. Times in s
+    from the start of the record, rising; samples may be missing."""
 
-    Attributes:
-        time: s from the start of the record, rising; samples may be missing.
-        x, y: slider and platform as the encoders see them, m.
-        r: reference, m.
-        current: control current i_c commanded, A.
-        law: name of the control law.
-        true_x, true_y: true positions, m; None on real hardware.
-        guide: true deviation δ of the guide at ``true_x``, m; None on real hardware.
-    """
-
-    time: NDArray[np.float64]
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    r: NDArray[np.float64]
-    current: NDArray[np.float64]
+    time: Array
+    x: Array  # slider as the encoder sees it, m
+    y: Array  # platform, likewise
+    r: Array  # reference, m
+    current: Array  # control current i_c commanded, A
     law: str
-    true_x: NDArray[np.float64] | None = None
-    true_y: NDArray[np.float64] | None = None
-    guide: NDArray[np.float64] | None = None
+    true_x: Array | None = None  # true positions, m; None on real hardware
+    true_y: Array | None = None
+    guide: Array | None = None  # true deviation δ of the guide at true_x, m; None on real hardware
 
     def __post_init__(self) -> None:
         shape = np.shape(self.time)
@@ -69,9 +64,15 @@ class StrokeRecord:
         for name, values in self.columns().items():
             if np.shape(values) != shape:
                 raise MetricsError(f"record: {name} has shape {np.shape(values)}, time has {shape}; allowed: the same")
-        truth = [name for name in ("true_x", "true_y", "guide") if getattr(self, name) is not None]
+        truth = [name for name in self.columns() if name in ("true_x", "true_y", "guide")]
         if len(truth) not in (0, 3):
             raise MetricsError(f"record: of the truth it has {', '.join(truth)} only; allowed: all three, or none")
+
+    @cached_property
+    def motion(self) -> Motion:
+        """:func:`motion_of` the record, from the x encoder; MetricsError also if time or x is not finite."""
+        self.check_finite(("time", "x"), slice(None))
+        return motion_of(self.time, self.x)
 
     def best_known(self, straightness: ReferenceMap) -> BestKnown:
         """The truth; on real hardware the values of the encoders and of the map."""
@@ -79,9 +80,27 @@ class StrokeRecord:
             return BestKnown(self.x, self.y, straightness.deviations(self.x), False)
         return BestKnown(self.true_x, self.true_y, self.guide, True)
 
-    def columns(self) -> dict[str, NDArray[np.float64]]:
+    def true_error(self, straightness: ReferenceMap) -> Array | None:
+        """r(true x) − true y, (n,) in m; None without truth."""
+        if self.true_x is None or self.true_y is None:
+            return None
+        return straightness.evaluate(self.true_x)[0] - self.true_y
+
+    def columns(self) -> dict[str, Array]:
         """All arrays by name, without those that are None."""
-        return {name: column for name, column in vars(self).items() if name != "law" and column is not None}
+        named = ((one.name, getattr(self, one.name)) for one in fields(self) if one.name != "law")
+        return {name: column for name, column in named if column is not None}
+
+    def check_finite(self, names: Iterable[str], window: slice) -> None:
+        """Raise MetricsError if there is NaN or infinity in the columns ``names`` within ``window``."""
+        for name in names:
+            column = self.columns()[name]
+            bad = np.flatnonzero(~np.isfinite(column[window])) + (window.start or 0)
+            if bad.size:
+                raise MetricsError(
+                    f"record: {name} is {column[bad[0]]} at sample {bad[0]} ({self.time[bad[0]]:.6g} s), "
+                    f"one of {bad.size}; allowed: finite numbers"
+                )
 
 
 class RecordedReference:
@@ -95,11 +114,11 @@ class RecordedReference:
         self._x, rows = np.unique(record.x[finite], return_index=True)
         self._r = record.r[finite][rows]
 
-    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64]]:
+    def evaluate(self, x: ArrayLike) -> tuple[Array]:
         """r in m at x in m; beyond the recorded positions that of the nearest."""
         return (np.asarray(np.interp(np.asarray(x, np.float64), self._x, self._r)),)
 
-    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
+    def deviations(self, x: ArrayLike) -> Array:
         """δ in m, up to a constant."""
         return -self.evaluate(x)[0]
 
@@ -138,13 +157,7 @@ class Motion:
         return np.concatenate([np.arange(0), *(np.arange(stroke.start, stroke.stop) for stroke in chosen)])
 
 
-def find_motion(record: StrokeRecord) -> Motion:
-    """:func:`motion_of` a record, from the x encoder; MetricsError also if time or x is not finite."""
-    check_finite(record, ("time", "x"), slice(None))
-    return motion_of(record.time, record.x)
-
-
-def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
+def motion_of(time: Array, x: Array) -> Motion:
     """The strokes in a motion: ``time`` (n,) in s and ``x`` (n,) in m, finite; see :func:`strokes_and_jumps`.
 
     Raises:
@@ -167,7 +180,7 @@ def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
     return Motion(strokes)
 
 
-def strokes_and_jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[tuple[Stroke, ...], NDArray[np.intp]]:
+def strokes_and_jumps(time: Array, x: Array) -> tuple[tuple[Stroke, ...], NDArray[np.intp]]:
     """The strokes in a motion of at least three samples, ``time`` (n,) in s rising and ``x`` (n,) in m finite, and the
     samples (m,) at which x jumps.
 
@@ -181,7 +194,7 @@ def strokes_and_jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> tupl
     return tuple(stroke for start, stop in pieces for stroke in _strokes(time, x, start, stop, half)), jumps
 
 
-def _jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.intp]:
+def _jumps(time: Array, x: Array) -> NDArray[np.intp]:
     """The samples (m,) at which ``x`` (n,) in m is not where a stage can have gone since the sample before: an encoder
     that failed, a driver that was started again, or two drivers. Samples next to a gap of ``time`` (n,) are not judged.
     """
@@ -196,7 +209,7 @@ def _jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.intp
     return np.flatnonzero(sudden & regular & (np.abs(moves) > allowed)) + 1
 
 
-def _strokes(time: NDArray[np.float64], x: NDArray[np.float64], first: int, end: int, half: int) -> Iterator[Stroke]:
+def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator[Stroke]:
     """The strokes among the samples ``first`` to ``end``; the speed is taken over ``half`` samples to each side."""
     time, x = time[first:end], x[first:end]
     n = x.size
@@ -221,7 +234,7 @@ def runs_of(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
 
 
-def speed_at_end(time: NDArray[np.float64], x: NDArray[np.float64]) -> float:
+def speed_at_end(time: Array, x: Array) -> float:
     """Speed in m/s at the last of the samples ``time`` (n,) in s and ``x`` (n,) in m, by a parabola through those of
     :data:`SPEED_SPAN`, at least five: at the last sample of a whole stroke the stage stands."""
     steps = np.diff(time)
@@ -232,23 +245,8 @@ def speed_at_end(time: NDArray[np.float64], x: NDArray[np.float64]) -> float:
     return abs(float(speed))
 
 
-def group_means(
-    x: NDArray[np.float64], y: NDArray[np.float64], group: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def group_means(x: Array, y: Array, group: NDArray[Any]) -> tuple[Array, Array]:
     """Mean of x and of y in each group, the groups in ascending order."""
     _, piece = np.unique(group, return_inverse=True)
     count = np.bincount(piece)
     return np.bincount(piece, x) / count, np.bincount(piece, y) / count
-
-
-def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) -> None:
-    """Raise MetricsError if a record has NaN or infinity in the columns ``names`` within ``window``."""
-    columns = record.columns()
-    for name in names:
-        bad = np.flatnonzero(~np.isfinite(columns[name][window]))
-        if bad.size:
-            at = int(bad[0]) + (window.start or 0)
-            raise MetricsError(
-                f"record: {name} is {columns[name][at]} at sample {at} ({record.time[at]:.6g} s), "
-                f"one of {bad.size}; allowed: finite numbers"
-            )

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag, percentile_us
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
-from straightcomp_ros.analysis.run_verdict import judged_bag
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.cell.launcher import (
@@ -62,8 +62,8 @@ class Demonstration:
             "lost_samples": evaluation.lost_samples,
             "lost_commands": evaluation.lost_commands,
             **self.metrics.to_display(),
-            "latency_p50_us": evaluation.latency_us(50),
-            "latency_p99_us": evaluation.latency_us(99),
+            "latency_p50_us": percentile_us(evaluation.latency, 50),
+            "latency_p99_us": percentile_us(evaluation.latency, 99),
             "bag": str(self.bag),
             "timing": {node: timing.to_display() for node, timing in self.timing.items()},
             "held_up": self.held_up,
@@ -119,18 +119,20 @@ def demonstrate(
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:
         evaluation = evaluate_bag(bag)
-        metrics = evaluate(evaluation.record, straightness)
+        record = evaluation.record
+        metrics = evaluate(record, straightness)
         reports = read_reports(bag)
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
-    recorded = float(evaluation.record.time[-1])
+    recorded = float(record.time[-1])
     # A client of the gateway chooses when to switch on and off: the rests before and after the strokes are its own.
     least = 0.99 * duration - (2.0 * motion.settle if opcua_strokes else 0.0)
     if recorded < least:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
-    verdict = judged_bag(evaluation, evaluation.record, straightness, by_node(values), straightness)
+    partial = evaluation.partial()
+    verdict = partial or judged_run(record, straightness, by_node(values), straightness, evaluation.stalls)
     return Demonstration(bag, evaluation, straightness, metrics, timing, verdict)
 
 

@@ -35,14 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from straightcomp_ros.analysis.assessment import judged, read_limits
+    from straightcomp_ros.analysis.assessment import checked_limits
 
     remap = parsed_remap(options.remap)
     report = output_file(options, "--report")
     assessment = _assessed(Path(options.bag), remap)
     other = _assessed(Path(options.compare), remap) if options.compare else None
     figures = assessment.figures()
-    checks = judged(read_limits(options.limits, figures), figures) if options.limits else []
+    checks = checked_limits(options.limits, figures) if options.limits else []
     failed = [str(check) for check in checks if not check.passed]
     if report is not None:
         from straightcomp_ros.analysis.html_report import report_html

@@ -12,7 +12,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_bag, judged_run
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
@@ -76,7 +76,8 @@ def what_if(
         again, law, verdict = _simulated(values, motion)
         changed, changed_law = None, None
         reference = RecordedReference(record)
-        found = judged_bag(evaluation, record, reference, parameters, evaluation.map)
+        partial = evaluation.partial()
+        found = partial or judged_run(record, reference, parameters, evaluation.map, evaluation.stalls)
         verdicts = [found, verdict]
         if any(changes.values()):
             for node, section in changes.items():

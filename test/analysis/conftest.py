@@ -49,8 +49,6 @@ def evaluation_of() -> Callable[..., BagEvaluation]:
         every = np.round(record.time * 1e9).astype(np.int64)
         values = {
             "record": record,
-            "expected_samples": len(every),
-            "received_samples": len(every),
             "lost_references": 0,
             "lost_commands": 0,
             "latency": np.full(100, 250e-6),

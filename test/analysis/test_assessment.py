@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.assessment import LimitsError, assess, displayed_error, judged, read_limits
+from straightcomp_ros.analysis.assessment import LimitsError, assess, checked_limits
 from straightcomp_ros.analysis.error_detail import error_spectrum
 from straightcomp_ros.analysis.html_report import report_html
 from straightcomp_ros.analysis.metrics import evaluate
@@ -87,14 +87,6 @@ def test_latency_is_told_by_percentiles_and_spread_in_microseconds(make_record, 
     assert math.isnan(without["latency_p50_us"]) and math.isnan(without["latency_jitter_us"])
 
 
-def test_the_displayed_error_is_the_reference_minus_the_encoder_and_minus_the_truth(make_record, evaluation_of):
-    found = assess(Path("bag"), evaluation_of(make_record(0.3e-6)))
-    seen, true = displayed_error(found)
-    assert seen == pytest.approx(0.3e-6, abs=0.11e-6)
-    assert true[found.motion.window] == pytest.approx(0.3e-6, abs=0.01e-6)
-    assert displayed_error(assess(Path("bag"), evaluation_of(make_record(truth=False))))[1] is None
-
-
 @pytest.mark.parametrize("samples", [16, 17, 100, 101])
 def test_the_density_of_one_piece_adds_up_to_the_power_under_its_window(samples):
     error = np.random.default_rng(samples).normal(3e-6, 1e-6, samples)
@@ -137,7 +129,7 @@ FIGURES = {"true_pp_um": 0.3, "lost_samples": 2, "latency_p99_us": math.nan, "re
     ],
 )
 def test_limits_judge_figures_and_what_was_not_recorded_fails(tmp_path, text, failed):
-    verdicts = judged(read_limits(limits(tmp_path, text), FIGURES), FIGURES)
+    verdicts = checked_limits(limits(tmp_path, text), FIGURES)
     assert [str(verdict) for verdict in verdicts if not verdict.passed] == failed
 
 
@@ -156,13 +148,13 @@ def test_limits_judge_figures_and_what_was_not_recorded_fails(tmp_path, text, fa
 )
 def test_limits_that_cannot_be_meant_are_refused(tmp_path, text, reason):
     with pytest.raises(LimitsError, match=re.escape(reason)):
-        read_limits(limits(tmp_path, text), FIGURES)
+        checked_limits(limits(tmp_path, text), FIGURES)
 
 
 def test_the_report_needs_no_network_and_has_all_plots(make_record, tmp_path, evaluation_of):
     record = make_record()
     found = assess(Path("bag <1>"), evaluation_of(record), warnings=("not finished",))
-    verdicts = judged(read_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures()), found.figures())
+    verdicts = checked_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures())
     text = report_html(found, found, verdicts)
     assert text.count('class="plotly-graph-div"') == 6
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
@@ -57,14 +57,16 @@ def test_the_run_begins_when_the_amplifier_is_switched_on_and_has_every_stream(t
     assert found.amplifier_on.all() and len(found.stamps) == 30 and found.parameters == {}
     assert found.latency == pytest.approx(1e-4 * np.arange(1, COUNT, 2))
     assert found.lateness == pytest.approx(1e-5 * np.arange(COUNT))
-    assert found.latency_us(100) == pytest.approx(3900.0) and found.latency_us(0) == pytest.approx(100.0)
+    assert percentile_us(found.latency, 100) == pytest.approx(3900.0) and percentile_us(
+        found.latency, 0
+    ) == pytest.approx(100.0)
 
 
 def test_without_truth_delays_or_an_amplifier_that_is_on_the_bag_is_a_run_all_the_same(tmp_path):
     found = evaluate_bag(recorded(tmp_path / "bag", without=(TRUTH, DRIVER_STATE)))
     assert found.record.true_x is found.record.true_y is found.record.guide is None
     assert len(found.record.x) == 30
-    assert len(found.latency) == len(found.lateness) == 0 and math.isnan(found.latency_us(50))
+    assert len(found.latency) == len(found.lateness) == 0 and math.isnan(percentile_us(found.latency, 50))
     found = evaluate_bag(recorded(tmp_path / "off", order=range(10)))
     assert len(found.record.x) == 10 and not found.amplifier_on.any()
 

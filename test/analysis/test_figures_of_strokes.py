@@ -27,8 +27,8 @@ from straightcomp_ros.analysis.html_report import (
     report_html,
 )
 from straightcomp_ros.analysis.map_building import Choices, build
-from straightcomp_ros.analysis.metrics import evaluate, stroke_figures, true_error
-from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
+from straightcomp_ros.analysis.metrics import evaluate, stroke_figures
+from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.straightness.survey import Run, Survey
 
 
@@ -38,7 +38,7 @@ def one_way(deviation, y=0.0, r=0.0, truth=None):
     x = 0.2 * time
     true = {} if truth is None else {"true_x": x, "true_y": truth + 0.0 * x, "guide": deviation(x)}
     record = StrokeRecord(time, x, y + 0.0 * x, r + 0.0 * x, 0.0 * x, "law", **true)
-    return record, find_motion(record).strokes[0]
+    return record, record.motion.strokes[0]
 
 
 def guide_map(deviation):
@@ -52,7 +52,7 @@ def bow(x):
 def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_those_of_the_truth_where_it_is_known():
     x = 0.2 * np.arange(2001) * 1e-3
     record, stroke = one_way(bow, y=-0.5 * bow(x), r=-0.5 * bow(x) + 1e-6 * np.sin(200.0 * x))
-    figures = stroke_figures(record, guide_map(bow), None, stroke)
+    figures = stroke_figures(record, guide_map(bow), stroke)
     assert figures.direction == "forward" and figures.true_pp is figures.true_rms is None
     assert (figures.travel, figures.duration, figures.start) == pytest.approx((0.4, 2.0, 0.0), abs=0.01)
     assert figures.travel == pytest.approx(0.4, abs=1e-3)
@@ -62,7 +62,7 @@ def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_
     assert figures.encoder_rms == pytest.approx(1e-6 / math.sqrt(2.0), rel=0.05)
     record, stroke = one_way(bow, truth=-bow(x))
     straight = guide_map(lambda x: 0.0 * x)
-    figures = stroke_figures(record, straight, true_error(record, straight), stroke)
+    figures = stroke_figures(record, straight, stroke)
     # r is zero, and the platform moves by the bow: the workpiece is straight, the error as large as the bow.
     assert (figures.before_end_points, figures.true_pp) == pytest.approx((8e-6, 8e-6), rel=1e-2)
     assert figures.after_end_points == pytest.approx(0.0, abs=1e-12)
@@ -88,10 +88,10 @@ def test_the_first_of_several_faults_is_the_one_that_is_named():
     y[[4, 7]] = np.nan
     record = StrokeRecord(time, time, y, y, y, "law")
     with pytest.raises(MetricsError, match=r"y is nan at sample 4 \(0.4 s\), one of 2"):
-        check_finite(record, ("x", "y"), slice(None))
+        record.check_finite(("x", "y"), slice(None))
     with pytest.raises(MetricsError, match=r"y is nan at sample 7 \(0.7 s\), one of 1"):
-        check_finite(record, ("y",), slice(5, 10))
-    check_finite(record, ("x", "y"), slice(0, 4))
+        record.check_finite(("y",), slice(5, 10))
+    record.check_finite(("x", "y"), slice(0, 4))
     backwards = time.copy()
     backwards[[3, 6]] = backwards[[2, 5]]
     with pytest.raises(MetricsError, match=r"does not rise at sample 3: 0\.2 s"):
@@ -147,7 +147,7 @@ def lines(axes):
 def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_map, drawn, truth):
     record = make_record(0.4e-6, truth=truth)
     record = replace(record, current=0.02 * np.sin(record.time))
-    motion, metrics = find_motion(record), evaluate(record, cosine_map)
+    motion, metrics = record.motion, evaluate(record, cosine_map)
     plot.plot_run(record, cosine_map, metrics, Path("run.png"), "title")
     both, after, error, current = drawn[0].axes
     window, moving = motion.window, motion.samples()
@@ -272,7 +272,7 @@ def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, 
     encoder, true = _error(found, None).data
     assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
     assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)
-    window = found.motion.window
+    window = found.record.motion.window
     assert min(encoder.x) >= record.time[window.start] and max(encoder.x) <= record.time[window.stop - 1]
     (spectrum,) = _spectrum(found, None).data
     peak = int(np.argmax(spectrum.y))
@@ -289,7 +289,7 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record, eva
         figures = report_html(found, compared).partition("<h2>Figures</h2>")[2]
         assert figures.count('<td class="n">') == pages * len(found.figures())
     *_, theirs = _error(found, other).data
-    assert min(theirs.x) == pytest.approx(record.time[found.motion.window.start], abs=0.05)
+    assert min(theirs.x) == pytest.approx(record.time[found.record.motion.window.start], abs=0.05)
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import evaluate, force_balance
-from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, find_motion
+from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
 from straightcomp_ros.offline.simulation import Simulation
 
 
@@ -58,7 +58,7 @@ def test_an_error_that_changes_sign_with_the_direction_shows_only_over_both(make
 def test_the_pause_counts_in_the_error_only_and_what_is_outside_the_motion_nowhere(
     make_record, cosine_map, motion_profile
 ):
-    forward, backward = find_motion(make_record()).strokes
+    forward, backward = make_record().motion.strokes
     error = np.zeros(motion_profile[0].size)
     error[:100] = error[-100:] = np.nan
     assert evaluate(make_record(error), cosine_map).true_pp == pytest.approx(0.0, abs=1e-15)
@@ -119,7 +119,7 @@ REST, LEG = 0.25, 1.76 / 0.3 + 1.5
 
 def test_a_cycle_is_a_forward_and_a_backward_stroke_and_the_pause_lies_in_the_window_only(make_record):
     record = make_record()
-    motion = find_motion(record)
+    motion = record.motion
     forward, backward = motion.strokes
     assert (forward.direction, backward.direction) == ("forward", "backward")
     # Drawn in by 1 µm, which at 0.2 m/s² takes 3.2 ms.
@@ -138,16 +138,16 @@ def test_a_cycle_is_a_forward_and_a_backward_stroke_and_the_pause_lies_in_the_wi
 def test_a_jitter_of_the_encoder_makes_no_stroke(make_record, seed):
     record = make_record()
     jitter = np.random.default_rng(seed).integers(-2, 3, record.x.size) * 1e-7
-    motion = find_motion(dataclasses.replace(record, x=record.x + jitter))
+    motion = dataclasses.replace(record, x=record.x + jitter).motion
     assert [stroke.direction for stroke in motion.strokes] == ["forward", "backward"]
-    assert motion.window.start == pytest.approx(find_motion(record).window.start, abs=4)
+    assert motion.window.start == pytest.approx(record.motion.window.start, abs=4)
 
 
 def test_lost_samples_do_not_split_a_stroke_and_a_record_that_begins_in_motion_counts_from_its_beginning(make_record):
     record = make_record()
 
     def motion(kept):
-        return find_motion(StrokeRecord(law="x", **{name: values[kept] for name, values in record.columns().items()}))
+        return StrokeRecord(law="x", **{name: values[kept] for name, values in record.columns().items()}).motion
 
     assert len(motion(np.random.default_rng(2).random(record.time.size) > 0.3).strokes) == 2
     begun = motion(slice(4000, 10_000))
@@ -158,7 +158,7 @@ def test_lost_samples_do_not_split_a_stroke_and_a_record_that_begins_in_motion_c
 def test_a_stage_that_stands_is_refused(make_record):
     record = make_record()
     with pytest.raises(MetricsError, match=r"does not move: x stays within 0.0002 mm"):
-        find_motion(dataclasses.replace(record, x=np.where(np.arange(record.x.size) % 2 == 0, 0.5, 0.5 + 2e-7)))
+        _ = dataclasses.replace(record, x=np.where(np.arange(record.x.size) % 2 == 0, 0.5, 0.5 + 2e-7)).motion
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_a_stage_that_stands_is_refused(make_record):
 def test_columns_that_make_no_record_are_refused(change, words):
     columns = dict.fromkeys(("time", "x", "y", "r", "current"), np.zeros(3)) | change
     with pytest.raises(MetricsError, match=words):
-        find_motion(StrokeRecord(law="x", **columns))
+        _ = StrokeRecord(law="x", **columns).motion
 
 
 RATE = 2000.0

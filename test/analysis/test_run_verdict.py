@@ -25,7 +25,6 @@ def course(error=SMALL, r=R, **changes) -> JudgedMotion:
         "r": r,
         "current": np.zeros_like(TIME),
         "error": error,
-        "true": True,
         "count": 0.1e-6,
         "fit": FITS,
     }
@@ -55,7 +54,7 @@ OTHER, SAME, HALF = (
 NOISY = GuideFit(0.3e-6, 0.1e-6, 0.3e-6, 0.1e-6)
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(150.0)
 NEARLY = 0.02 * R
-# What the case shows: (verdict, what its reason says, run, bounds), ... Without bounds everything is allowed.
+# What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
 CASES = {
     "a small error is in order": [("in_order", "0.1 µm p-p.*20 µm", course())],
     "an error made in a stall is the host's, and without the stall it is the law's": [
@@ -82,26 +81,30 @@ CASES = {
         ("in_order", "", course(SMALL + bump(4.0, 0.15e-6, 0.005), stalls=MANY)),
     ],
     "a platform that reached its stop is at the stop whatever else": [
-        ("at_stop", "", course(R - 1.2e-3), STOPPED),
-        ("in_order", "", course(y=np.full_like(R, 1.1e-3)), STOPPED),
+        ("at_stop", "", course(R - 1.2e-3, bounds=STOPPED)),
+        ("in_order", "", course(y=np.full_like(R, 1.1e-3), bounds=STOPPED)),
         ("in_order", "", course(y=np.full_like(R, 1.2e-3))),
     ],
     "a stage beyond survey and run-out left the map": [
-        ("in_order", "", course(), Bounds(first=-0.02, last=1.76)),
-        ("left_map", "-20 mm to 1750 mm", course(), Bounds(first=-0.02, last=1.75)),
-        ("left_map", "", course(), Bounds(first=0.001, last=2.0)),
+        ("in_order", "", course(bounds=Bounds(first=-0.02, last=1.76))),
+        ("left_map", "-20 mm to 1750 mm", course(bounds=Bounds(first=-0.02, last=1.75))),
+        ("left_map", "", course(bounds=Bounds(first=0.001, last=2.0))),
     ],
     "a law that stays at its limit is saturated and one that touches it is not": [
-        ("saturated", "0.9 A", course(current=PUSHED), LIMITED),
-        ("in_order", "", course(current=np.where(TIME % 1.0 < 0.01, 0.9, 0.1)), LIMITED),
-        ("in_order", "", course(current=PUSHED), Bounds(current=1.0)),
+        ("saturated", "0.9 A", course(current=PUSHED, bounds=LIMITED)),
+        ("in_order", "", course(current=np.where(TIME % 1.0 < 0.01, 0.9, 0.1), bounds=LIMITED)),
+        ("in_order", "", course(current=PUSHED, bounds=Bounds(current=1.0))),
     ],
     "a short stay at the limit counts if the error is made there": [
-        ("in_order", "", course(current=SHORTLY), LIMITED),
-        ("saturated", "", course(SMALL + bump(4.0, 2e-6), current=SHORTLY), LIMITED),
+        ("in_order", "", course(current=SHORTLY, bounds=LIMITED)),
+        ("saturated", "", course(SMALL + bump(4.0, 2e-6), current=SHORTLY, bounds=LIMITED)),
     ],
     "an oscillation that reaches both limits in turn oscillates": [
-        ("oscillates", "(?=.*40 Hz).*100 µm", course(1e-4 * sine(40.0), current=0.9 * np.sign(sine(40.0))), LIMITED),
+        (
+            "oscillates",
+            "(?=.*40 Hz).*100 µm",
+            course(1e-4 * sine(40.0), current=0.9 * np.sign(sine(40.0)), bounds=LIMITED),
+        ),
     ],
     "a map that explains less than half of the guide is another guide's": [
         *(("wrong_guide", "", course(fit=fit)) for fit in (OTHER, SAME)),
@@ -143,8 +146,8 @@ CASES = {
 
 @pytest.mark.parametrize("truth", CASES)
 def test_a_run_is_judged_by_its_own_fault_and_the_nearest_run_without_it_is_in_order(truth):
-    for verdict, reason, motion, *bounds in CASES[truth]:
-        found = verdict_of(motion, *bounds or [Bounds()])
+    for verdict, reason, motion in CASES[truth]:
+        found = verdict_of(motion)
         assert found.verdict == verdict and found.in_order == (verdict == "in_order")
         assert re.search(reason, found.reason), found
 
@@ -153,7 +156,7 @@ def test_samples_that_are_missing_do_not_hide_an_oscillation():
     kept = np.arange(TIME.size) % 97 != 0
     one = course(SMALL + 0.3e-6 * sine(150.0))
     columns = {name: getattr(one, name)[kept] for name in ("time", "x", "y", "r", "current", "error")}
-    assert verdict_of(course(**columns), Bounds()).verdict == "oscillates"
+    assert verdict_of(course(**columns)).verdict == "oscillates"
 
 
 def test_a_run_of_several_is_named_by_its_number_and_a_verdict_reads_as_words():

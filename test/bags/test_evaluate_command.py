@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters
@@ -125,4 +125,4 @@ def test_the_bag_of_a_simulated_run_evaluates_to_the_same_record(tmp_path: Path)
     for name, column in record.columns().items():
         np.testing.assert_allclose(evaluation.record.columns()[name], column, rtol=0, atol=1e-12, err_msg=name)
     assert (evaluation.lost_samples, evaluation.lost_commands) == (0, 0)
-    assert evaluation.latency_us(50) == pytest.approx(250.0)
+    assert percentile_us(evaluation.latency, 50) == pytest.approx(250.0)

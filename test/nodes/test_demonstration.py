@@ -15,7 +15,6 @@ import psutil
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.analysis.record import find_motion
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cell import demonstration
 from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate
@@ -157,7 +156,7 @@ def test_the_graph_learns_while_it_runs_and_each_stroke_leaves_less_than_the_fir
     short_cycle["stage"]["motion.settle"] = 0.3
     result = demonstrate(short_cycle, tmp_path / "demo")
     record = result.evaluation.record
-    strokes = find_motion(record).strokes
+    strokes = record.motion.strokes
     # Medians: a stall of this computer disturbs a few samples, and learning takes the update from them back.
     errors = [np.median(np.abs(record.r - record.y)[stroke.samples]) for stroke in strokes]
     assert len(errors) == 8

@@ -13,20 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.assessment import at_current_limit
 from straightcomp_ros.analysis.current_path import Recording, current_path
 from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, samples_taken
-from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, stroke_figures, true_error
-from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord, check_finite, find_motion
-from straightcomp_ros.analysis.run_verdict import (
-    JudgedMotion,
-    bounds_of,
-    judged_motion,
-    partial_run,
-    recorded_drive,
-    verdict_of,
-)
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, stroke_figures
+from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord
+from straightcomp_ros.analysis.run_verdict import judged_run, recorded_drive
 from straightcomp_ros.bags import MAP_ATTACHMENT
 from straightcomp_ros.bags.folder import found_files, split_number
 from straightcomp_ros.bags.information import ORIGIN_METADATA
@@ -92,9 +85,9 @@ def rows_of(evaluation: BagEvaluation, recorded: Recorded) -> list[StrokeRow]:
         MetricsError: the stage does not move, or a number within the motion is not finite.
     """
     record = evaluation.record
-    motion, reference = find_motion(record), RecordedReference(record)
-    check_finite(record, tuple(record.columns()), motion.window)
-    run = _Run(evaluation, recorded, reference, at_current_limit(evaluation))
+    motion, reference = record.motion, RecordedReference(record)
+    record.check_finite(record.columns(), motion.window)
+    run = _Run(evaluation, recorded, reference, evaluation.at_current_limit)
     begins = [run.stamp(stroke.start) for stroke in motion.strokes[1:]]
     until = [*begins, np.iinfo(np.int64).max]
     return [run.row(number, *one) for number, one in enumerate(zip(motion.strokes, until, strict=True), 1)]
@@ -119,7 +112,7 @@ class _Run:
         known = part.best_known(self.reference)
         workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
         whole = Stroke(0, part.time.size, stroke.direction)
-        figures = stroke_figures(part, self.reference, true_error(part, self.reference), whole).to_display()
+        figures = stroke_figures(part, self.reference, whole).to_display()
         del figures["start_s"]
         begin, end = self.stamp(stroke.start), self.stamp(stroke.stop - 1)
         first, last = np.searchsorted(evaluation.stamps, (begin, end + 1)).tolist()
@@ -127,8 +120,7 @@ class _Run:
         taken = samples_taken(stamps)
         within = (evaluation.latency_stamps >= begin) & (evaluation.latency_stamps <= end)
         latency = evaluation.latency[within]
-        partial = partial_run(evaluation, begin, until_ns)
-        verdict = partial or verdict_of(self._course(stroke), bounds_of(evaluation.parameters, evaluation.map))
+        verdict = evaluation.partial(begin, until_ns) or self._verdict(stroke)
         bins = bins_over(part.x)
         coils = evaluation.coil_current[stroke.samples]
         balance = force_balance(part.time, part.y, coils)
@@ -161,11 +153,12 @@ class _Run:
             guide_change_um=self._guide_change(part, stroke, bins),
         )
 
-    def _course(self, stroke: Stroke) -> JudgedMotion:
-        record = self.evaluation.record
+    def _verdict(self, stroke: Stroke) -> Verdict:
+        evaluation, record = self.evaluation, self.evaluation.record
         times = (record.time[stroke.start] - _AROUND, record.time[stroke.stop - 1] + _AROUND)
         start, stop = np.searchsorted(record.time, times).tolist()
-        return judged_motion(part_of(record, start, stop), self.reference, self.evaluation.stalls)
+        part = part_of(record, start, stop)
+        return judged_run(part, self.reference, evaluation.parameters, evaluation.map, evaluation.stalls)
 
     def _bandwidth(self, part: StrokeRecord, coils: NDArray[np.float64]) -> float | None:
         """Of the amplifier in Hz, where no sample of the stroke is missing and its current steps show it."""

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
-from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_bag
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
@@ -110,7 +110,7 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
     record, metrics = run.record, evaluate(run.record, straightness)
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
-    verdict = judged_bag(run, known, straightness, by_node(values), straightness)
+    verdict = run.partial() or judged_run(known, straightness, by_node(values), straightness, run.stalls)
     figures = {
         **metrics.to_display(),
         **verdict._asdict(),
@@ -255,7 +255,7 @@ def timing_budget(values: Values, latency: NDArray[np.float64], travel: float) -
     for stall_ms in _STALLS_MS:
         delays = stalled(record.time.size, period_ns, due_ns, stall_ms, range(first, record.time.size, apart))
         try:
-            error = true_error(run_stroke(values, delays)[0], straightness)
+            error = run_stroke(values, delays)[0].true_error(straightness)
         except ValueError:
             errors[stall_ms] = math.inf
             continue

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, VERMILION
-from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM, TOLERANCE
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import first_cycle, spread, values_of_starts, with_values
@@ -92,14 +92,13 @@ class CompensatedStroke:
     title: str
     record: StrokeRecord
     map: StraightnessMap
-    motion: Motion
     metrics: Metrics
     claims: tuple[Claim, ...]
 
     def draw(self) -> Figure:
         """Error over slider position, by direction, and over time."""
         figure, (over_x, over_time) = sheet(self.title, rows=2, size=(8.0, 7.0))
-        limit = 1.1 * 1e6 * float(np.abs((self.record.r - self.record.y)[self.motion.window]).max())
+        limit = 1.1 * 1e6 * float(np.abs((self.record.r - self.record.y)[self.record.motion.window]).max())
         _over_x(over_x, self)
         _over_time(over_time, self)
         for axes in (over_x, over_time):
@@ -114,18 +113,17 @@ class _Run(NamedTuple):
 
     record: StrokeRecord
     map: StraightnessMap
-    motion: Motion
     metrics: Metrics
 
     def largest(self, values: NDArray[np.float64]) -> float:
         """Largest magnitude of ``values`` (n,) within the motion."""
-        return float(np.abs(values)[self.motion.window].max())
+        return float(np.abs(values)[self.record.motion.window].max())
 
 
 def _runs(machine: Machine, law: str) -> list[_Run]:
     """One cycle under ``law`` from each start, everything else as the parameter file says."""
     cycles = map(first_cycle, values_of_starts(with_values(machine.values, "controller", {"control.law": law})))
-    return [_Run(record, guide, find_motion(record), evaluate(record, guide)) for record, guide in cycles]
+    return [_Run(record, guide, evaluate(record, guide)) for record, guide in cycles]
 
 
 def _claim(
@@ -138,7 +136,7 @@ def _claim(
 
 def _lag_um(run: _Run, machine: Machine) -> float:
     """Peak to peak in µm of (2ζ/ωn) ṙ over the stroke: the error that the law's lag leaves, whatever the plant."""
-    rate = np.gradient(run.record.r, run.record.time)[run.motion.window]
+    rate = np.gradient(run.record.r, run.record.time)[run.record.motion.window]
     return lag(machine.control.smc) * peak_to_peak(rate) * 1e6
 
 
@@ -199,7 +197,7 @@ def sliding_mode_stroke(machine: Machine) -> CompensatedStroke:
 def _over_x(axes: Axes, data: CompensatedStroke) -> None:
     error_um = (data.record.r - data.record.y) * 1e6
     for direction, colour in (("forward", BLACK), ("backward", VERMILION)):
-        for stroke in data.motion.strokes:
+        for stroke in data.record.motion.strokes:
             if stroke.direction != direction:
                 continue
             inside = slice(stroke.start, stroke.stop)
@@ -209,11 +207,11 @@ def _over_x(axes: Axes, data: CompensatedStroke) -> None:
 
 
 def _over_time(axes: Axes, data: CompensatedStroke) -> None:
-    window = data.motion.window
+    window = data.record.motion.window
     time = data.record.time[window]
     text = f"encoder: {data.metrics.encoder_pp * 1e6:.2f} µm p-p, {data.metrics.encoder_rms * 1e6:.3f} µm RMS"
     axes.plot(time, (data.record.r - data.record.y)[window] * 1e6, color=GREY, linewidth=0.6, label=text)
-    truth = true_error(data.record, data.map)
+    truth = data.record.true_error(data.map)
     if truth is not None and data.metrics.true_pp is not None and data.metrics.true_rms is not None:
         text = f"true: {data.metrics.true_pp * 1e6:.2f} µm p-p, {data.metrics.true_rms * 1e6:.3f} µm RMS"
         axes.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=text)

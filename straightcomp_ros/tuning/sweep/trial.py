@@ -77,7 +77,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
             continue
         y, r, current = cycle.true_y[window], target[window], cycle.current[window]
         count = drive.encoder.y_resolution
-        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, error=r - y, true=True, count=count)
+        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, bounds=bounds)
         steps = np.diff(current)
         results.append(
             TrialResult(
@@ -87,7 +87,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
                 rms=float(np.sqrt(np.mean(judged.error * judged.error))),
                 control_activity=float(np.abs(steps).sum()),
                 control_rms_step=float(np.sqrt(np.mean(steps * steps))),
-                verdict=verdict_of(judged, bounds),
+                verdict=verdict_of(judged),
             )
         )
     return results

@@ -65,7 +65,7 @@ def accepted(monkeypatch, bags, tmp_path):
                 return found
             starts = np.arange(APART, found.record.time[-1], APART).tolist()
             stalls = tuple(Stall(start, start + STALL) for start in starts)
-            return dataclasses.replace(found, stalls=stalls, received_samples=found.received_samples - lost_samples)
+            return dataclasses.replace(found, stalls=stalls, stamps=np.delete(found.stamps, range(1, 1 + lost_samples)))
 
         monkeypatch.setattr(acceptance_step, "evaluate_bag", evaluated)
         monkeypatch.setattr(acceptance_step, "timing_budget", lambda values, latency, travel: TIMING)
