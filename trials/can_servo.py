@@ -18,7 +18,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
-from straightcomp_ros.hardware.can.hub import ERROR, NO_DATA, Faults, Flag, Frame, LinkCut
+from straightcomp_ros.hardware.can.hub import ERROR, FD, NO_DATA, Faults, Frame, LinkCut
 from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -159,7 +159,7 @@ class _Trial:
         if self.now < self._dead_until:
             return []
         try:
-            return faults(Frame(self.now, identifier, Flag.FD if fd else Flag(0), payload))
+            return faults(Frame(self.now, identifier, FD if fd else 0, payload))
         except LinkCut:
             self._dead_until = self.now + _DEAD_NS
             return []

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub, address
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.hardware.can.link import BusLine, HubLine, Line
+from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.loops import PeriodicLoop
@@ -26,20 +26,31 @@ before the sampling time."""
 
 class Emulator:
     """The board's loop on its bus. The driver's parameters describe its simulated machine; ``drift`` is the relative
-    frequency error of its clock."""
+    frequency error of its clock; with ``own_hub`` it is the hub of the bus too, so that no other process has to wake up
+    between board and host.
 
-    def __init__(self, parameters: DriverNodeParameters, line: Line, drift: float = 0.0) -> None:
-        self._line = line
+    Raises:
+        HardwareError: the hub's socket cannot be made.
+    """
+
+    def __init__(self, parameters: DriverNodeParameters, drift: float = 0.0, *, own_hub: bool = False) -> None:
         self._rate = 1.0 + drift
         self._origin_ns = time.monotonic_ns()
-        self._refused = ""
-        self.unsent = 0
-        """Frames that the bus did not accept."""
+        self._said: tuple[str, ...] = ()
         self._parameters = parameters
         self._machine = SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
-        self._wire = parameters.can.make_wire()
-        self._stage_frames = EmulatorFrames(parameters.can.node, self._wire)
+        self._wire = wire = parameters.can.make_wire()
+        self._stage_frames = frames = EmulatorFrames(parameters.can.node, wire)
         self._board: Board | None = None
+        self._line: Link | Hub
+        if own_hub:
+            self._line = Hub(parameters.can.channel, member=lambda frame: self._receive(frame, self._arrival(frame)))
+        else:
+            # The log of these parameters is the driver's.
+            bus = dataclasses.replace(parameters.can, log="")
+            identifiers = [*(command.identifier for command in wire.commands), *frames.stage_ids]
+            self._line = Link(bus, identifiers, self._receive, self._now_ns)
+            self._line.open()
         self.loop = PeriodicLoop(round(self._machine.period_ns / self._rate), self._cycle)
 
     def _board_ns(self, monotonic_ns: int) -> int:
@@ -49,31 +60,32 @@ class Emulator:
     def _now_ns(self) -> int:
         return self._board_ns(time.monotonic_ns())
 
+    def _arrival(self, frame: Frame) -> int:
+        """A command acts from its time on the bus, not from when this process read it."""
+        return self._now_ns() - max(0, time.time_ns() - frame.stamp_ns)
+
     def _switched_on(self, wake_ns: int) -> Board:
         # The board samples at this loop's wake-up times, so that a sample is not up to a period old when it is sent.
         return Board(
             self._machine,
             self._wire,
             self._parameters.stage.drive.current_range,
-            self._send,
+            lambda identifier, payload, fd: self._line.send(identifier, payload, fd=fd),
             self._board_ns(wake_ns) + _LEAD_NS,
             emulator=self._stage_frames,
             tells_truth=self._parameters.can.simulated_stage and self._parameters.can.fd,
         )
 
+    def _receive(self, frame: Frame, arrival_ns: int) -> None:
+        if self._board is not None and not frame.flags & NO_DATA:
+            self._board.receive(address(frame), frame.data, arrival_ns)
+
     def _cycle(self, wake_ns: int) -> None:
         if self._board is None:
             self._board = self._switched_on(wake_ns)
-        board = self._board
-        for identifier, payload, sent_ns in self._line.receive():
-            # A command acts from its time on the bus, not from when this process read it.
-            late_ns = max(0, time.time_ns() - sent_ns)
-            board.receive(identifier, payload, self._now_ns() - late_ns)
-        board.cycle(self._now_ns() + _LEAD_NS)
-        self._refused = _logged(board.refused_trajectory, self._refused)
-
-    def _send(self, identifier: int, payload: bytes, fd: bool) -> None:
-        self.unsent += not self._line.send(identifier, payload, fd)
+        self._line.wait(0.0)
+        self._board.cycle(self._now_ns() + _LEAD_NS)
+        self._said = _logged(self._said, self._board.refused_trajectory, self._line.problem)
 
     def close(self) -> None:
         """Amplifier off, bus closed."""
@@ -89,11 +101,11 @@ def _off_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 
 
-def _logged(refused: str, before: str) -> str:
-    """Log a trajectory that was refused, once; returns what has been logged."""
-    if refused != before:
-        print(f"dsp_emulator: {refused}", file=sys.stderr, flush=True)
-    return refused
+def _logged(before: tuple[str, ...], *now: str) -> tuple[str, ...]:
+    """Log each problem once, as long as it lasts; returns what has been logged."""
+    for words in set(now) - {"", *before}:
+        print(f"dsp_emulator: {words}", file=sys.stderr, flush=True)
+    return now
 
 
 def _schedule(driver: RealtimeParameters) -> None:
@@ -111,11 +123,11 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
         # The program inherits it.
         _schedule(parameters.realtime)
         program = BoardProgram(can, arguments, simulated, stage, guide)
-        refused = ""
+        said: tuple[str, ...] = ()
 
         def ended() -> bool:
-            nonlocal refused
-            refused = _logged(program.stage.refused, refused)
+            nonlocal said
+            said = _logged(said, program.stage.refused)
             return stopped()
 
         print("ready", flush=True)
@@ -142,8 +154,7 @@ def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = F
         signal.signal(number, lambda number, _: stopping.append(number))
     if parameters.can.firmware:
         return _run_firmware(parameters, lambda: bool(stopping), own_hub)
-    line = HubLine(parameters.can.channel) if own_hub else BusLine(parameters.can)
-    emulator = Emulator(parameters, line, drift)
+    emulator = Emulator(parameters, drift, own_hub=own_hub)
     _schedule(parameters.realtime)
     print("ready", flush=True)
     try:

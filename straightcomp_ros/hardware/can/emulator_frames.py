@@ -43,6 +43,7 @@ class EmulatorFrames:
             self._frames[name] = Frames(message, identifier, signals, physical)
         self._time, self._motion, self._start, self._truth = self._frames.values()
         self.truth_id = self._truth.identifier
+        self.stage_ids = [one.identifier for one in (self._time, self._motion, self._start)]
         crc = self._truth.fields["TruthCrc"]
         self._content = (crc.start + crc.length) // 8
         self._most_points = int(self._start.fields[_POINTS].maximum or 0)

@@ -6,13 +6,14 @@ Frames take no time on this bus.
 """
 
 import contextlib
-import enum
 import errno
 import random
 import select
 import socket
 import struct
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,25 +25,15 @@ FLOOD = 20
 _FOREIGN_ID = 0x7
 _AT_ONCE = 16
 """Frames between two polls of the sockets."""
-_LONGEST_WAIT_MS = 100
+_LONGEST_WAIT_S = 0.1
 _BUFFER = 1 << 20
 _HEAD = struct.Struct("<QIB")
 LONGEST = _HEAD.size + 64
 
-
-class Flag(enum.IntFlag):
-    """Kind of a frame."""
-
-    EXTENDED = 1
-    REMOTE = 2
-    ERROR = 4
-    FD = 8
-    BIT_RATE_SWITCH = 16
-
-
-# Plain numbers, since each operation on an IntFlag takes some microseconds. FD_FRAME is what this package sends.
-EXTENDED, REMOTE, ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
-FD_FRAME = int(Flag.FD | Flag.BIT_RATE_SWITCH)
+EXTENDED, REMOTE, ERROR, FD, BIT_RATE_SWITCH = 1, 2, 4, 8, 16
+"""Flags of a frame: plain numbers, since each operation on an IntFlag takes some microseconds."""
+FD_FRAME = FD | BIT_RATE_SWITCH
+"""The frames of CAN FD that this package sends."""
 NO_DATA = ERROR | REMOTE
 """A frame of either kind has no payload to use, whatever its identifier."""
 
@@ -105,7 +96,7 @@ class Faults:
             if not 0.0 <= rate <= 1.0:
                 raise ValueError(f"fault '{kind}': rate of {rate} is not allowed; allowed: 0 to 1")
         self._rates = dict(rates)
-        self.random = random.Random(seed)
+        self._random = random.Random(seed)
         self._held: Frame | None = None
         self.injected = dict.fromkeys(rates, 0)
 
@@ -119,44 +110,42 @@ class Faults:
                 return [frame, held]
             return [held, *self(frame)]
         for kind, rate in self._rates.items():
-            if self.random.random() < rate:
-                frames = KINDS[kind](self, frame)
-                if kind != "reorder":
-                    self.injected[kind] += 1
-                return frames
+            if self._random.random() < rate:
+                if kind == "reorder":
+                    self._held = frame
+                    return []
+                self.injected[kind] += 1
+                return KINDS[kind](frame, self._random)
         return [frame]
 
-    def _reorder(self, frame: Frame) -> list[Frame]:
-        self._held = frame
-        return []
 
-    def _corrupt(self, frame: Frame) -> list[Frame]:
-        """One or two wrong bits: the most that the CRC promises to find."""
-        bits = self.random.sample(range(8 * len(frame.data)), min(self.random.randint(1, 2), 8 * len(frame.data)))
-        value = int.from_bytes(frame.data, "little")
-        for bit in bits:
-            value ^= 1 << bit
-        return [frame._replace(data=value.to_bytes(len(frame.data), "little"))]
-
-    def _cut(self, _: Frame) -> list[Frame]:
-        self.injected["cut"] += 1
-        raise LinkCut
+def _corrupt(frame: Frame, chance: random.Random) -> list[Frame]:
+    """One or two wrong bits: the most that the CRC promises to find."""
+    bits = chance.sample(range(8 * len(frame.data)), min(chance.randint(1, 2), 8 * len(frame.data)))
+    value = int.from_bytes(frame.data, "little")
+    for bit in bits:
+        value ^= 1 << bit
+    return [frame._replace(data=value.to_bytes(len(frame.data), "little"))]
 
 
-KINDS: Mapping[str, Callable[[Faults, Frame], list[Frame]]] = {
-    "drop": lambda faults, frame: [],
-    "duplicate": lambda faults, frame: [frame, frame],
-    "reorder": Faults._reorder,
-    "corrupt": Faults._corrupt,
+def _cut(frame: Frame, chance: random.Random) -> list[Frame]:
+    raise LinkCut
+
+
+KINDS: Mapping[str, Callable[[Frame, random.Random], list[Frame]]] = {
+    "drop": lambda frame, _: [],
+    "duplicate": lambda frame, _: [frame, frame],
+    "reorder": lambda frame, _: [frame],  # Faults holds it until the next one
+    "corrupt": _corrupt,
     # Any content: one in 256 passes the CRC.
-    "garble": lambda faults, frame: [frame._replace(data=faults.random.randbytes(len(frame.data)))],
-    "truncate": lambda faults, frame: [frame._replace(data=frame.data[: faults.random.randrange(len(frame.data))])],
-    "wrong_id": lambda faults, frame: [frame._replace(identifier=frame.identifier ^ 1 << faults.random.randrange(11))],
-    "error_frame": lambda faults, frame: [Frame(frame.stamp_ns, 0x20, Flag.ERROR, bytes(8)), frame],
+    "garble": lambda frame, chance: [frame._replace(data=chance.randbytes(len(frame.data)))],
+    "truncate": lambda frame, chance: [frame._replace(data=frame.data[: chance.randrange(len(frame.data))])],
+    "wrong_id": lambda frame, chance: [frame._replace(identifier=frame.identifier ^ 1 << chance.randrange(11))],
+    "error_frame": lambda frame, _: [Frame(frame.stamp_ns, 0x20, ERROR, bytes(8)), frame],
     # A request for the frame, which a bus has in the classic format alone.
-    "remote": lambda faults, frame: [frame._replace(flags=frame.flags & EXTENDED | REMOTE, data=b""), frame],
-    "flood": lambda faults, frame: [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame],
-    "cut": Faults._cut,
+    "remote": lambda frame, _: [frame._replace(flags=frame.flags & EXTENDED | REMOTE, data=b""), frame],
+    "flood": lambda frame, _: [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame],
+    "cut": _cut,
 }
 """Kinds of faults, and what each does to a frame."""
 
@@ -167,7 +156,8 @@ class Hub:
     Args:
         path: of the socket, made here and removed by :meth:`close`.
         fault: ``fault(frame)`` returns the frames that arrive in place of one, or raises :class:`LinkCut`.
-        member: ``member(packet)`` gets the frames for a node in the hub's own process, which sends by :meth:`put`.
+        member: ``member(frame)`` gets the frames for a node in the hub's own process, which uses this object as it
+            would use a :class:`~straightcomp_ros.hardware.can.link.Link`.
 
     Raises:
         HardwareError: the socket cannot be made, or another hub listens on it.
@@ -179,19 +169,20 @@ class Hub:
     """Frames that a node did not get because its buffer was full."""
     cuts = 0
     """How often the link was cut."""
+    problem = ""
+    """Of the member's connection, which has none."""
 
     def __init__(
         self,
         path: str | Path,
         fault: Callable[[Frame], list[Frame]] | None = None,
-        member: Callable[[bytes], object] | None = None,
+        member: Callable[[Frame], object] | None = None,
     ) -> None:
-        self._path = Path(path)
-        self._fault = fault
-        self._member = member
+        self._path, self._fault, self._member = Path(path), fault, member
         self._readable = select.poll()
-        self._nodes: dict[int, socket.socket] = {}
-        self._watched: dict[int, Callable[[], object]] = {}
+        self._calls: dict[int, Callable[[], object]] = {}
+        """What is to be done when a descriptor can be read."""
+        self._nodes: list[socket.socket] = []
         self._waiting: dict[socket.socket, bytes] = {}
         """The oldest unsent frame of each node that has one."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -202,7 +193,7 @@ class Hub:
             raise HardwareError(f"hub: socket '{path}': {error.strerror or error}") from error
         self._listener.listen()
         self._listener.setblocking(False)
-        self._readable.register(self._listener, select.POLLIN)
+        self.watch(self._listener.fileno(), self._accept)
 
     def _bind(self) -> None:
         if self._path.is_socket():
@@ -216,24 +207,20 @@ class Hub:
     def run(self, stopped: Callable[[], bool]) -> None:
         """Serve until ``stopped()``, which is called at least ten times a second."""
         while not stopped():
-            self.serve(_LONGEST_WAIT_MS)
+            self.wait(_LONGEST_WAIT_S)
 
     def watch(self, descriptor: int, call: Callable[[], object]) -> None:
-        """Call ``call()`` in :meth:`serve` whenever a descriptor of the hub's process can be read."""
-        self._watched[descriptor] = call
+        """Call ``call()`` in :meth:`wait` whenever a descriptor of the hub's process can be read."""
+        self._calls[descriptor] = call
         self._readable.register(descriptor, select.POLLIN)
 
-    def serve(self, timeout_ms: int) -> None:
-        """Pass on a bounded number of frames, waiting up to ``timeout_ms`` for the first."""
-        waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
-        for descriptor, _ in self._readable.poll(0 if waiting else timeout_ms):
-            if descriptor == listener:
-                self._accept()
-            elif descriptor in self._watched:
-                self._watched[descriptor]()
-            elif descriptor in nodes and nodes[descriptor] not in waiting:
-                # Otherwise it is gone, or its frame waits already.
-                self._fetch(nodes[descriptor])
+    def wait(self, timeout_s: float) -> None:
+        """Pass on a bounded number of frames, waiting up to ``timeout_s`` for the first."""
+        waiting = self._waiting
+        for descriptor, _ in self._readable.poll(0 if waiting else round(1e3 * timeout_s)):
+            # A node may have gone meanwhile.
+            if descriptor in self._calls:
+                self._calls[descriptor]()
         for _ in range(_AT_ONCE):
             if not waiting:
                 break
@@ -241,17 +228,18 @@ class Hub:
             self._pass_on(sender, waiting.pop(sender))
             self._fetch(sender)
 
-    def put(self, packet: bytes) -> None:
-        """Pass a frame of the ``member`` to all others."""
-        self._pass_on(None, packet)
+    def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
+        """Pass a frame of the ``member`` to all others; a node that does not read loses it silently."""
+        self._pass_on(None, to_packet(addressed(identifier, payload, fd=fd, stamp_ns=time.time_ns())))
+        return True
 
     def cut(self) -> None:
         """Cut the link: every node loses its connection, and may connect again."""
         self.cuts += 1
-        self._forget(*self._nodes.values())
+        self._forget(*self._nodes)
 
     def close(self) -> None:
-        self._forget(*self._nodes.values())
+        self._forget(*self._nodes)
         self._listener.close()
         self._path.unlink(missing_ok=True)
 
@@ -259,19 +247,23 @@ class Hub:
         node, _ = self._listener.accept()
         node.setblocking(False)
         node.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-        self._nodes[node.fileno()] = node
-        self._readable.register(node, select.POLLIN)
+        self._nodes.append(node)
+        self.watch(node.fileno(), partial(self._fetch, node))
 
     def _forget(self, *nodes: socket.socket) -> None:
         for node in nodes:
             self._readable.unregister(node)
-            del self._nodes[node.fileno()]
+            del self._calls[node.fileno()]
+            self._nodes.remove(node)
             self._waiting.pop(node, None)
             with contextlib.suppress(OSError):
                 node.shutdown(socket.SHUT_RDWR)
             node.close()
 
     def _fetch(self, node: socket.socket) -> None:
+        """Take a node's next frame, unless one waits already or the node is gone."""
+        if node in self._waiting or node not in self._nodes:
+            return
         try:
             packet = node.recv(LONGEST)
         except BlockingIOError:
@@ -280,7 +272,7 @@ class Hub:
             packet = b""
         if packet:
             self._waiting[node] = packet
-        elif node.fileno() in self._nodes:
+        else:
             self._forget(node)
 
     def _pass_on(self, sender: socket.socket | None, packet: bytes) -> None:
@@ -294,16 +286,12 @@ class Hub:
                 return
         for packet in packets:
             if self._member is not None and sender is not None:
-                self._member(packet)
-            for node in self._nodes.values():
+                self._member(from_packet(packet))
+            for node in self._nodes:
                 if node is not sender:
-                    self._send(node, packet)
-
-    def _send(self, node: socket.socket, packet: bytes) -> None:
-        try:
-            node.send(packet)
-        except BlockingIOError:
-            self.dropped += 1
-        except OSError:
-            # It is gone, and serve() will remove it.
-            pass
+                    try:
+                        node.send(packet)
+                    except BlockingIOError:
+                        self.dropped += 1
+                    except OSError:
+                        pass  # it is gone, and wait() will remove it

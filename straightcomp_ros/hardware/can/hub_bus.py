@@ -12,14 +12,20 @@ from typing import Any
 
 import can
 
-from straightcomp_ros.hardware.can.hub import LONGEST, Flag, Frame, from_packet, to_packet
+from straightcomp_ros.hardware.can import hub
+from straightcomp_ros.hardware.can.hub import Frame
 
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
 _SELECTABLE = 1024
-_NAMES = ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch")
-_BITS = tuple((name, int(flag)) for name, flag in zip(_NAMES, Flag, strict=True))
-_KINDS = [{name: bool(flags & bit) for name, bit in _BITS} for flags in range(256)]
+_BITS = {
+    "is_extended_id": hub.EXTENDED,
+    "is_remote_frame": hub.REMOTE,
+    "is_error_frame": hub.ERROR,
+    "is_fd": hub.FD,
+    "bitrate_switch": hub.BIT_RATE_SWITCH,
+}
+_KINDS = [{name: bool(flags & bit) for name, bit in _BITS.items()} for flags in range(256)]
 """python-can's arguments for each combination of flags."""
 
 
@@ -45,17 +51,27 @@ class HubBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **options)
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
 
-    def recv_frame(self, timeout: float) -> Frame | None:
+    def recv_frame(self, timeout: float | None) -> Frame | None:
         """The next frame, unfiltered, or None after ``timeout`` s; raises can.CanOperationError if the hub is gone.
 
         It is without the cost of python-can's message.
         """
-        return None if timeout and not self._wait(timeout) else self._frame()
+        if timeout != 0.0 and not self._wait(timeout):
+            return None
+        try:
+            packet = self._socket.recv(hub.LONGEST)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise can.CanOperationError(f"hub: {error.strerror}") from error
+        if not packet:
+            raise can.CanOperationError("the hub closed the connection")
+        return hub.from_packet(packet)
 
     def send_frame(self, identifier: int, flags: int, data: bytes) -> None:
         """Hand a frame to the hub as :meth:`send` does, without waiting and without python-can's message."""
         try:
-            self._socket.send(to_packet(Frame(time.time_ns(), identifier, flags, data)))
+            self._socket.send(hub.to_packet(Frame(time.time_ns(), identifier, flags, data)))
         except BlockingIOError as error:
             raise can.CanOperationError("transmit buffer full") from error
         except OSError as error:
@@ -76,25 +92,9 @@ class HubBus(can.BusABC):
             self.send_frame(*frame)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame = self._frame()
-        if frame is None and timeout != 0.0 and self._wait(timeout):
-            frame = self._frame()
-        if frame is None:
-            return None, False
-        message = message_of(frame)
+        frame = self.recv_frame(timeout)
         # An error frame has no identifier and passes the filters, as with socketcan.
-        return message, message.is_error_frame
-
-    def _frame(self) -> Frame | None:
-        try:
-            packet = self._socket.recv(LONGEST)
-        except BlockingIOError:
-            return None
-        except OSError as error:
-            raise can.CanOperationError(f"hub: {error.strerror}") from error
-        if not packet:
-            raise can.CanOperationError("the hub closed the connection")
-        return from_packet(packet)
+        return (message_of(frame), bool(frame.flags & hub.ERROR)) if frame else (None, False)
 
     def _wait(self, timeout: float | None) -> bool:
         # select() takes times below a millisecond, but no descriptors from 1024 on.
@@ -122,4 +122,4 @@ def message_of(frame: Frame) -> can.Message:
 
 
 def _flags(message: can.Message) -> int:
-    return sum(bit for name, bit in _BITS if getattr(message, name))
+    return sum(bit for name, bit in _BITS.items() if getattr(message, name))

@@ -1,17 +1,13 @@
-"""Connections to the bus, opened again when they fail: the driver's, and the emulated board's.
+"""The connection to the bus, opened again when it fails: the driver's, and the emulated board's.
 
-python-can's Notifier ends with the first error. Here an error closes the bus, and it is opened again. The driver's is,
-at first soon, then less often; opening may take seconds and has its own thread. The caller's thread reads: handing
-frames to another thread would cost a wake-up and the interpreter's lock for each.
-
-The emulated board is on any interface of python-can, or has the hub in its own process: then no other process has to
-wake up between board and host. Its connections never block.
+python-can's Notifier ends with the first error. Here an error closes the bus, and it is opened again, at first soon,
+then less often; opening may take seconds and has its own thread. The caller's thread reads: handing frames to another
+thread would cost a wake-up and the interpreter's lock for each.
 """
 
 import contextlib
 import errno
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -23,23 +19,13 @@ import can
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.frame_log import FrameLog
-from straightcomp_ros.hardware.can.hub import (
-    ERROR,
-    NO_DATA,
-    Frame,
-    Hub,
-    address,
-    addressed,
-    from_packet,
-    to_packet,
-)
+from straightcomp_ros.hardware.can.hub import ERROR, Frame, address, addressed
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
 from straightcomp_ros.parameters.declaration import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
 _AT_ONCE = 256
 _PAUSE_S = 0.0005
-_BOARD_AT_ONCE, _BOARD_REOPENS_EVERY_S = 64, 0.1
 _SAME_CLOCK_NS = 5_000_000_000
 
 
@@ -52,24 +38,15 @@ def check_interface(parameters: CanParameters) -> None:
 
 def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | None = None) -> can.BusABC:
     """Open the bus; raises can.CanError or OSError, and with some interfaces other errors of their drivers."""
-    further: dict[str, Any] = dict(parameters.further_options())
-    if parameters.fd:
-        further["data_bitrate"] = parameters.data_bitrate
+    further: dict[str, Any] = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
     return can.Bus(
         interface=parameters.interface,
         channel=parameters.channel,
         bitrate=parameters.bitrate,
         fd=parameters.fd,
         can_filters=filters,
-        **further,
+        **{**parameters.further_options(), **further},
     )
-
-
-def is_down(error: Exception) -> bool:
-    """Whether an error of sending is the kernel's that the interface is down, which it reports once, to who calls
-    first: what sending has reported, reading never finds."""
-    cause = error if isinstance(error, OSError) else error.__cause__
-    return isinstance(cause, OSError) and cause.errno == errno.ENETDOWN
 
 
 class Link:
@@ -122,6 +99,19 @@ class Link:
             self._drop(self._bus)
         self._open_soon()
 
+    def open(self) -> None:
+        """Open the bus in this thread; :attr:`problem` says why it is closed all the same."""
+        try:
+            bus = opened_bus(self._parameters, self._filters)
+        except Exception as error:
+            self._lose(None, error)
+            return
+        self.openings += 1
+        self.problem = ""
+        self._bus = bus
+        if self._closing:
+            self._drop(bus)
+
     def wait(self, timeout_s: float) -> int:
         """Take the frames that have arrived, waiting up to ``timeout_s`` for the first; returns how many."""
         bus = self._bus
@@ -145,9 +135,10 @@ class Link:
             elif bus is not None:
                 bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError, ValueError) as error:
-            if is_down(error):
+            # That the interface is down the kernel reports once, to who calls first; all else reading finds too.
+            cause = error if isinstance(error, OSError) else error.__cause__
+            if isinstance(cause, OSError) and cause.errno == errno.ENETDOWN:
                 self._lose(bus, error)
-            # If it is another one, and no full queue, reading finds it.
             bus = None
         if bus is None:
             self.transmit_full += 1
@@ -170,20 +161,8 @@ class Link:
         busy = self._opener is not None and self._opener.is_alive()
         if self._bus is None and not busy and time.monotonic() >= self._next_opening_s:
             # It inherits this thread's priority: if it held the interpreter's lock without a CPU, the loop would wait.
-            self._opener = threading.Thread(target=self._open, name="can", daemon=True)
+            self._opener = threading.Thread(target=self.open, name="can", daemon=True)
             self._opener.start()
-
-    def _open(self) -> None:
-        try:
-            bus = opened_bus(self._parameters, self._filters)
-        except Exception as error:
-            self._lose(None, error)
-            return
-        self.openings += 1
-        self.problem = ""
-        self._bus = bus
-        if self._closing:
-            self._drop(bus)
 
     def _lose(self, bus: can.BusABC | None, error: Exception) -> None:
         self.problem = f"{self._name}: {error}"
@@ -236,91 +215,3 @@ def _next_frame(bus: can.BusABC, timeout_s: float) -> Frame | None:
         return bus.recv_frame(timeout_s)
     message = bus.recv(timeout_s)
     return None if message is None else frame_of(message)
-
-
-Received = tuple[int, bytes, int]
-"""A frame: identifier, payload, system time in ns at which it was on the bus."""
-
-
-class BusLine:
-    """A bus of python-can, which is opened again after a loss."""
-
-    def __init__(self, parameters: CanParameters) -> None:
-        self._parameters = parameters
-        self._bus: can.BusABC | None = None
-        self._next_open_s = 0.0
-        self._complained = ""
-        self._open()
-
-    def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
-        """Send a frame; False if the bus did not take it."""
-        if self._bus is None:
-            return False
-        try:
-            self._bus.send(message_of(addressed(identifier, payload, fd=fd)))
-        except (can.CanError, OSError) as error:
-            if is_down(error):
-                self.close()
-            return False
-        return True
-
-    def receive(self) -> list[Received]:
-        """Frames since the last call, a bounded number."""
-        if self._bus is None:
-            self._open()
-        frames: list[Received] = []
-        try:
-            while self._bus is not None and len(frames) < _BOARD_AT_ONCE:
-                message = self._bus.recv(0)
-                if message is None:
-                    break
-                frame = frame_of(message)
-                if not frame.flags & NO_DATA:
-                    frames.append((address(frame), frame.data, frame.stamp_ns))
-        except (can.CanError, OSError):
-            self.close()
-        return frames
-
-    def close(self) -> None:
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            with contextlib.suppress(can.CanError, OSError):
-                bus.shutdown()
-
-    def _open(self) -> None:
-        if time.monotonic() < self._next_open_s:
-            return
-        self._next_open_s = time.monotonic() + _BOARD_REOPENS_EVERY_S
-        try:
-            self._bus = opened_bus(self._parameters)
-            self._complained = ""
-        except (can.CanError, OSError) as error:
-            if str(error) != self._complained:
-                self._complained = str(error)
-                print(f"dsp_emulator: {error}", file=sys.stderr, flush=True)
-
-
-class HubLine:
-    """A hub in this process, on the socket ``path``, with the board as its member; raises as :class:`Hub` does."""
-
-    def __init__(self, path: str) -> None:
-        self._packets: list[bytes] = []
-        self._hub = Hub(path, member=self._packets.append)
-
-    def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
-        """Send a frame; a node that does not read loses it silently."""
-        self._hub.put(to_packet(addressed(identifier, payload, fd=fd, stamp_ns=time.time_ns())))
-        return True
-
-    def receive(self) -> list[Received]:
-        """Frames since the last call, a bounded number."""
-        self._hub.serve(0)
-        frames = [from_packet(packet) for packet in self._packets]
-        self._packets.clear()
-        return [(address(frame), frame.data, frame.stamp_ns) for frame in frames if not frame.flags & NO_DATA]
-
-    def close(self) -> None:
-        self._hub.close()
-
-
-Line = BusLine | HubLine

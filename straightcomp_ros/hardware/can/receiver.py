@@ -45,11 +45,11 @@ class Receiver:
 
     def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
         self.wire = wire = parameters.make_wire()
-        self._period_ns = period_ns = stage.period_ns
+        period_ns = stage.period_ns
         self.clock = SampleClock(period_ns)
         self._modulus = wire.sample_modulus
         slow = wire.counting is not None and wire.counting not in wire.parts
-        self.sequence = SampleNumbers(self._elapsed, period_ns, self._modulus, wire.number_modulus if slow else 0)
+        self.sequence = SampleNumbers(self.clock, period_ns, self._modulus, wire.number_modulus if slow else 0)
         self.sets: FrameSets[Report] = FrameSets(len(wire.parts), wire.part_modulus, period_ns)
         numbered = wire.parts[0]
         self._alive_modulus = numbered.counts("alive") if numbered.counts("counter") else 0
@@ -58,8 +58,9 @@ class Receiver:
         self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault: int | None = None
-        self.newest_ns = self.status_ns = self.heartbeat_ns = self._arrival_ns = 0
+        self.newest_ns = self.status_ns = self.heartbeat_ns = self._stamp_ns = 0
         self.node_state: int | None = None
+        self.current = 0.0
         self._memory, self._error_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
         # Two counts of noise; half a one more for the rounding of numbers in metres.
@@ -70,8 +71,6 @@ class Receiver:
         """Count of the newest accepted frame; 0 for frames without."""
         self._good: tuple[float, float, int] | None = None
         """Newest good reading, and its number."""
-        self._stamp_ns = 0
-        self.current = 0.0
         self._truth: tuple[int, Truth | None] = (-1, None)
         self._handlers: dict[int, Callable[[bytes, int], None]] = {
             identifier: partial(self._receive, frames) for identifier, frames in wire.reports.items()
@@ -80,7 +79,7 @@ class Receiver:
             for number, frames in enumerate(wire.parts):
                 self._handlers[frames.identifier] = partial(self._receive_component, number, frames)
         if wire.heartbeat:
-            self._handlers[wire.heartbeat.identifier] = self._receive_heartbeat
+            self._handlers[wire.heartbeat.identifier] = partial(self._receive_heartbeat, wire.heartbeat)
         if parameters.fd and parameters.simulated_stage:
             self._emulator = EmulatorFrames(parameters.node, wire)
             self._handlers[self._emulator.truth_id] = self._receive_truth
@@ -88,10 +87,9 @@ class Receiver:
 
     def restart(self) -> None:
         """Forget the board's samples, as after its restart; counters stay."""
-        self.clock.reset()
         self.sequence.reset()
         self.sets.reset()
-        self._accepted = self._good = self.amplifier = None
+        self.amplifier = None
         self.error_counter = 0
 
     def take(self, frame: Frame, arrival_ns: int) -> None:
@@ -112,7 +110,7 @@ class Receiver:
         try:
             handler(payload, arrival_ns)
         except FrameError as error:
-            self._count_error(str(error))
+            self._count_error(error)
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
         """Count an error that the interface reports, by the identifier and the payload of Linux's error frame."""
@@ -122,25 +120,21 @@ class Receiver:
         if classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE:
             self.counts["error_passive"] += 1
 
-    def _count_error(self, reason: str) -> None:
-        self.counts[reason] += 1
+    def _count_error(self, error: FrameError) -> None:
+        self.counts[str(error)] += 1
         self.error_counter += _BAD_FRAME
         if self.error_counter >= self._error_limit:
             self.error_limit_hits += 1
             self.restart()
 
-    def _elapsed(self, index: int, arrival_ns: int) -> float:
-        if self.clock.settled:
-            return self.clock.elapsed(index, arrival_ns)
-        # The first frames may all be late, so the time between two of them is not yet meaningful.
-        return max((arrival_ns - self._arrival_ns) / self._period_ns, self.sequence.unsettled)
-
     def _receive(self, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         report = frames.unpack(payload)
-        if report.x is None:
-            self._receive_status(report, arrival_ns)
+        if report.x is not None:
+            self._take_sample(report, arrival_ns)
             return
-        self._take_sample(report, arrival_ns)
+        self._take_status(report, arrival_ns)
+        if report.counter is not None:
+            self._number_waiting(report.counter, arrival_ns)
 
     def _receive_component(self, number: int, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         """Take a frame with a component of a sample, whose others come in frames of other messages."""
@@ -150,22 +144,27 @@ class Receiver:
             self._take_sample(*whole)
 
     def _take_sample(self, report: Report, arrival_ns: int) -> None:
-        jumps = self.sequence.jumps
         ahead = self.sequence.ahead(report.number, arrival_ns)
-        self._follow_jump(jumps)
         if ahead is None:
             self.sequence.wait(report, arrival_ns)
         else:
             self._place(report, ahead, arrival_ns)
 
-    def _follow_jump(self, jumps: int) -> None:
-        """Forget what belongs to the old numbers if there are new ones since ``jumps``."""
-        if self.sequence.jumps > jumps:
-            self.clock.reset()
-            self._accepted = self._good = None
+    def _number_waiting(self, counter: int, arrival_ns: int) -> None:
+        for number, report, came_ns in self.sequence.place(counter, arrival_ns):
+            index = self.sequence.index
+            try:
+                self._place(report._replace(counter=number), 1 if index is None else number - index, came_ns)
+            except FrameError as error:
+                self._count_error(error)
 
     def _place(self, report: Report, ahead: int, arrival_ns: int) -> None:
-        if not self.sequence.plausible(ahead, arrival_ns):
+        """Take a sample that is so many ahead of the newest."""
+        sequence = self.sequence
+        if sequence.index is None:
+            # What was accepted before had other numbers.
+            self._accepted = self._good = None
+        if not sequence.plausible(ahead, arrival_ns):
             raise FrameError("implausible")
         last, x, y = self._accepted, report.x, report.y
         assert x is not None and y is not None
@@ -174,15 +173,13 @@ class Receiver:
             # Frames and samples do not count alike.
             raise FrameError("alive")
         if ahead <= 0:
-            self.sequence.count_old(ahead)
+            sequence.count_old(ahead)
             return
         if report.good and not self._is_near(x, y, ahead):
             raise FrameError("implausible")
         self._accepted = alive
-        index = self.sequence.accept(report.number, ahead)
-        self.clock.observe(index, arrival_ns)
+        index = sequence.accept(report.number, ahead, arrival_ns)
         self.received += 1
-        self._arrival_ns = arrival_ns
         self._take_status(report, arrival_ns)
         if self.error_counter:
             self.error_counter -= 1
@@ -228,22 +225,6 @@ class Receiver:
             self.samples.popleft()
             self.overflowed += 1
 
-    def _receive_status(self, report: Report, arrival_ns: int) -> None:
-        """Take a frame that does not come with each sample."""
-        self._take_status(report, arrival_ns)
-        if report.counter is None:
-            return
-        jumps = self.sequence.jumps
-        placed = self.sequence.place(report.counter, arrival_ns)
-        self._follow_jump(jumps)
-        for number, (waiting, waiting_ns) in placed:
-            if self.sequence.index is None:
-                self.sequence.index = number - 1
-            try:
-                self._place(waiting, number - self.sequence.index, waiting_ns)
-            except FrameError as error:
-                self._count_error(str(error))
-
     def _receive_truth(self, payload: bytes, _: int) -> None:
         try:
             self._truth = self._emulator.truth_of(payload)
@@ -251,9 +232,8 @@ class Receiver:
             # Nothing acts on the truth, so a damaged one does not count as a bad frame.
             self.counts[str(error)] += 1
 
-    def _receive_heartbeat(self, payload: bytes, arrival_ns: int) -> None:
-        assert self.wire.heartbeat is not None
-        (self.node_state,) = self.wire.heartbeat.unpack(payload)
+    def _receive_heartbeat(self, heartbeat: Frames, payload: bytes, arrival_ns: int) -> None:
+        (self.node_state,) = heartbeat.unpack(payload)
         self.heartbeat_ns = arrival_ns
         if self.node_state == self.wire.meaning.heartbeat.boot_up_value:
             self.boot_ups += 1

@@ -18,7 +18,7 @@ is off by 100 ppm and more. The line bends but never jumps: stamps rise by about
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -92,19 +92,21 @@ class FrameSets(Generic[Frame]):
         if own is None:
             own = _Set(count, at_ns, {})
             sets.append(own)
-            if len(sets) > OPEN:
-                self._close(sets.pop(0))
         elif message in own.frames:
             self.repeated += 1
             return None
         elif own is not sets[-1]:
             self.out_of_order += 1
         own.frames[message] = frame
-        if len(own.frames) < self._messages or own.closed:
+        whole = len(own.frames) == self._messages and not own.closed
+        # Those before a whole one are given up, and so is the oldest of too many.
+        for given_up in sets[: sets.index(own)] if whole else sets[:-OPEN]:
+            self.incomplete += not given_up.closed
+            given_up.closed = True
+        del sets[:-OPEN]
+        if not whole:
             return None
         own.closed = True
-        for earlier in sets[: sets.index(own)]:
-            self._close(earlier)
         return together([frame for _, frame in sorted(own.frames.items())]), own.begin_ns
 
     def _belongs(self, known: _Set[Frame], message: int, count: int, at_ns: int) -> bool:
@@ -113,10 +115,6 @@ class FrameSets(Generic[Frame]):
             return known.count == count and passed_ns <= self._longest_ns
         waits = known is self._sets[-1] and not known.closed and message not in known.frames
         return waits and passed_ns < self._longest_ns
-
-    def _close(self, given_up: _Set[Frame]) -> None:
-        self.incomplete += not given_up.closed
-        given_up.closed = True
 
 
 def together(frames: Sequence[Frame]) -> Frame:
@@ -142,7 +140,7 @@ class SampleClock:
 
     def reset(self) -> None:
         self.settled = False
-        self._origin_index = self._origin_ns = self._count = self._lost_blocks = 0
+        self._origin_index = self._origin_ns = self._lost_blocks = 0
         self._place = self._rate = self._bend = 0.0
         self._slope = self._nominal
         self._least = float("inf")
@@ -157,7 +155,7 @@ class SampleClock:
 
     def observe(self, index: int, arrival_ns: int) -> None:
         """Take the time of arrival of a sample; samples come in order, some may be missing."""
-        if self._count == 0 and not self.settled:
+        if not self.settled and self._least == float("inf"):
             self._origin_index, self._origin_ns = index, arrival_ns
         step = index - self._origin_index
         late = arrival_ns - self._origin_ns - self._place - step * self._slope
@@ -165,12 +163,11 @@ class SampleClock:
         late -= (BLOCK - step) * self._bend
         if late < self._least:
             self._least = late
-        self._count += 1
         if step >= BLOCK - 1:
             self._end_block(index)
 
     def _end_block(self, index: int) -> None:
-        late, self._least, self._count = self._least, float("inf"), 0
+        late, self._least = self._least, float("inf")
         if not self.settled:
             self._place += late
             self.settled = True
@@ -195,27 +192,26 @@ class SampleNumbers:
     """Numbers of the samples, and what is missing between them.
 
     Args:
-        elapsed: ``elapsed(index, arrival_ns)`` is the number of samples taken since ``index``, by the clock.
+        clock: follows the samples, and says how many have been taken; it starts anew with the numbers.
         period_ns: from one sample to the next.
         modulus: of the count in each sample's frame, 0 without one.
         full_modulus: of the full counter in frames of its own, which ``modulus`` divides; 0 without one.
+
+    Attributes:
+        index: number of the newest accepted sample; None before the first.
+        jumps: how often the numbers started anew by themselves.
+        unplaced: frames that waited for a number in vain.
     """
 
-    def __init__(
-        self, elapsed: Callable[[int, int], float], period_ns: int, modulus: int, full_modulus: int = 0
-    ) -> None:
-        self._elapsed, self._period_ns = elapsed, period_ns
+    def __init__(self, clock: SampleClock, period_ns: int, modulus: int, full_modulus: int = 0) -> None:
+        self._clock, self._period_ns = clock, period_ns
         self._modulus, self._full_modulus = modulus, full_modulus
         self._early = min(_EARLY, (modulus - 1) // 3)
         self._ambiguous = modulus - 1 - self._early if modulus else _SILENCE
         self.lost = self.repeated = self.out_of_order = self.unplaced = self.jumps = 0
-        self._missing: dict[int, None] = {}
+        self._missing: deque[int] = deque(maxlen=_KEPT_MISSING)
+        self._newest_ns = 0
         self.reset()
-
-    @property
-    def unsettled(self) -> float:
-        """Samples that may have passed while the clock is not settled: no more than the count distinguishes."""
-        return min(_UNSETTLED, self._ambiguous - 1.0) if self._modulus else 1.0
 
     def reset(self) -> None:
         """Start anew: the next frame with a full counter gives the number."""
@@ -223,6 +219,20 @@ class SampleNumbers:
         self._missing.clear()
         self._waiting: list[tuple[Report, int]] = []
         self._lateness: deque[float] = deque(maxlen=_ROW)
+        self._clock.reset()
+
+    def _jump(self) -> None:
+        self.jumps += 1
+        self.reset()
+
+    def _passed(self, index: int, arrival_ns: int) -> float:
+        """Samples that the board has taken since ``index``."""
+        if self._clock.settled:
+            return self._clock.elapsed(index, arrival_ns)
+        # The first frames may all be late, so the time between two of them is not yet meaningful. No more samples may
+        # have passed than the count distinguishes.
+        unsettled = min(_UNSETTLED, self._ambiguous - 1.0) if self._modulus else 1.0
+        return max((arrival_ns - self._newest_ns) / self._period_ns, unsettled)
 
     def ahead(self, count: int | None, arrival_ns: int) -> int | None:
         """How many samples a frame is ahead of the newest accepted one, 1 for the next; None if it has to wait.
@@ -231,19 +241,16 @@ class SampleNumbers:
         """
         if self.index is None or self._waiting:
             return None if self._full_modulus else 1
-        passed = self._elapsed(self.index, arrival_ns)
+        passed = self._passed(self.index, arrival_ns)
         if passed >= self._ambiguous:
             if self._full_modulus:
                 return None
-            self.jumps += 1
-            self.reset()
+            self._jump()
             return 1
-        if count is None:
-            return self._in_order(passed)
-        ahead = (count - self.index) % self._modulus
-        return ahead if ahead <= passed + self._early else ahead - self._modulus
-
-    def _in_order(self, passed: float) -> int:
+        if count is not None:
+            ahead = (count - self.index) % self._modulus
+            return ahead if ahead <= passed + self._early else ahead - self._modulus
+        # In their order, unless a row of them is late.
         self._lateness.append(passed - 1.0)
         late = min(self._lateness)
         if len(self._lateness) < _ROW or late < _LATE:
@@ -253,25 +260,25 @@ class SampleNumbers:
 
     def plausible(self, ahead: int, arrival_ns: int) -> bool:
         """Whether a number fits the clock: not in the future, and not more than 1000 samples old."""
-        return self.index is None or -_OLDEST < ahead <= self._elapsed(self.index, arrival_ns) + _EARLY
+        return self.index is None or -_OLDEST < ahead <= self._passed(self.index, arrival_ns) + _EARLY
 
-    def accept(self, count: int | None, ahead: int) -> int:
+    def accept(self, count: int | None, ahead: int, arrival_ns: int) -> int:
         """Take a frame as the newest sample; return its number, and count those lost before it."""
         if self.index is None:
             self.index = count or 0
-            return self.index
-        self._missing |= dict.fromkeys(range(self.index + 1, self.index + min(ahead, _KEPT_MISSING)))
-        while len(self._missing) > _KEPT_MISSING:
-            del self._missing[next(iter(self._missing))]
-        self.lost += ahead - 1
-        self.index += ahead
+        else:
+            self._missing.extend(range(self.index + 1, self.index + min(ahead, _KEPT_MISSING)))
+            self.lost += ahead - 1
+            self.index += ahead
+        self._newest_ns = arrival_ns
+        self._clock.observe(self.index, arrival_ns)
         return self.index
 
     def count_old(self, ahead: int) -> None:
         """Count a frame without a new sample: one that was missing, or one that is repeated."""
         number = (self.index or 0) + ahead
         if number in self._missing:
-            del self._missing[number]
+            self._missing.remove(number)
             self.lost -= 1
             self.out_of_order += 1
         else:
@@ -284,37 +291,26 @@ class SampleNumbers:
             del self._waiting[0]
             self.unplaced += 1
 
-    def place(self, counter: int, arrival_ns: int) -> list[tuple[int, tuple[Report, int]]]:
-        """Number the waiting frames; returns (number, (report, arrival_ns)) in the order of their arrival.
+    def place(self, counter: int, arrival_ns: int) -> list[tuple[int, Report, int]]:
+        """Number the waiting frames; returns (number, report, arrival_ns) in the order of their arrival.
 
         ``counter`` came at ``arrival_ns`` in a frame of its own.
         """
-        modulus = self._modulus
-        ahead = 0 if self.index is None else _signed(counter - self.index, self._full_modulus)
+        half = self._full_modulus // 2
+        ahead = 0 if self.index is None else (counter - self.index + half) % self._full_modulus - half
         if not self._waiting:
-            if self.index is not None and not -1 <= ahead < modulus - 1:
-                self.jumps += 1
-                self.reset()
+            if self.index is not None and not -1 <= ahead < self._modulus - 1:
+                self._jump()
             return []
         number = counter if self.index is None else self.index + ahead
         placed = []
-        for waiting in reversed(self._waiting):
-            report, waiting_ns = waiting
-            number -= self._from_one_to_the_next(number - (report.alive or 0), arrival_ns - waiting_ns)
+        for report, waiting_ns in reversed(self._waiting):
+            lost = (number - (report.alive or 0)) % self._modulus
+            swapped = self._modulus - lost
+            # To lose almost as many as the count distinguishes takes as long; swapped frames arrive close together.
+            soon = (arrival_ns - waiting_ns) / self._period_ns + self._early < lost
+            number -= -swapped if soon and swapped <= self._early else lost
             arrival_ns = waiting_ns
-            placed.append((number, waiting))
+            placed.append((number, report, waiting_ns))
         self._waiting = []
         return placed[::-1]
-
-    def _from_one_to_the_next(self, difference: int, passed_ns: int) -> int:
-        """Samples between two frames with this difference of their counts; less than zero if they were swapped."""
-        lost = difference % self._modulus
-        swapped = self._modulus - lost
-        # To lose almost as many as the count distinguishes takes as long; swapped frames arrive close together.
-        soon = passed_ns / self._period_ns + self._early < lost
-        return -swapped if soon and swapped <= self._early else lost
-
-
-def _signed(difference: int, modulus: int) -> int:
-    """The difference of two counters, the shorter way round."""
-    return (difference + modulus // 2) % modulus - modulus // 2

@@ -12,12 +12,12 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import (
     ERROR,
     EXTENDED,
+    FD,
     FD_FRAME,
     KINDS,
     LONGEST,
     REMOTE,
     Faults,
-    Flag,
     Frame,
     Hub,
     from_packet,
@@ -25,9 +25,8 @@ from straightcomp_ros.hardware.can.hub import (
     to_packet,
 )
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
-from straightcomp_ros.hardware.can.link import HubLine, Link
+from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.parameters.declaration import ParameterError
 
 
 class RunningHub:
@@ -189,11 +188,6 @@ def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
     assert link.transmit_full == 1
 
 
-def test_an_unknown_interface_is_refused_with_those_that_are_known():
-    with pytest.raises(ParameterError, match=r"'pigeon' is not known; allowed: .*socketcan"):
-        Link(CanParameters(interface="pigeon"), [], lambda *_: None, time.time_ns)
-
-
 def test_faults_in_the_hub_reach_the_nodes(tmp_path):
     faults = Faults({"drop": 0.5}, seed=3)
     hub = RunningHub(tmp_path / "bus", faults)
@@ -210,7 +204,7 @@ def test_faults_in_the_hub_reach_the_nodes(tmp_path):
 def test_faults_are_the_same_for_the_same_seed_and_unknown_ones_are_refused():
     def spoiled(seed):
         faults = Faults({kind: 0.05 for kind in KINDS if kind != "cut"}, seed)
-        frames = [Frame(0, 0x181, Flag(0), bytes([number % 256] * 8)) for number in range(500)]
+        frames = [Frame(0, 0x181, 0, bytes([number % 256] * 8)) for number in range(500)]
         return [arrived for frame in frames for arrived in faults(frame)]
 
     assert spoiled(1) == spoiled(1) != spoiled(2)
@@ -220,25 +214,26 @@ def test_faults_are_the_same_for_the_same_seed_and_unknown_ones_are_refused():
         Faults({"drop": 2})
 
 
-def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(tmp_path):
-    line = HubLine(str(tmp_path / "bus"))
-    with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as first:
-        assert line.receive() == []
-        with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as second:
-            first.send(message(0x301, b"\1\2", is_fd=True))
-            first.send(message(0x40, bytes(8), is_error_frame=True))
-            first.send(message(0x301, is_remote_frame=True))
-            # The second node comes in, the frames of the first arrive: those without data are nothing for the board.
-            received = line.receive() + line.receive()
-            assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
-            assert 0 <= time.time_ns() - received[0][2] < 60e9
-            assert second.recv(10).arbitration_id == 0x301
-            assert line.send(0x381, bytes(16), True) and line.send(0x701, b"\5", False)
-            arrived = [[node.recv(10) for _ in range(4 if node is second else 2)] for node in (first, second)]
-    assert [one.arbitration_id for one in arrived[0]] == [0x381, 0x701]
-    assert arrived[0][0].is_fd and not arrived[0][1].is_fd
-    assert [one.arbitration_id for one in arrived[1]] == [0x40, 0x301, 0x381, 0x701]
-    line.close()
+def test_a_member_of_the_hubs_own_process_talks_to_all_nodes(tmp_path):
+    received = []
+    hub = Hub(tmp_path / "bus", member=received.append)
+    first, second = (can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) for _ in range(2))
+    sent = [message(0x301, b"\1\2", is_fd=True), message(0x40, bytes(8), is_error_frame=True)]
+    for one in sent:
+        first.send(one)
+    hub.run(lambda: hub.passed == 2)
+    assert [(one.identifier, one.flags, one.data) for one in received] == [
+        (0x301, FD, b"\1\2"),
+        (0x40, ERROR, bytes(8)),
+    ]
+    assert hub.send(0x381, bytes(16), fd=True) and hub.send(0x701, b"\5", fd=False)
+    for node, identifiers in ((first, [0x381, 0x701]), (second, [0x301, 0x40, 0x381, 0x701])):
+        arrived = [node.recv(10) for _ in identifiers]
+        assert [one.arbitration_id for one in arrived] == identifiers
+        assert arrived[-2].is_fd and not arrived[-1].is_fd and 0 <= time.time() - arrived[-1].timestamp < 60
+        node.shutdown()
+    assert len(received) == 2
+    hub.close()
     assert not (tmp_path / "bus").exists()
 
 

@@ -1,9 +1,9 @@
-"""Connections to the bus: what is let through, when it came, how much at once, and a bus that fails."""
+"""The connection to the bus: what is let through, when it came, how much at once, and a bus that fails."""
 
 import contextlib
 import errno
 import time
-import types
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -13,7 +13,11 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, REMOTE, Frame, address, addressed
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
-from straightcomp_ros.hardware.can.link import BusLine, Link, filter_of
+from straightcomp_ros.hardware.can.link import Link, filter_of
+from straightcomp_ros.nodes.dsp_emulator import Emulator
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 OURS = 0x181
 
@@ -53,10 +57,10 @@ class World:
 
     def __init__(self, monkeypatch, buses):
         self.buses, self.arrived = list(buses), []
-        monkeypatch.setattr(link_module, "opened_bus", self._open)
+        monkeypatch.setattr(link_module, "opened_bus", self.open)
         self.link = Link(CanParameters(interface="virtual", fd=True), [OURS], self._receive, self.clock)
 
-    def _open(self, parameters, filters):
+    def open(self, parameters, filters):
         self.filters = filters
         bus = self.buses.pop(0)
         if isinstance(bus, Exception):
@@ -141,8 +145,8 @@ def test_what_the_bus_does_not_take_is_counted_and_what_it_takes_is_not(world):
     bus = Bus()
     host = world(bus).opened()
     assert host.link.send(0x201, b"\1\2", fd=False) and host.link.send(0x301, b"\3", fd=True)
-    sent = [(one.arbitration_id, bytes(one.data), one.is_fd) for one in bus.sent]
-    assert sent == [(0x201, b"\1\2", False), (0x301, b"\3", True)] and host.link.transmit_full == 0
+    sent = [frame_of(one)[1:] for one in bus.sent]
+    assert sent == [(0x201, 0, b"\1\2"), (0x301, FD_FRAME, b"\3")] and host.link.transmit_full == 0
     bus.refusal = can.CanOperationError("transmit queue full")
     assert not host.link.send(0x201, b"", fd=False)
     assert host.link.transmit_full == 1 and not host.link.problem
@@ -172,135 +176,74 @@ def test_the_time_to_the_next_opening_doubles_up_to_a_second_and_is_short_again_
     monkeypatch.setattr(link_module.time, "monotonic", lambda: now[0])
     bus = Bus()
     host = world(*[OSError("no adapter")] * 9, bus, OSError("once more"))
-    waits = []
-    for left in range(9, -1, -1):
-        end = time.perf_counter() + 60.0
-        while len(host.buses) > left + 1 or host.link._opener.is_alive():
-            assert time.perf_counter() < end
-            time.sleep(0.001)
-        if host.link.openings:
-            break
-        waits.append(host.link._next_opening_s - now[0])
-        host.link.wait(0.0)
+    link, waits = host.link, []
+    for left in range(10, 1, -1):
+        link._opener.join(60.0)
+        assert len(host.buses) == left
+        waits.append(link._next_opening_s - now[0])
         # Not a moment before its time.
-        assert len(host.buses) == left + 1
-        now[0] = host.link._next_opening_s
-        host.link.wait(0.0)
+        link.wait(0.0)
+        assert len(host.buses) == left and not link._opener.is_alive()
+        now[0] = link._next_opening_s
+        link.wait(0.0)
+    link._opener.join(60.0)
+    assert link.openings == 1
     assert waits == pytest.approx([0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.0, 1.0, 1.0])
     bus.coming = [OSError("opened, but down")]
-    host.link.wait(0.0)
-    assert host.link._next_opening_s - now[0] == pytest.approx(1.0)
-    host.link._bus = bus
-    bus.coming = [frame(), OSError("gone")]
-    host.link.wait(0.0)
-    assert host.link._next_opening_s - now[0] == pytest.approx(0.02)
+    link.wait(0.0)
+    assert link._next_opening_s - now[0] == pytest.approx(1.0)
+    link._bus, bus.coming = bus, [frame(), OSError("gone")]
+    link.wait(0.0)
+    assert link._next_opening_s - now[0] == pytest.approx(0.02)
 
 
-def test_to_start_again_opens_the_bus_anew(world):
-    first, second = Bus(), Bus()
-    host = world(first, second).opened()
+def test_to_start_again_opens_the_bus_anew_and_a_bus_that_opens_after_the_close_is_shut(world):
+    first, second, late = Bus(), Bus(), Bus()
+    host = world(first, second, late).opened()
     host.link.start()
     assert first.shut == 1
     host.opened(2)
     assert host.link.problem == "" and second.shut == 0
-
-
-def test_a_bus_that_opens_after_the_close_is_shut_again(world):
-    bus = Bus()
-    host = world(OSError("later"), bus)
-    host.link._opener.join()
     host.link.close()
-    host.link._open()
-    assert bus.shut == 1 and host.link._bus is None
+    host.link.open()
+    assert late.shut == 1 and host.link._bus is None
 
 
-class BoardWorld:
-    """Time and buses as the board's line sees them."""
-
-    def __init__(self, monkeypatch):
-        self.now_s, self.openings, self.bus, self.refusal = 1000.0, 0, None, None
-        monkeypatch.setattr(link_module, "time", types.SimpleNamespace(monotonic=lambda: self.now_s))
-        monkeypatch.setattr(link_module, "opened_bus", self._open)
-        self.line = BusLine(CanParameters(interface="virtual", channel="test"))
-
-    def _open(self, parameters):
-        self.openings += 1
-        if self.refusal:
-            raise OSError(self.refusal)
-        self.bus = Bus()
-        return self.bus
+def test_an_unknown_interface_is_refused_with_those_that_are_known():
+    with pytest.raises(ParameterError, match=r"'pigeon' is not known; allowed: .*socketcan"):
+        Link(CanParameters(interface="pigeon"), [], lambda *_: None, time.time_ns)
 
 
-@pytest.fixture
-def board(monkeypatch):
-    return BoardWorld(monkeypatch)
-
-
-def test_the_board_receives_frames_with_data_and_their_time_and_sends_in_the_format_of_its_bus(board):
-    seconds = 10**9
-    board.bus.coming = [
-        Frame(12 * seconds, OURS, 0, b"ab"),
-        Frame(0, 0x20, ERROR, b""),
-        Frame(0, OURS, REMOTE, b""),
-        Frame(13 * seconds, 0x182, 0, b"c"),
+def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_lacks(monkeypatch, capsys):
+    values = shipped_parameters()
+    values["driver"] |= {"hardware": "can", "can.interface": "virtual", "can.log": "the_drivers.log"}
+    driver, bus, received = node_parameters("driver", values), Bus(), []
+    host = World(monkeypatch, [OSError("no device"), OSError("no device"), bus])
+    emulator = Emulator(driver)
+    assert emulator._line.log is None
+    emulator._board = SimpleNamespace(
+        receive=lambda *frame: received.append(frame), cycle=lambda now_ns: None, refused_trajectory=""
+    )
+    end = time.monotonic() + 60.0
+    while not emulator._line.openings:
+        emulator._cycle(0)
+        assert time.monotonic() < end
+    assert capsys.readouterr().err == "dsp_emulator: CAN virtual can0: no device\n"
+    ours = driver.can.make_wire().command.identifier
+    assert ours in {one["can_id"] for one in host.filters}
+    bus.coming = [
+        frame(ours, FD_FRAME, b"ab", ago_ns=10**9),
+        frame(0x20, ERROR, b""),
+        frame(ours, REMOTE, b""),
+        frame(OURS, 0, b"c"),
     ]
-    assert board.line.receive() == [(OURS, b"ab", 12 * seconds), (0x182, b"c", 13 * seconds)]
-    assert board.line.receive() == []
-    assert board.line.send(OURS, b"abc", False) and board.line.send(0x182, bytes(16), True)
-    sent = [frame_of(one)[1:] for one in board.bus.sent]
-    assert sent == [(OURS, 0, b"abc"), (0x182, FD_FRAME, bytes(16))]
-
-
-def test_a_flood_is_taken_in_batches_and_none_of_it_is_lost(board):
-    board.bus.coming = [Frame(0, k, 0, b"") for k in range(300)]
-    batches = list(iter(board.line.receive, []))
-    assert [identifier for batch in batches for identifier, *_ in batch] == list(range(300))
-    assert max(map(len, batches)) == 64
-
-
-@pytest.mark.parametrize(("refusal", "openings"), [(can.CanOperationError("full"), 1), (is_down(), 2)])
-def test_a_bus_that_takes_no_frame_stays_open_and_one_that_is_down_is_opened_again(board, refusal, openings):
-    board.bus.refusal = refusal
-    assert board.line.send(OURS, b"", False) is False
-    board.bus.refusal = None
-    board.now_s += 0.1
-    board.line.receive()
-    assert board.openings == openings and board.line.send(OURS, b"", False) is True
-
-
-def test_a_bus_that_is_lost_is_opened_again_a_tenth_of_a_second_after_it_was_opened(board):
-    first = board.bus
-    first.coming = [Frame(10**9, 1, 0, b"x"), OSError("gone")]
-    # What came before the loss is kept.
-    assert board.line.receive() == [(1, b"x", 10**9)] and first.shut == 1
-    assert board.line.send(OURS, b"", False) is False
-    board.now_s = 1000.09
-    assert board.line.receive() == [] and board.openings == 1
-    board.now_s = 1000.1
-    board.line.receive()
-    assert board.openings == 2 and board.line.send(OURS, b"", False) is True and len(board.bus.sent) == 1
-    board.line.close()
-    board.line.close()
-    assert board.bus.shut == 1
-
-
-def test_a_bus_that_does_not_open_is_tried_ten_times_a_second_and_complained_of_once(board, capsys):
-    def lose(refusal):
-        board.refusal = refusal
-        board.bus.coming = [OSError("gone")]
-        board.line.receive()
-
-    lose("no such device")
-    openings = board.openings
-    for _ in range(100):
-        board.now_s += 0.01
-        assert board.line.receive() == []
-    assert 9 <= board.openings - openings <= 10
-    assert capsys.readouterr().err == "dsp_emulator: no such device\n"
-    # After it was open for a while the same trouble is worth a word again.
-    board.refusal, board.now_s = None, board.now_s + 1.0
-    board.line.receive()
-    lose("no such device")
-    board.now_s += 1.0
-    board.line.receive()
-    assert capsys.readouterr().err == "dsp_emulator: no such device\n"
+    emulator._cycle(0)
+    ((identifier, payload, arrival_ns),) = received
+    assert (identifier, payload) == (ours, b"ab")
+    # It counts from its time on the bus.
+    assert arrival_ns == pytest.approx(emulator._now_ns() - 10**9, abs=9e8)
+    bus.coming = [OSError("gone")]
+    emulator._cycle(0)
+    emulator._cycle(0)
+    assert capsys.readouterr().err == "dsp_emulator: CAN virtual can0: gone\n"
+    emulator.close()
