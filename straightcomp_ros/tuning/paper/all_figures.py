@@ -1,7 +1,6 @@
 """Computes and draws all figures, and gathers their claims."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from straightcomp_ros.analysis.pictures import save_whole
@@ -27,34 +26,20 @@ FIGURES: Mapping[str, Callable[[Machine], PaperFigure]] = {
 """By the name of its picture, what computes a figure."""
 
 
-@dataclass(frozen=True)
-class Reproduction:
-    """All claims in the order of the figures, and the pictures."""
+def reproduce(machine: Machine, folder: Path, progress: Callable[[float], None]) -> list[Claim]:
+    """Compute every figure, write its picture to ``folder``, and gather the claims in the order of the figures.
 
-    claims: tuple[Claim, ...]
-    figures: tuple[Path, ...]
-
-
-def reproduce(
-    machine: Machine, folder: Path, progress: Callable[[float], None] = lambda fraction: None
-) -> Reproduction:
-    """Compute every figure, write it to ``folder``, and gather the claims.
-
-    Args:
-        machine: what the figures are computed with.
-        folder: made if it is not there; pictures of the same names are replaced.
-        progress: called with the fraction that is done.
+    ``progress`` is called with the fraction that is done.
 
     Raises:
-        ParameterError, SurveyError: the machine's parameters are refused.
+        SurveyError: the machine's survey is refused.
         OSError: the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     claims = list(pole_claims(machine))
     for number, (name, compute) in enumerate(FIGURES.items()):
         progress(number / len(FIGURES))
         figure = compute(machine)
-        save_whole(figure.draw(), folder / name)
+        save_whole(figure.picture, folder / name)
         claims += figure.claims
     progress(1.0)
-    return Reproduction(tuple(claims), tuple(folder / name for name in FIGURES))
+    return claims

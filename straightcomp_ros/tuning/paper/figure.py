@@ -1,11 +1,10 @@
 """What every figure of the paper has: numbers to compare with the paper's, and a sheet to draw on."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -17,24 +16,24 @@ SMALL = 8
 
 @dataclass(frozen=True)
 class Claim:
-    """One number, as printed and as computed here.
+    """One number, as computed here and as printed.
 
     Attributes:
         name: what the number is, in words.
-        paper: the paper's number, None where it prints none.
         ours: our number; NaN where there is none. Of a stroke it is the median over several starts.
         unit: of both; empty for pure numbers.
-        tolerance: largest |ours − paper| that counts as agreement; no meaning without ``paper``.
         note: what to know of it.
+        paper: the paper's number, None where it prints none.
+        tolerance: largest |ours − paper| that counts as agreement; no meaning without ``paper``.
         range: least and largest over the starts; None for what does not depend on one.
     """
 
     name: str
-    paper: float | None
     ours: float
-    unit: str = ""
+    unit: str
+    note: str
+    paper: float | None = None
     tolerance: float = 0.0
-    note: str = ""
     range: tuple[float, float] | None = None
 
     @property
@@ -51,37 +50,19 @@ class Claim:
 
     def to_display(self) -> dict[str, Any]:
         """The claim as JSON can say it: what is not finite becomes None."""
-        return {
-            "name": self.name,
-            "paper": self.paper,
-            "ours": self.ours if math.isfinite(self.ours) else None,
-            "range": self.range,
-            "unit": self.unit,
-            "tolerance": self.tolerance if self.paper is not None else None,
-            "within": self.within,
-            "note": self.note,
-        }
+        ours = self.ours if math.isfinite(self.ours) else None
+        tolerance = None if self.paper is None else self.tolerance
+        return {**vars(self), "ours": ours, "tolerance": tolerance, "within": self.within}
 
 
-class PaperFigure(Protocol):
-    """A figure that was computed."""
+class PaperFigure(NamedTuple):
+    """A figure that was computed: its numbers, and its picture."""
 
-    @property
-    def claims(self) -> Sequence[Claim]:
-        """Its numbers."""
-        ...
-
-    def draw(self) -> Figure:
-        """Its picture."""
-        ...
+    claims: Iterable[Claim]
+    picture: Figure
 
 
-def sheet(title: str, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0)) -> tuple[Figure, list]:
-    """A figure with its title, and its axes row by row; ``size`` in inches."""
-    return mosaic(title, np.arange(rows * columns).reshape(rows, columns).tolist(), size)
-
-
-def mosaic(title: str, places: str | list, size: tuple[float, float]) -> tuple[Figure, list]:
+def sheet(title: str, places: str, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     """A figure with its title, and its axes in the order of their first place, e.g. ``"ab;cc"``; size in inches."""
     figure = Figure(figsize=size, dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
@@ -98,8 +79,8 @@ def label(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_axisbelow(True)
 
 
-def legend_above(axes: Axes, columns: int = 2, room: float = 0.25) -> None:
-    """A legend at the top; the y axis is extended by the fraction ``room``, so that it covers no curve."""
+def legend_above(axes: Axes, columns: int) -> None:
+    """A legend at the top; the y axis is extended by a quarter, so that the legend covers no curve."""
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + room * (high - low))
+    axes.set_ylim(low, high + 0.25 * (high - low))
     axes.legend(loc="upper center", fontsize=SMALL, ncols=columns)

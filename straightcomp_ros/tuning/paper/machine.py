@@ -5,10 +5,10 @@ The loop runs on its own: any initial position, any reference over time, no guid
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,37 +52,53 @@ class Machine:
     stage: StageParameters
     values: Values
 
+    @property
+    def gap(self) -> float:
+        """y0 in m."""
+        return self.plant.actuator.air_gap
+
+    @property
+    def bias(self) -> float:
+        """I0 in A."""
+        return self.plant.actuator.bias_current
+
+    @property
+    def stop(self) -> float:
+        """|y| in m at the mechanical stops."""
+        return self.plant.platform.stop
+
     def with_law(self, law: str) -> Machine:
         """The same machine under another law."""
-        return dataclasses.replace(self, control=dataclasses.replace(self.control, law=law))
+        return replace(self, control=replace(self.control, law=law))
 
     def with_limit(self, current: float) -> Machine:
         """The same machine with |i_c| limited to ``current`` in A."""
-        return dataclasses.replace(self, stage=_limited(self.stage, current))
+        actuator = replace(self.stage.actuator, current_limit=current)
+        return replace(self, stage=replace(self.stage, actuator=actuator))
 
     def without_friction(self) -> Machine:
         """The same machine on bristles too weak to matter (a friction of zero is no LuGre friction)."""
-        friction = dataclasses.replace(self.plant.friction, coulomb=1e-9, static=1e-9, bristle_damping=0.0, viscous=0.0)
-        return dataclasses.replace(self, plant=dataclasses.replace(self.plant, friction=friction))
+        friction = replace(self.plant.friction, coulomb=1e-9, static=1e-9, bristle_damping=0.0, viscous=0.0)
+        return replace(self, plant=replace(self.plant, friction=friction))
 
     def idealised(self) -> Machine:
         """The loop that the paper's equations speak of: fast, without delay, quanta and limits; sgn σ as written.
 
         Magnets, mass and friction stay as they are.
         """
-        drive = dataclasses.replace(
-            self.plant.drive, dac_bits=24, dac_range=UNCLAMPED / self.plant.drive.gain, bandwidth=1e6
+        drive = replace(self.plant.drive, dac_bits=24, dac_range=UNCLAMPED / self.plant.drive.gain, bandwidth=1e6)
+        smc = replace(self.control.smc, boundary_layer=0.0, velocity_bandwidth=1e5, enforce_reaching=False)
+        free = self.with_limit(UNCLAMPED)
+        return replace(
+            free,
+            plant=replace(self.plant, drive=drive, encoder=EncoderParameters(1e-12, 1e-12)),
+            stage=replace(free.stage, rate=IDEAL_RATE, drive=replace(self.stage.drive, delay=0.0)),
+            control=replace(self.control, smc=smc),
         )
-        plant = dataclasses.replace(self.plant, drive=drive, encoder=EncoderParameters(1e-12, 1e-12))
-        ideal_drive = dataclasses.replace(self.stage.drive, delay=0.0)
-        stage = dataclasses.replace(_limited(self.stage, UNCLAMPED), rate=IDEAL_RATE, drive=ideal_drive)
-        control = dataclasses.replace(
-            self.control,
-            smc=dataclasses.replace(
-                self.control.smc, boundary_layer=0.0, velocity_bandwidth=1e5, enforce_reaching=False
-            ),
-        )
-        return dataclasses.replace(self, plant=plant, control=control, stage=stage)
+
+    def samples(self, duration: float) -> int:
+        """How many samples the loop takes in ``duration`` s."""
+        return round(duration * self.stage.rate)
 
 
 def machine_from(values: Values) -> Machine:
@@ -91,20 +107,14 @@ def machine_from(values: Values) -> Machine:
     return Machine(plant=driver.plant, control=controller.control, stage=controller.stage, values=values)
 
 
-def _limited(stage: StageParameters, current: float) -> StageParameters:
-    return dataclasses.replace(stage, actuator=dataclasses.replace(stage.actuator, current_limit=current))
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
+class Response(NamedTuple):
     """What the loop did; all arrays (n,), sample k of each at the same time.
 
     Attributes:
         time: s from the release.
         reference: r, m.
         reading: y as the encoder sees it, m.
-        y: true position, m.
-        velocity: true ẏ, m/s.
+        y, velocity: true position and velocity, m and m/s.
         coil_current: control current in the coils, A.
         friction: force of friction, N, positive where it resists a positive velocity.
         command: i_c asked by the law, A.
@@ -122,11 +132,6 @@ class Response:
     sigma: NDArray[np.float64]
 
 
-def hold_still(machine: Machine, duration: float) -> NDArray[np.float64]:
-    """A reference of zero for ``duration`` in s, (n,) in m."""
-    return np.zeros(round(duration * machine.stage.rate))
-
-
 def largest(returns: Callable[[float], bool], low: float, high: float, steps: int) -> float:
     """Largest value between ``low`` and ``high`` that ``returns``, by bisection to 1 / 2^steps of the interval."""
     for _ in range(steps):
@@ -139,20 +144,12 @@ def largest(returns: Callable[[float], bool], low: float, high: float, steps: in
 
 
 def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) -> Response:
-    """Release the platform at rest at ``initial_y``, bias current on, control current zero, and run the loop.
-
-    The law is given r and no rates of it, as the paper's is.
-
-    Args:
-        machine: plant, law and sampling.
-        initial_y: m, inside the stops.
-        reference: (n,) in m, one value for each sample.
-    """
-    period_ns = round(1e9 / machine.stage.rate)
+    """Release the platform at rest at ``initial_y`` in m, bias current on, control current zero, and run the loop along
+    ``reference`` (n,) in m. The law is given r and no rates of it, as the paper's is."""
+    period_ns = machine.stage.period_ns
     delay_ns = round(machine.stage.drive.delay * period_ns)
     constants = as_array(machine.plant.constants())
-    bias = machine.plant.actuator.bias_current
-    state = np.array(PlantState(y=initial_y, bias=bias))
+    state = np.array(PlantState(y=initial_y, bias=machine.bias))
     reading, converted = machine.plant.encoder.y_reading, machine.plant.drive.converted
     law = make_law(machine.control, machine.stage)
     law.reset(reading(initial_y))
@@ -164,22 +161,22 @@ def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) 
         command = law.step(seen, r, 0.0, 0.0)
         rows[index] = seen, y, velocity, control, friction, command.current, command.sliding_variable
         asked = converted(command.current)
-        advance(constants, state, bias, applied, delay_ns, asked, period_ns - delay_ns)
+        advance(constants, state, machine.bias, applied, delay_ns, asked, period_ns - delay_ns)
         applied = asked
     time = np.arange(len(reference), dtype=np.float64) * (period_ns * 1e-9)
     return Response(time, reference, *rows.T.copy())
 
 
 def follow_sine(machine: Machine) -> Response:
-    """Run the loop from rest; the platform's friction is whatever the machine has."""
-    count = round((SETTLING_PERIODS + PERIODS) / FREQUENCY * machine.stage.rate)
-    reference = AMPLITUDE * np.sin(OMEGA * np.arange(count) / machine.stage.rate)
-    return release(machine, 0.0, reference)
+    """Run the loop from rest along the sine."""
+    count = machine.samples((SETTLING_PERIODS + PERIODS) / FREQUENCY)
+    return release(machine, 0.0, AMPLITUDE * np.sin(OMEGA * np.arange(count) / machine.stage.rate))
 
 
-def evaluated(response: Response) -> NDArray[np.bool_]:
-    """(n,) whether a sample lies in the periods that are evaluated."""
-    return np.asarray(response.time >= SETTLING_PERIODS / FREQUENCY - 1e-9)
+def evaluated(response: Response) -> Response:
+    """The last periods of the sine, those that are evaluated."""
+    window = response.time >= SETTLING_PERIODS / FREQUENCY - 1e-9
+    return Response(*(values[window] for values in response))
 
 
 def fundamental(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:

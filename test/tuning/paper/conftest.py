@@ -3,10 +3,6 @@
 import contextlib
 import io
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,15 +12,8 @@ from straightcomp_ros.tuning.paper import all_figures
 from straightcomp_ros.tuning.paper.machine import DELAY, Machine, machine_from
 from straightcomp_ros.tuning.verbs import reproduce
 
-
-@dataclass(frozen=True)
-class Output:
-    """What `straightcomp reproduce --json` left behind."""
-
-    exit_code: int
-    printed: dict[str, Any]
-    figures: Mapping[str, Any]
-    folder: Path
+SLOW = ("figure_4.png", "beyond_figure_4.png", "figure_8.png")
+"""Figures that only the nightly reproduction computes."""
 
 
 @pytest.fixture(scope="session")
@@ -34,25 +23,22 @@ def machine() -> Machine:
     return machine_from(values)
 
 
-SLOW = ("figure_4.png", "beyond_figure_4.png", "figure_8.png")
-"""Figures that only the nightly reproduction computes."""
-
-
-def reproduced(folder: Path, figures: Mapping[str, Any]) -> Output:
+def reproduced(folder, names) -> dict:
+    """What `straightcomp reproduce --json` prints of these figures."""
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
         for module in (all_figures, reproduce):
-            patch.setattr(module, "FIGURES", figures)
-        exit_code = main(["reproduce", "--json", "-o", str(folder)])
-    return Output(exit_code, json.loads(printed.getvalue()), figures, folder)
+            patch.setattr(module, "FIGURES", {name: all_figures.FIGURES[name] for name in names})
+        assert main(["reproduce", "--json", "-o", str(folder / "new")]) == 0
+    return json.loads(printed.getvalue())
 
 
 @pytest.fixture(scope="session")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> Output:
-    figures = {name: figure for name, figure in all_figures.FIGURES.items() if name not in SLOW}
-    return reproduced(tmp_path_factory.mktemp("quick") / "new", figures)
+def quick(tmp_path_factory) -> dict:
+    names = [name for name in all_figures.FIGURES if name not in SLOW]
+    return reproduced(tmp_path_factory.mktemp("quick"), names)
 
 
 @pytest.fixture(scope="session")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Output:
-    return reproduced(tmp_path_factory.mktemp("whole") / "new", all_figures.FIGURES)
+def whole(tmp_path_factory) -> dict:
+    return reproduced(tmp_path_factory.mktemp("whole"), list(all_figures.FIGURES))
