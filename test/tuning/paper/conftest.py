@@ -30,7 +30,7 @@ def reproduced(folder, names) -> dict:
         for module in (all_figures, reproduce):
             patch.setattr(module, "FIGURES", {name: all_figures.FIGURES[name] for name in names})
         assert main(["reproduce", "--json", "-o", str(folder / "new")]) == 0
-    return json.loads(printed.getvalue())
+    return json.loads(printed.getvalue(), parse_constant=pytest.fail)
 
 
 @pytest.fixture(scope="session")
