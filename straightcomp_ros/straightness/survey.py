@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from straightcomp_ros.parameters.output_files import write_whole
 
 Direction = Literal["forward", "backward"]
-_DIRECTIONS = ("forward", "backward")
 Groups = dict[tuple[str, Direction | None], list[tuple[int, float, float]]]
 """Points (line, x in m, deviation in m) by the name and the direction of their run."""
 
@@ -133,53 +132,30 @@ class Quantity:
     largest: float
 
     @property
-    def columns(self) -> dict[str, str]:
-        """Unit of each name that a column of this quantity may have."""
-        return {f"{self.name}_{unit}": unit for unit in self.per_metre}
-
-    def check_extent(self, where: str, extent: float, unit: str = "m") -> None:
-        """Raise SurveyError for a run whose ``extent`` in m, given in ``unit``, is not that of a guide, with the unit
-        that would fit, if one does; ``where`` begins the message."""
-        if self.smallest <= extent <= self.largest:
-            return
-        fitting = [
-            f"{self.name}_{other}"
-            for other, per_metre in self.per_metre.items()
-            if self.smallest <= extent * self.per_metre[unit] / per_metre <= self.largest
-        ]
-        hint = f"; is the unit wrong? It would fit as {' or '.join(fitting)}" if fitting else ""
-        raise SurveyError(
-            f"{where}: {self.name}_{unit} extends over {extent:.6g} m; "
-            f"allowed: {self.smallest:g} m to {self.largest:g} m{hint}"
-        )
+    def columns(self) -> dict[str, float]:
+        """How many units make a metre, by the names that a column of this quantity may have."""
+        return {f"{self.name}_{unit}": per_metre for unit, per_metre in self.per_metre.items()}
 
 
 X = Quantity("x", {"m": 1.0, "mm": 1e3, "um": 1e6}, smallest=0.01, largest=20.0)
 DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, smallest=1e-8, largest=5e-3)
 
 
-@dataclass(frozen=True)
-class Column:
-    """The column of ``quantity`` in ``unit``, and its index in a row."""
+class Row(NamedTuple):
+    """Line number, text of each cell by its column's normalised name, and x and deviation in m."""
 
-    quantity: Quantity
-    unit: str
-    index: int
-
-    def metres(self, where: str, row: Sequence[str]) -> float:
-        """The cell of ``row`` in m, or SurveyError if it is no finite number; ``where`` begins the message."""
-        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.index].strip())
-        return value / self.quantity.per_metre[self.unit]  # a decimal number stays the nearest float
+    line: int
+    cells: dict[str, str]
+    x: float
+    deviation: float
 
 
 class Table(NamedTuple):
-    """A CSV file of a survey: normalised header, the columns of x and deviation, line number and cells of each row,
-    numbers with decimal points."""
+    """A CSV file of a survey: its normalised header, the columns of x and deviation, and its rows."""
 
     header: list[str]
-    x: Column
-    deviation: Column
-    rows: list[tuple[int, list[str]]]
+    columns: tuple[str, str]
+    rows: list[Row]
 
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
@@ -193,7 +169,6 @@ _LINES_BEFORE = 100
 """Lines in which the header is looked for: instruments write some tens of lines about the measurement before it."""
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 """A number whose mark may separate thousands."""
-
 OTHER_KINDS = {
     "aerotech": r":START2?D?\b",
     "crosscomp": r"kw\.crosscomp\.",
@@ -212,18 +187,19 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
 
     Raises:
         SurveyError: the file cannot be read or is empty, lacks a column or has it twice, has a row of another length,
-            or numbers with points and commas in one another's place.
+            a cell that is no finite number, or numbers with points and commas in one another's place.
     """
     lines = list(numbered_lines(path, r"^\s*#.*"))
     if not lines:
         raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
-    own = {_plain(name): quantity for quantity, name in (names or {}).items()}
+    own = {}
+    for quantity, name in (names or {}).items():
+        unit = _OWN_UNIT.fullmatch(_plain(name))
+        own[_plain(name)] = f"{quantity}_{unit[1]}" if unit else _plain(name)
     start, delimiter = _header(lines, own)
-    number_of_line, text = lines[start]
-    header = _cells(text, delimiter, own)
-    where = f"survey {path}, line {number_of_line}"
+    header = _cells(lines[start][1], delimiter, own)
     try:
-        x, deviation = (_find_column(where, header, name) for name in (X, DEVIATION))
+        x, deviation = (_column(f"survey {path}, line {lines[start][0]}", header, one) for one in (X, DEVIATION))
     except SurveyError as error:
         text = "\n".join(text for _, text in lines)
         kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
@@ -233,17 +209,22 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
             f"survey {path}: is a file of another kind ({kind}); make a survey of it with "
             f"straightcomp map convert {path} --format {kind} -o survey.csv"
         ) from error
-    rows = [(line, next(csv.reader([text], delimiter=delimiter))) for line, text in lines[start + 1 :]]
-    for line, row in rows:
+    rows = [
+        (f"survey {path}, line {line}", line, next(csv.reader([text], delimiter=delimiter)))
+        for line, text in lines[start + 1 :]
+    ]
+    for where, _, row in rows:
         if len(row) != len(header):
-            raise SurveyError(
-                f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
-                "(is there a decimal comma?)"
-            )
-    numbers = [x.index, deviation.index, *(at for at, name in enumerate(header) if name == "time_s")]
+            raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
     if delimiter != ",":
-        _use_points(path, rows, numbers)
-    return Table(header, x, deviation, rows)
+        _use_points(rows, [at for at, name in enumerate(header) if name in (x, deviation, "time_s")])
+    found = []
+    for where, line, row in rows:
+        cells = dict(zip(header, map(str.strip, row), strict=True))
+        # Division keeps a decimal number the nearest float.
+        at = number(where, x, cells[x]) / X.columns[x]
+        found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
+    return Table(header, (x, deviation), found)
 
 
 def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str]:
@@ -260,65 +241,58 @@ def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[i
 
 
 def _cells(text: str, delimiter: str, own: Mapping[str, str]) -> list[str]:
-    """The cells of a header as they are compared; those that ``own`` names as the quantity's own column."""
+    """The cells of a header as they are compared: ``x_mm`` for ``X [mm]``, ``position (mm)``, or a name of ``own``.
+
+    Where the column of a quantity is chosen by its own name, no other is meant.
+    """
+    chosen = {name.partition("_")[0] for name in own.values()}
     found = []
-    for cell in next(csv.reader([text], delimiter=delimiter)):
-        name = _plain(cell)
-        unit = _OWN_UNIT.fullmatch(name)
-        usual = _normalised(cell)
-        if name in own:
-            found.append(f"{own[name]}_{unit[1]}" if unit else name)
+    for name in map(_plain, next(csv.reader([text], delimiter=delimiter))):
+        parts = _NAME_AND_UNIT.fullmatch(name)
+        # Without a sign between them "xm" would be x in m; such a name is left as it is.
+        if parts and parts.end(1) != parts.start(2) and _SYNONYMS.get(parts[1], parts[1]) not in chosen:
+            found.append(f"{_SYNONYMS.get(parts[1], parts[1])}_{parts[2]}")
         else:
-            # Where a column of this quantity is chosen by its own name, no other is meant.
-            found.append(name if usual.partition("_")[0] in own.values() else usual)
+            found.append(own.get(name, name))
     return found
 
 
-def _use_points(path: Path, rows: Sequence[tuple[int, list[str]]], columns: Sequence[int]) -> None:
+def _plain(cell: str) -> str:
+    """In lower case, with either micro sign as ``u``."""
+    return cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+
+
+def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int]) -> None:
     """Make points of decimal commas, and leave the marks out that separate thousands."""
-    cells = [(line, row, column, row[column].strip()) for line, row in rows for column in columns]
+    cells = [(where, row, column, row[column].strip()) for where, _, row in rows for column in columns]
     texts = [cell for *_, cell in cells]
-    decimal = {mark for mark in ".," if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)}
-    both = [cell for cell in texts if "." in cell and "," in cell]
-    if both:
-        decimal = {max(".,", key=cell.rfind) for cell in both}
     marks = {mark for mark in ".," if any(mark in cell for cell in texts)}
+    decimal = {max(".,", key=cell.rfind) for cell in texts if "." in cell and "," in cell}
+    decimal = decimal or {
+        mark for mark in marks if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)
+    }
     if len(marks) == 2 and len(decimal) != 1:
-        line = next(line for line, *_, cell in cells if "," in cell)
+        where = next(where for where, *_, cell in cells if "," in cell)
         raise SurveyError(
-            f"survey {path}, line {line}: the numbers have points and commas, and either may be the decimal mark; "
+            f"{where}: the numbers have points and commas, and either may be the decimal mark; "
             "allowed: one decimal mark, and thousands without any"
         )
-    point = decimal.pop() if len(marks) == 2 else "".join(marks)
+    point = "".join(decimal if len(marks) == 2 else marks)
     other = "," if point == "." else "."
-    for line, row, column, cell in cells:
+    for where, row, column, cell in cells:
         whole, mark, fraction = cell.partition(point) if point else (cell, "", "")
         if other in cell and (other in fraction or not _GROUPED.fullmatch(whole)):
             raise SurveyError(
-                f"survey {path}, line {line}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as "
-                "in other lines"
+                f"{where}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as in other lines"
             )
         row[column] = whole.replace(other, "") + ("." + fraction if mark else "")
 
 
-def _normalised(cell: str) -> str:
-    """A header cell as it is compared: ``x_mm`` for ``X [mm]`` or ``position (mm)``; either micro sign as ``u``."""
-    name = _plain(cell)
-    found = _NAME_AND_UNIT.fullmatch(name)
-    # Without a sign between them "xm" would be x in m; such a name is left as it is.
-    if found is None or found.end(1) == found.start(2):
-        return name
-    return f"{_SYNONYMS.get(found[1], found[1])}_{found[2]}"
-
-
-def _plain(cell: str) -> str:
-    return cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
-
-
-def _find_column(where: str, header: Sequence[str], quantity: Quantity) -> Column:
+def _column(where: str, header: Sequence[str], quantity: Quantity) -> str:
+    """The one name in ``header`` that is of ``quantity``."""
     found = [at for at, name in enumerate(header) if name in quantity.columns]
     if len(found) == 1:
-        return Column(quantity, quantity.columns[header[found[0]]], found[0])
+        return header[found[0]]
     option = f"--{quantity.name}-column"
     if found:
         places = " and ".join(f"{header[at]} (column {at + 1})" for at in found)
@@ -336,7 +310,7 @@ def read_survey(
     path: str | Path, *, min_points: int = 20, max_gap: float = 0.05, names: Mapping[str, str] | None = None
 ) -> Survey:
     """Read and check a survey: at least ``min_points`` in a run, at most ``max_gap`` in m between neighbouring points.
-    ``names`` as :func:`straightcomp_ros.straightness.survey.read_table` takes it.
+    ``names`` as :func:`read_table` takes it.
 
     Raises:
         SurveyError: the file is missing or empty, lacks a column, has a cell that is no finite number, too few points,
@@ -345,17 +319,14 @@ def read_survey(
     path = Path(path)
     table = read_table(path, names)
     groups: Groups = {}
-    for line, row in table.rows:
-        where = f"survey {path}, line {line}"
-        cells = dict(zip(table.header, row, strict=True))
-        direction = cells["direction"].strip().lower() if "direction" in cells else None
-        if direction not in (None, *_DIRECTIONS):
-            raise SurveyError(f"{where}: direction {direction!r}; allowed: {' or '.join(_DIRECTIONS)}")
-        group = groups.setdefault((cells.get("run", "1").strip(), cast(Direction | None, direction)), [])
-        group.append((line, table.x.metres(where, row), table.deviation.metres(where, row)))
+    for line, cells, x, deviation in table.rows:
+        direction = cells["direction"].lower() if "direction" in cells else None
+        if direction not in (None, "forward", "backward"):
+            raise SurveyError(f"survey {path}, line {line}: direction {direction!r}; allowed: forward or backward")
+        key = (cells.get("run", "1"), cast(Direction | None, direction))
+        groups.setdefault(key, []).append((line, x, deviation))
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
-
     if not {"run", "direction"} & set(table.header):
         groups = _passages(groups, min_points)
     runs = []
@@ -363,12 +334,8 @@ def read_survey(
         where = f"survey {path}, run '{name}'{f' {way}' if way else ''}"
         if len(points) < max(min_points, 2):
             raise SurveyError(f"{where}: {len(points)} points; allowed: >= {min_points} (min_points)")
-        run = orient(where, name, way, points)
-        # Units before gaps: x in the wrong unit would else be called a gap of metres.
-        X.check_extent(where, float(run.x[-1] - run.x[0]), table.x.unit)
-        DEVIATION.check_extent(where, float(np.ptp(run.deviation)), table.deviation.unit)
-        check_gaps(where, run, max_gap)
-        runs.append(run)
+        runs.append(orient(where, name, way, points))
+        check_run(where, runs[-1], max_gap, table.columns)
     return Survey(tuple(runs), str(path))
 
 
@@ -440,8 +407,20 @@ def orient(where: str, name: str, direction: Direction | None, points: Sequence[
     return Run(name, direction or ("forward" if rising else "backward"), *values)
 
 
-def check_gaps(where: str, run: Run, max_gap: float) -> None:
-    """Raise SurveyError for a run with neighbouring points farther apart than ``max_gap`` in m."""
+def check_run(
+    where: str, run: Run, max_gap: float = math.inf, columns: tuple[str, str] = ("x_m", "deviation_m")
+) -> None:
+    """Raise SurveyError for lengths that no guide has, with the unit in place of that of ``columns`` that would fit, or
+    for neighbouring points farther apart than ``max_gap`` in m."""
+    # Units before gaps: x in the wrong unit would else be called a gap of metres.
+    for quantity, column, values in ((X, columns[0], run.x), (DEVIATION, columns[1], run.deviation)):
+        extent, low, high = float(np.ptp(values)), quantity.smallest, quantity.largest
+        if low <= extent <= high:
+            continue
+        units = quantity.columns
+        fitting = [name for name, per_metre in units.items() if low <= extent * units[column] / per_metre <= high]
+        hint = f"; is the unit wrong? It would fit as {' or '.join(fitting)}" if fitting else ""
+        raise SurveyError(f"{where}: {column} extends over {extent:.6g} m; allowed: {low:g} m to {high:g} m{hint}")
     steps = np.diff(run.x)
     widest = int(np.argmax(steps))
     # A nanometre of grace: 0.05 m steps read from decimal text differ in the last bit.

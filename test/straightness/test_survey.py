@@ -160,3 +160,58 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path
     assert [(run.name, run.direction) for run in runs] == expected
     assert [run.x.size for run in runs] == [len(passage) for passage in passages]
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
+
+
+X = np.arange(24) * 10.0  # mm
+UM = np.round(5.0 * np.sin(X / 36.0), 3)
+
+
+def german(value, places=3):
+    whole, _, fraction = f"{abs(value):,.{places}f}".partition(".")
+    return ("-" if value < 0 else "") + whole.replace(",", ".") + ("," + fraction if fraction else "")
+
+
+def csv(header, cell, delimiter=";", x=lambda value: f"{value:g}"):
+    return "\n".join([header, *(f"{x(a)}{delimiter}{cell(b)}" for a, b in zip(X, UM, strict=True))]) + "\n"
+
+
+MM_UM = csv("x_mm;deviation_um", lambda v: german(v))
+READ = {
+    "Excel's first line": "sep=;\n" + MM_UM,
+    "Excel's first line with a comma": "sep=,\n" + csv("x_mm,deviation_um", lambda v: f"{v}", ","),
+    "lines before the header": "Operator;Müller, A.\nDate, 2026\n\nRun 3\n" + MM_UM,
+    "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
+    "decimal commas between tabs": csv(
+        "Position [mm]\tStraightness [um]", lambda v: german(v), "\t", lambda v: german(v, 1)
+    ),
+    "thousands in x": csv("x_um;deviation_um", lambda v: german(v), x=lambda v: german(v * 1e3, 0)),
+    "English thousands": csv("x_mm\tdeviation_nm", lambda v: f"{v * 1e3:,.0f}", "\t", lambda v: f"{v:.1f}"),
+    "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
+}
+
+
+@pytest.mark.parametrize("kind", READ)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_spreadsheet_has_the_value_that_it_shows(tmp_path, kind, encoding):
+    path = tmp_path / "survey.csv"
+    path.write_bytes(READ[kind].encode(encoding))
+    (run,) = read_survey(path).runs
+    np.testing.assert_allclose(run.x, X * 1e-3, atol=1e-12)
+    np.testing.assert_allclose(run.deviation, UM * 1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        csv("Position (mm);Straightness (µm)", lambda v: f"{v};{v}").replace("(µm)", "(µm);Straightness (µm)", 1),
+        csv("x_mm;deviation_um", lambda v: f"{v};{v}").replace("deviation_um", "deviation_um;Straightness [nm]", 1),
+        csv("Target (mm);deviation_um", lambda v: f"{v};{v}").replace("Target (mm)", "Target (mm);Position (mm)", 1),
+        csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0)).replace("10;", "10,5;", 1).replace("20;", "20.5;", 1),
+        csv("x_um;deviation_nm", lambda v: f"{abs(v) * 1e3 + 1000:,.0f}", x=lambda v: german(v * 1e3 + 1000, 0)),
+    ],
+)
+def test_a_spreadsheet_that_may_mean_two_things_is_refused(tmp_path, text):
+    path = tmp_path / "survey.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SurveyError):
+        read_survey(path)

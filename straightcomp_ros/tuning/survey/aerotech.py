@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from straightcomp_ros.straightness.survey import SurveyError, decimal, number, numbered_lines
-from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, ErrorTable, error_table
+from straightcomp_ros.straightness.survey import Survey, SurveyError, decimal, number, numbered_lines
+from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, Points, survey_of
 
 _HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")
 _KEYWORD = re.compile(r"([A-Z0-9]+)\s*=\s*(\S+)")
@@ -27,71 +27,69 @@ _SAME = 1e-9
 """Rows may differ by this much, in m."""
 
 
-def read(path: Path, conventions: Conventions) -> ErrorTable:
+def read(path: Path, conventions: Conventions) -> Survey:
     """Read the sum of the tables that correct ``conventions.platform_axis`` over ``conventions.stage_axis``, which may
-    be the axis of their columns or of their rows: "axis calibration is additive" (Automation1 help).
+    be the axis of their columns or of their rows: "axis calibration is additive" (Automation1 help). Between two points
+    each is linear, and beyond its ends the last value.
 
     Raises:
         SurveyError: no such table, a head or value that is not understood, or a correction that also depends on
             the other axis.
     """
-    found, total = [], None
+    stage, platform = conventions.stage_axis, conventions.platform_axis
+    found, ours = [], []
     for start, head, values in _tables(path):
         where = f"survey {path}, line {start}"
-        numbers = [number(where, name, cell) for name, cell in zip(_HEAD, _positions(where, head), strict=True)]
+        row_axis, column_axis, *outputs, row_step, column_step, columns = _positions(where, head)
         keywords = {key: value for line in head for key, value in _KEYWORD.findall(line)}
-        outputs = [int(axis) for axis in (*numbers[2:4], keywords.get("OUTAXIS3")) if axis is not None]
-        row_axis, column_axis, columns = int(numbers[0]), int(numbers[1]), int(numbers[6])
-        found += [f"{output} over {row_axis} and {column_axis}" for output in outputs]
-        if conventions.platform_axis not in outputs or conventions.stage_axis not in (row_axis, column_axis):
+        if "OUTAXIS3" in keywords:
+            outputs.append(number(where, "OUTAXIS3", keywords["OUTAXIS3"]))
+        found += [f"{output:g} over {row_axis:g} and {column_axis:g}" for output in outputs]
+        if platform not in outputs or stage not in (row_axis, column_axis):
             continue
         if row_axis == column_axis:
-            raise SurveyError(f"{where}: rows and columns are both of axis {row_axis}; allowed: two axes")
-        if not values or columns < 2 or len(values) % (columns * len(outputs)):
+            raise SurveyError(f"{where}: rows and columns are both of axis {row_axis:g}; allowed: two axes")
+        if not values or columns < 2 or len(values) % (int(columns) * len(outputs)):
             raise SurveyError(
-                f"{where}: {len(values)} values; allowed: rows of NumCols × outputs = {columns} × {len(outputs)}"
+                f"{where}: {len(values)} values; allowed: rows of NumCols × outputs = {columns:g} × {len(outputs)}"
             )
-        ours = [place for place, output in enumerate(outputs) if output == conventions.platform_axis]
-        grid = np.array(values).reshape(-1, columns, len(outputs))[:, :, ours].sum(axis=2)
+        cells = np.array(values).reshape(-1, int(columns), len(outputs))
+        grid = cells[:, :, [output == platform for output in outputs]].sum(axis=2)
         grid = grid / _per_metre(where, keywords.get("CORUNIT", "PRIMARY"), conventions)
-        name, other, distance = "Col", "row", numbers[5]
-        if row_axis == conventions.stage_axis:
-            name, other, distance, grid = "Row", "column", numbers[4], grid.T
+        name, other, step = "Col", "row", column_step
+        if row_axis == stage:
+            name, other, step, grid = "Row", "column", row_step, grid.T
         if float(np.ptp(grid, axis=0).max()) > _SAME:
             raise SurveyError(
                 f"{where}: the correction depends on the {other} axis too; allowed: {other}s that are the same"
             )
-        if distance <= 0.0:
-            raise SurveyError(
-                f"{where}: SampDist{name} {distance:g}; allowed: > 0; write the points in the other order"
-            )
+        if step <= 0.0:
+            raise SurveyError(f"{where}: SampDist{name} {step:g}; allowed: > 0; write the points in the other order")
         offset = number(where, f"OFFSET{name.upper()}", keywords.get(f"OFFSET{name.upper()}", "0"))
         units = _per_metre(where, keywords.get("POSUNIT", "PRIMARY"), conventions)
-        x = (np.arange(grid.shape[1]) * distance - offset) / units
         sign = 1.0 if any("NEGCOR" in line for line in head) else -1.0
-        table = error_table(where, np.column_stack([x, sign * grid[0]]).tolist())
-        total = table if total is None else total.plus(table)
-    if total is None:
+        ours.append(((np.arange(grid.shape[1]) * step - offset) / units, sign * grid[0]))
+    if not ours:
         raise SurveyError(
-            f"survey {path}: no :START2D table corrects axis {conventions.platform_axis} (platform) over axis "
-            f"{conventions.stage_axis} (stage); found: {', '.join(found) or 'none'}"
+            f"survey {path}: no :START2D table corrects axis {platform} (platform) over axis {stage} (stage); found: "
+            f"{', '.join(found) or 'none'}"
         )
-    return total
+    every = np.unique(np.concatenate([x for x, _ in ours]))
+    total = np.sum([np.interp(every, *table) for table in ours], axis=0)
+    return survey_of(f"survey {path}", zip(every.tolist(), total.tolist(), strict=True))
 
 
-def write(table: ErrorTable, conventions: Conventions) -> str:
-    """A file with one table, which holds the mean of both directions; SurveyError for unequally spaced positions."""
-    steps = np.diff(table.x)
-    spacing = float(steps.mean())
-    if float(np.abs(steps - spacing).max()) > 1e-6 * spacing:
-        raise SurveyError("the positions are not equally spaced; allowed for Aerotech: one distance for all")
+def write(points: Points, conventions: Conventions) -> str:
+    """A file with one table; the positions must be equally spaced."""
+    x, deviation = np.array(points).T
+    spacing = float(np.diff(x).mean())
     per_metre = conventions.per_metre
     stage, platform = conventions.stage_axis, conventions.platform_axis
-    offset = decimal(-float(table.x[0]) * per_metre, 9)
-    row = "  ".join(f"{decimal(value * per_metre * 1e3, 5)} 0" for value in (-table.mean).tolist())
+    offset = decimal(-float(x[0]) * per_metre, 9)
+    row = "  ".join(f"{decimal(value * per_metre * 1e3, 5)} 0" for value in (-deviation).tolist())
     return f"""; Correction of axis {platform} over axis {stage}, the same for every position of axis {platform}.
 ; {" ".join(_HEAD)}
-:START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, 9)} {len(table.x)}
+:START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, 9)} {len(x)}
 :START2D POSUNIT=PRIMARY CORUNIT=PRIMARY/1000 OFFSETROW=0 OFFSETCOL={offset}
 {row}
 {row}
@@ -123,12 +121,12 @@ def _tables(path: Path) -> list[tuple[int, list[str], list[float]]]:
     return tables
 
 
-def _positions(where: str, head: list[str]) -> list[str]:
+def _positions(where: str, head: list[str]) -> list[float]:
     """The seven numbers of the head, which stand on the line without keywords."""
     for line in head:
         cells = _KEYWORD.sub("", line).replace("NEGCOR", "").split()
         if len(cells) == len(_HEAD):
-            return cells
+            return [number(where, name, cell) for name, cell in zip(_HEAD, cells, strict=True)]
     raise SurveyError(f"{where}: no line with {len(_HEAD)} numbers; allowed: {' '.join(_HEAD)}")
 
 

@@ -1,18 +1,19 @@
-"""The deviation of a guide at given positions, which every file format holds in its own way."""
-
-from __future__ import annotations
+"""What the formats of controllers and instruments share: their conventions, and a survey as a list of points."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import DEVIATION, Direction, Run, Survey, SurveyError, X
+from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
 
 UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
+Points = Sequence[tuple[float, float]]
+"""Position of the stage and deviation of the guide in m; the correction that a controller adds is −deviation."""
 
 
 @dataclass(frozen=True)
@@ -44,75 +45,30 @@ class Conventions:
         return UNITS[self.unit]
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorTable:
-    """Deviation δ over x; the correction that a controller adds is −δ.
+def survey_of(where: str, points: Iterable[Sequence[float]]) -> Survey:
+    """The survey of points (x, deviation), or (x, deviation forward, deviation backward), in m, in any order.
 
-    Attributes:
-        x: (n,) positions of the stage in m, strictly ascending.
-        forward: (n,) deviation in m, moving towards larger x.
-        backward: the same, moving towards smaller x; None if the file has one value for both directions.
+    ``where`` begins the messages. SurveyError for fewer than two points, or two at one x.
     """
-
-    x: NDArray[np.float64]
-    forward: NDArray[np.float64]
-    backward: NDArray[np.float64] | None = None
-
-    def plus(self, other: ErrorTable) -> ErrorTable:
-        """The sum of two tables without directions, as a controller adds them: linear between two points, and beyond
-        the ends the last value."""
-        x = np.union1d(self.x, other.x)
-        return ErrorTable(x, np.interp(x, self.x, self.forward) + np.interp(x, other.x, other.forward))
-
-    @property
-    def mean(self) -> NDArray[np.float64]:
-        """(n,) mean deviation of both directions in m, for formats with one value for both."""
-        return self.forward if self.backward is None else 0.5 * (self.forward + self.backward)
-
-    def negated(self) -> ErrorTable:
-        """The table with the other sign, for a controller that counts the other way."""
-        return ErrorTable(self.x, -self.forward, None if self.backward is None else -self.backward)
-
-    def check_size(self, controller: str, most: int) -> None:
-        """Raise SurveyError for more than ``most`` points, which ``controller`` cannot hold."""
-        if len(self.x) > most:
-            raise SurveyError(f"{len(self.x)} points; allowed for {controller}: <= {most}: take a larger spacing")
-
-    def to_survey(self, source: str) -> Survey:
-        """One run for each direction that the table knows; ``source`` is the file's name for messages.
-
-        SurveyError for lengths that no guide has: more likely a wrong unit than an odd machine.
-        """
-        where = f"survey {source}"
-        X.check_extent(where, float(self.x[-1] - self.x[0]))
-        ways: dict[Direction, NDArray[np.float64] | None] = {"forward": self.forward, "backward": self.backward}
-        runs = [Run("1", way, self.x, deviation) for way, deviation in ways.items() if deviation is not None]
-        for run in runs:
-            DEVIATION.check_extent(where, float(np.ptp(run.deviation)))
-        return Survey(tuple(runs), source)
-
-
-def error_table(where: str, points: list[list[float]]) -> ErrorTable:
-    """A table from points of (x, deviation), or of (x, forward, backward), in m; ``where`` begins the messages.
-
-    SurveyError for fewer than two points, or two at one x.
-    """
-    if len(points) < 2:
-        raise SurveyError(f"{where}: {len(points)} points; allowed: >= 2")
-    x, *deviations = np.array(sorted(points)).T
+    ordered = sorted(tuple(point) for point in points)
+    if len(ordered) < 2:
+        raise SurveyError(f"{where}: {len(ordered)} points; allowed: >= 2")
+    x, *deviations = np.array(ordered).T
     same = np.flatnonzero(np.diff(x) <= 0.0)
     if same.size:
         raise SurveyError(f"{where}: x = {x[same[0]] * 1e3:.10g} mm is given twice; allowed: once")
-    return ErrorTable(x, *deviations)
+    ways: tuple[Direction, ...] = ("forward", "backward")
+    return Survey(tuple(Run("1", way, x, values) for way, values in zip(ways, deviations, strict=False)), where)
 
 
-def sampled(straightness: StraightnessMap, spacing: float) -> tuple[ErrorTable, float]:
-    """The map at equal distances of at most ``spacing`` in m over its span, both ends included, as a table whose
-    correction is the map's reference; and the largest error in m of a controller that interpolates linearly in it.
+def sampled(straightness: StraightnessMap, spacing: float) -> tuple[NDArray[np.float64], float]:
+    """The map at equal distances of at most ``spacing`` in m over its span, both ends included: points (n, 2) whose
+    correction is the map's reference; and the largest error in m of a controller that interpolates linearly in them.
     """
     first, last = straightness.span
     pieces = max(1, math.ceil((last - first) / spacing - 1e-9))
-    x = np.asarray(np.linspace(first, last, pieces + 1), np.float64)
-    table = ErrorTable(x, -straightness.evaluate(x)[0])
+    x = np.linspace(first, last, pieces + 1)
+    deviation = -straightness.evaluate(x)[0]
     fine = np.linspace(first, last, 16 * pieces + 1)
-    return table, float(np.abs(np.interp(fine, x, table.forward) + straightness.evaluate(fine)[0]).max())
+    error = np.abs(np.interp(fine, x, deviation) + straightness.evaluate(fine)[0]).max()
+    return np.column_stack([x, deviation]), float(error)

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import Survey, SurveyError, number, numbered_lines, orient
-from straightcomp_ros.tuning.survey.error_table import Conventions, ErrorTable, error_table
+from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
 _BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
@@ -74,15 +74,13 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
             raise SurveyError(f"survey {path}: run {run} has {len(points)} of {len(targets)} targets; allowed: all")
     if not readings or len(targets) < 2:
         raise SurveyError(f"survey {path}: has no readings ('Run Target Data:'); is it Renishaw's .rtl file?")
-    runs = [
+    runs = (
         orient(f"survey {path}, run {run}", str(run), None, list(points.values())) for run, points in readings.items()
-    ]
-    for one in runs:
-        ErrorTable(one.x, one.deviation).to_survey(f"{path}, run {one.name}")  # refuses lengths that no guide has
+    )
     return Survey(tuple(runs), str(path))
 
 
-def read_pos(path: Path, conventions: Conventions) -> ErrorTable:
+def read_pos(path: Path, conventions: Conventions) -> Survey:
     """Read API's file: the mean errors forward and backward, or of both where it has no other.
 
     SurveyError if it is of another measurement, has no such block, one twice, or different positions in them.
@@ -106,14 +104,14 @@ def read_pos(path: Path, conventions: Conventions) -> ErrorTable:
             _refuse_other_kinds(where, key.strip().lower(), value)
     if not any(blocks.values()):
         raise SurveyError(f"survey {path}: has no block 'Position … Avg Error'; is it API's .pos file?")
-    where = f"survey {path}"
-    tables = {name: error_table(f"{where}, {name}", points) for name, points in blocks.items() if points}
-    if "forward" not in tables or "backward" not in tables:
-        return tables.get("bidirectional") or next(iter(tables.values()))
-    forward, backward = tables["forward"], tables["backward"]
-    if forward.x.shape != backward.x.shape or not np.allclose(forward.x, backward.x, rtol=0.0, atol=1e-7):
-        raise SurveyError(f"{where}: the positions forward and backward differ; allowed: the same")
-    return ErrorTable(forward.x, forward.forward, backward.forward)
+    forward, backward = (sorted(blocks.get(way) or ()) for way in ("forward", "backward"))
+    if not forward or not backward:
+        name = "bidirectional" if blocks.get("bidirectional") else "forward" if forward else "backward"
+        return survey_of(f"survey {path}, {name}", blocks[name])
+    positions, ours = [x for x, _ in forward], [x for x, _ in backward]
+    if len(positions) != len(ours) or not np.allclose(positions, ours, rtol=0.0, atol=1e-7):
+        raise SurveyError(f"survey {path}: the positions forward and backward differ; allowed: the same")
+    return survey_of(f"survey {path}", ([*there, back] for there, (_, back) in zip(forward, backward, strict=True)))
 
 
 def _refuse_other_kinds(where: str, name: str, value: str) -> None:

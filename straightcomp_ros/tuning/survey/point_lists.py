@@ -40,8 +40,8 @@ are skipped.
 import re
 from pathlib import Path
 
-from straightcomp_ros.straightness.survey import SurveyError, decimal, number, numbered_lines
-from straightcomp_ros.tuning.survey.error_table import Conventions, ErrorTable, error_table
+from straightcomp_ros.straightness.survey import Survey, SurveyError, decimal, number, numbered_lines
+from straightcomp_ros.tuning.survey.error_table import Conventions, Points, survey_of
 
 _LINUXCNC = ("nominal", "forward", "reverse")
 _CROSSCOMP = 1e7
@@ -51,7 +51,7 @@ _AXIS, _PREFIX = "kopf.achs_nr", "kw.crosscomp."
 _INDEX = re.compile(r"\[\s*0*(\d+)\s*\]")
 
 
-def read_linuxcnc(path: Path, conventions: Conventions) -> ErrorTable:
+def read_linuxcnc(path: Path, conventions: Conventions) -> Survey:
     """Read a file of either type; positions follow their nominal, trims stay near to zero.
 
     Raises:
@@ -65,22 +65,16 @@ def read_linuxcnc(path: Path, conventions: Conventions) -> ErrorTable:
         named = zip(_LINUXCNC, cells, strict=False)
         rows.append([number(where, name, cell) / conventions.per_metre for name, cell in named])
     trims = sum(abs(row[1]) for row in rows) < sum(abs(row[1] - row[0]) for row in rows)
-    return error_table(
-        f"survey {path}", [[x, *(-value if trims else value - x for value in values)] for x, *values in rows]
-    )
+    return survey_of(f"survey {path}", ([x, *(-value if trims else value - x for value in both)] for x, *both in rows))
 
 
-def write_linuxcnc(table: ErrorTable, conventions: Conventions) -> str:
-    """A file for ``COMP_FILE_TYPE = 1``; SurveyError for more points than a joint holds."""
-    table.check_size("LinuxCNC", 256)
-    backward = table.forward if table.backward is None else table.backward
-    return "".join(
-        " ".join(decimal(value * conventions.per_metre, 7) for value in row) + "\n"
-        for row in zip(table.x.tolist(), (-table.forward).tolist(), (-backward).tolist(), strict=True)
-    )
+def write_linuxcnc(points: Points, conventions: Conventions) -> str:
+    """A file for ``COMP_FILE_TYPE = 1``, with the same trim both ways."""
+    rows = ((x, -deviation, -deviation) for x, deviation in points)
+    return "".join(" ".join(decimal(value * conventions.per_metre, 7) for value in row) + "\n" for row in rows)
 
 
-def read_crosscomp(path: Path, conventions: Conventions) -> ErrorTable:
+def read_crosscomp(path: Path, conventions: Conventions) -> Survey:
     """Read the list that corrects ``conventions.platform_axis`` over ``conventions.stage_axis``.
 
     Raises:
@@ -89,16 +83,14 @@ def read_crosscomp(path: Path, conventions: Conventions) -> ErrorTable:
     """
     where, entries = f"survey {path}", dict[str, float]()
     for line, text in numbered_lines(path, r"/\*.*?\*/|#.*"):
-        cells = text.strip().rsplit(maxsplit=1)
-        if len(cells) == 2 and (cells[0].startswith(_PREFIX) or cells[0] == _AXIS):
-            key = _INDEX.sub(r"[\1]", cells[0]).removeprefix(_PREFIX)
+        cells = text.rsplit(maxsplit=1)
+        key = _INDEX.sub(r"[\1]", cells[0].strip()).removeprefix(_PREFIX) if cells else ""
+        if len(cells) == 2 and (key == _AXIS or _PREFIX in cells[0]):
             if key in entries:
-                raise SurveyError(f"{where}, line {line}: {cells[0]} is given twice; allowed: once")
-            entries[key] = number(f"{where}, line {line}", cells[0], cells[1])
-    for key, name, wanted in (
-        (_AXIS, "platform", conventions.platform_axis),
-        ("master_ax_nr", "stage", conventions.stage_axis),
-    ):
+                raise SurveyError(f"{where}, line {line}: {key} is given twice; allowed: once")
+            entries[key] = number(f"{where}, line {line}", key, cells[1])
+    axes = ((_AXIS, "platform", conventions.platform_axis), ("master_ax_nr", "stage", conventions.stage_axis))
+    for key, name, wanted in axes:
         if entries.get(key, wanted) != wanted:
             raise SurveyError(
                 f"{where}: {key} {entries[key]:g}; allowed: {wanted}, the number of the {name}'s axis "
@@ -113,25 +105,24 @@ def read_crosscomp(path: Path, conventions: Conventions) -> ErrorTable:
             if name not in entries:
                 raise SurveyError(f"{where}: {_PREFIX}{name} is missing; allowed: one for each")
         points.append([entries[names[0]] / _CROSSCOMP, -entries[names[1]] / _CROSSCOMP])
-    return error_table(where, points)
+    return survey_of(where, points)
 
 
-def write_crosscomp(table: ErrorTable, conventions: Conventions) -> str:
-    """A list for the platform's axis with the mean of both directions; SurveyError for more points than it holds."""
-    table.check_size("crosscomp", 1001)
+def write_crosscomp(points: Points, conventions: Conventions) -> str:
+    """A list for the platform's axis."""
     lines = [
         f"{_AXIS} {conventions.platform_axis}",
-        f"{_PREFIX}last_index {len(table.x) - 1}",
+        f"{_PREFIX}last_index {len(points) - 1}",
         f"{_PREFIX}master_ax_nr {conventions.stage_axis}",
         f"{_PREFIX}unit 1 /* metric, in 0.1 um */",
     ]
-    for index, point in enumerate(zip(table.x.tolist(), (-table.mean).tolist(), strict=True)):
-        for column, value in zip(("setpoint", "correction"), point, strict=True):
+    for index, (x, deviation) in enumerate(points):
+        for column, value in (("setpoint", x), ("correction", -deviation)):
             lines.append(f"{_PREFIX}table[{index}].{column} {decimal(value * _CROSSCOMP, 3)}")
     return "\n".join(lines) + "\n"
 
 
-def read_etalon(path: Path, conventions: Conventions) -> ErrorTable:
+def read_etalon(path: Path, conventions: Conventions) -> Survey:
     """Read the block of ``conventions.error``.
 
     Raises:
@@ -164,13 +155,10 @@ def read_etalon(path: Path, conventions: Conventions) -> ErrorTable:
         raise SurveyError(
             f"survey {path}: no Gridpoints of [{conventions.error}]; found: {', '.join(blocks) or 'none'}"
         )
-    return error_table(f"survey {path}, [{conventions.error}]", blocks[conventions.error])
+    return survey_of(f"survey {path}, [{conventions.error}]", blocks[conventions.error])
 
 
-def write_etalon(table: ErrorTable, conventions: Conventions) -> str:
-    """A file with one block, which holds the mean of both directions."""
-    points = [
-        f"  {decimal(x * _ETALON, 7)} {decimal(value * _ETALON, 9)}"
-        for x, value in zip(table.x.tolist(), table.mean.tolist(), strict=True)
-    ]
-    return "\n".join([f"[{conventions.error}]", "Gridpoints = {", *points, "}\n"])
+def write_etalon(points: Points, conventions: Conventions) -> str:
+    """A file with one block."""
+    lines = [f"  {decimal(x * _ETALON, 7)} {decimal(value * _ETALON, 9)}" for x, value in points]
+    return "\n".join([f"[{conventions.error}]", "Gridpoints = {", *lines, "}\n"])

@@ -18,19 +18,9 @@ from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Ch
 from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
-from straightcomp_ros.straightness.survey import (
-    DEVIATION,
-    Run,
-    Survey,
-    SurveyError,
-    X,
-    check_gaps,
-    number,
-    read_table,
-)
+from straightcomp_ros.straightness.survey import DEVIATION, Run, Survey, SurveyError, check_run, number, read_table
 
 TIME_COLUMN = "time_s"
-"""A CSV file with this column is a recording over time; without it, a list of the points of runs."""
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """The slider's x in the topics of our own graph."""
 _WHOLE = 0.9
@@ -103,42 +93,39 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
             "recorded, and on one clock?"
         )
     time = (taken_at[usable] - taken_at[usable][0]) * 1e-9
-    inputs = {
-        "stage": str(stage) + ("" if positions.stamped else ", by time of sending"),
-        "sensor": f"{sensor.readings} in {sensor.unit}"
-        + (", inverted" if sensor.inverted else "")
-        + (f", {sensor.delay * 1e3:g} ms old" if sensor.delay else "")
-        + (", on the platform" if sensor.on_platform else "")
-        + ("" if readings.stamped else ", by time of sending"),
-    }
+    details = [
+        f"{sensor.readings} in {sensor.unit}",
+        "inverted" if sensor.inverted else "",
+        f"{sensor.delay * 1e3:g} ms old" if sensor.delay else "",
+        "on the platform" if sensor.on_platform else "",
+        "" if readings.stamped else "by time of sending",
+    ]
+    origin = str(stage) + ("" if positions.stamped else ", by time of sending")
+    inputs = {"stage": origin, "sensor": ", ".join(filter(None, details))}
     return Series(str(bag), time, x[usable], deviation[usable], int(np.count_nonzero(~usable)), inputs)
 
 
-def is_series(path: Path, names: Mapping[str, str] | None = None) -> bool:
-    """Whether a CSV file is a recording over time; SurveyError if it is unreadable or lacks x or deviation."""
-    return TIME_COLUMN in read_table(path, names).header
-
-
-def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series:
+def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series | None:
     """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file, where they may have
-    these ``names``.
+    these ``names``. None for a file without ``time_s``, which lists the points of runs.
 
-    SurveyError if a column is missing, a cell is no number, or time does not rise.
+    SurveyError if x or deviation is missing, a cell is no number, or time does not rise.
     """
     table = read_table(path, names)
-    time_column = table.header.index(TIME_COLUMN)
+    if TIME_COLUMN not in table.header:
+        return None
     samples: list[tuple[float, float, float]] = []
-    for line, row in table.rows:
+    for line, cells, x, deviation in table.rows:
         where = f"survey {path}, line {line}"
-        time = number(where, TIME_COLUMN, row[time_column].strip())
+        time = number(where, TIME_COLUMN, cells[TIME_COLUMN])
         if samples and time <= samples[-1][0]:
             raise SurveyError(f"{where}: time_s {time:g} after {samples[-1][0]:g}; allowed: rising")
-        samples.append((time, table.x.metres(where, row), table.deviation.metres(where, row)))
+        samples.append((time, x, deviation))
     if len(samples) < 3:
         raise SurveyError(f"survey {path}: {len(samples)} rows; allowed: >= 3")
-    time, x, deviation = np.array(samples).T
-    inputs = {"stage": table.header[table.x.index], "sensor": table.header[table.deviation.index]}
-    return Series(str(path), time - time[0], x, deviation, 0, inputs)
+    columns = np.array(samples).T
+    inputs = dict(zip(("stage", "sensor"), table.columns, strict=True))
+    return Series(str(path), columns[0] - columns[0, 0], columns[1], columns[2], 0, inputs)
 
 
 def _read(bag: Path, field: Field) -> FieldValues:
@@ -231,8 +218,7 @@ def _from_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _middles(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
     """For each value the median of its group."""
-    names, place = np.unique(group, return_inverse=True)
-    return np.array([np.median(values[group == name]) for name in names])[place]
+    return np.array([np.median(values[group == one]) for one in range(group.max() + 1)])[group]
 
 
 def build_from_series(series: Series, source: Path, choices: Choices) -> tuple[BuiltMap, tuple[Passage, ...]]:
@@ -246,9 +232,7 @@ def build_from_series(series: Series, source: Path, choices: Choices) -> tuple[B
                 f"{where}: {run.x.size} points; allowed: >= {choices.parameters.min_points} (min_points): "
                 f"a smaller step than {choices.step * 1e3:g} mm gives more"
             )
-        X.check_extent(where, float(run.x[-1] - run.x[0]))
-        DEVIATION.check_extent(where, float(np.ptp(run.deviation)))
-        check_gaps(where, run, choices.parameters.max_gap)
+        check_run(where, run, choices.parameters.max_gap)
     survey = Survey(tuple(p.run for p in found.passages), series.source)
     built = build(survey, source, choices, series.inputs)
     counts = {

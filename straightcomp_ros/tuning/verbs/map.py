@@ -84,7 +84,6 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     from straightcomp_ros.tuning.survey.recording import (
         Sensor,
         build_from_series,
-        is_series,
         series_of_bag,
         series_of_csv,
     )
@@ -103,8 +102,9 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
         return build_from_series(series_of_bag(source, stage, sensor), source, choices)
     own = {"x": options.x_column, "deviation": options.deviation_column}
     names = {quantity: name for quantity, name in own.items() if name is not None}
-    if is_series(source, names):
-        return build_from_series(series_of_csv(source, names), source, choices)
+    series = series_of_csv(source, names)
+    if series is not None:
+        return build_from_series(series, source, choices)
     parameters = choices.parameters
     survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap, names=names)
     return build(survey, source, choices), ()
@@ -170,13 +170,14 @@ def _convert(options: argparse.Namespace) -> None:
 
     The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
     use --negate if it has the other sign."""
-    from straightcomp_ros.straightness.survey import Survey, write_survey
-    from straightcomp_ros.tuning.survey.formats import format_of
+    from straightcomp_ros.straightness.survey import check_run, write_survey
+    from straightcomp_ros.tuning.survey.formats import FORMATS, format_of
 
     conventions = _chosen_conventions(options)
     source, output = Path(options.file), output_file(options, "--output")
-    found = format_of(source, options.format).read(source, conventions)
-    survey = found if isinstance(found, Survey) else found.to_survey(str(source))
+    survey = FORMATS[format_of(source, options.format)].read(source, conventions)
+    for run in survey.runs:
+        check_run(f"survey {source}, run '{run.name}' {run.direction}", run)
     if options.negate:
         survey = survey.negated()
     write_survey(output, survey, [f"Converted from {source.name}"])
@@ -249,28 +250,28 @@ def _export(options: argparse.Namespace) -> None:
     from straightcomp_ros.parameters.output_files import write_whole
     from straightcomp_ros.straightness.guide_map import MapParameters, load_map
     from straightcomp_ros.tuning.survey.error_table import sampled
-    from straightcomp_ros.tuning.survey.formats import WRITTEN, format_of
+    from straightcomp_ros.tuning.survey.formats import WRITTEN, format_of, written
 
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
     output = output_file(options, "--output")
-    table, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
-    write = format_of(output, options.format).write
-    if write is None:
+    points, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
+    name = format_of(output, options.format)
+    if name not in WRITTEN:
         raise CommandFailed(f"--output {output}: an instrument's file; allowed: {', '.join(WRITTEN)}", exit_code=2)
-    written = write(table.negated() if options.negate else table, conventions)
-    write_whole(output, written)
+    sign = -1.0 if options.negate else 1.0
+    write_whole(output, written(name, [(x, sign * deviation) for x, deviation in points.tolist()], conventions))
     figures = {
         "output": str(output),
-        "points": len(table.x),
-        "spacing_mm": float(table.x[1] - table.x[0]) * 1e3,
+        "points": len(points),
+        "spacing_mm": float(points[1, 0] - points[0, 0]) * 1e3,
         "interpolation_error_um": error * 1e6,
     }
     if options.json:
         print_json(figures)
     else:
         console.print(
-            f"{output}: {len(table.x)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
+            f"{output}: {len(points)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
             f"linearly is at most {figures['interpolation_error_um']:.3f} µm beside the map"
         )
 

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +13,12 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey
-from straightcomp_ros.straightness.survey_runs import repeatability
+from straightcomp_ros.straightness.survey import SurveyError, read_survey
 from straightcomp_ros.tuning.survey.recording import (
     Sensor,
     Series,
     _from_neighbours,
     build_from_series,
-    is_series,
     recognise,
     series_of_bag,
     series_of_csv,
@@ -51,26 +48,6 @@ def driven(*ends, rate=200.0, speed=0.2, rest=0.3):
 
 def series(time, x, deviation):
     return Series("made up", time, x, deviation, 0, {})
-
-
-def test_repeatability_of_two_runs_each_way_is_that_of_iso_230_2_and_one_run_each_way_has_a_reversal_only():
-    def of(ways, values):
-        x = np.arange(25) * 0.01
-        rows = np.outer(values, np.ones(25)) * 1e-6
-        made = (Run(str(number), way, x, row) for number, (way, row) in enumerate(zip(ways, rows, strict=True)))
-        return repeatability(Survey(tuple(made)), x, rows)
-
-    # One point is worth checking by hand: forward 1 and 3 µm, backward 0 and 0 µm.
-    found = of(["forward"] * 2 + ["backward"] * 2, [1.0, 3.0, 0.0, 0.0])
-    s = math.sqrt(2.0) * 1e-6
-    assert found.forward.repeatability == pytest.approx(4 * s)
-    assert found.backward.repeatability == pytest.approx(0.0, abs=1e-15)
-    assert found.reversal == pytest.approx(np.full(25, 2e-6))
-    assert found.bidirectional == pytest.approx(max(2 * s + 2e-6, 4 * s))
-    assert found.short_of_the_standard
-    found = of(["forward", "backward"], [1.0, 0.0])
-    assert found.bidirectional is None and found.forward.repeatability is None
-    assert found.to_display()["reversal_max_um"] == pytest.approx(1.0)
 
 
 def test_clean_noise_is_hardly_ever_an_outlier():
@@ -291,9 +268,8 @@ def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(tmp_path)
 def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
     path = tmp_path / "series.csv"
     path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.5,2,20\n6.0,3,30\n")
-    assert is_series(path)
     (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
-    assert not is_series(tmp_path / "points.csv")
+    assert series_of_csv(tmp_path / "points.csv") is None
     found = series_of_csv(path)
     assert found.time.tolist() == [0.0, 0.5, 1.0]
     assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])

@@ -1,6 +1,7 @@
 """Files of instruments and controllers: their makers' values or a refusal; nothing is lost on the way."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import SurveyError, read_survey
-from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, ErrorTable
-from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of
+from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.tuning.survey.error_table import Conventions
+from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, written
 
 MM = Conventions()
 EXAMPLES = {
@@ -51,10 +52,10 @@ Gridpoints = {
 
 
 def read(tmp_path, name, text, conventions=MM, encoding="utf-8"):
-    """What the format's reader makes of a file with this text."""
+    """The runs that the format's reader makes of a file with this text."""
     path = tmp_path / f"table{FORMATS[name].ending}"
     path.write_bytes(text.encode(encoding))
-    return format_of(path, None).read(path, conventions)
+    return FORMATS[name].read(path, conventions).runs
 
 
 @pytest.mark.parametrize(
@@ -70,15 +71,11 @@ def read(tmp_path, name, text, conventions=MM, encoding="utf-8"):
     ],
 )
 def test_an_example_is_read_in_metres_as_the_deviation(tmp_path, name, text, unit, x_mm, forward_um, backward_um):
-    table = read(tmp_path, name, text, Conventions(unit))
-    np.testing.assert_allclose(table.x, np.array(x_mm) * 1e-3, rtol=1e-12)
-    np.testing.assert_allclose(table.forward, np.array(forward_um) * 1e-6, rtol=1e-9, atol=1e-14)
-    assert (table.backward is None) == (backward_um is None)
-    if backward_um is not None:
-        np.testing.assert_allclose(table.backward, np.array(backward_um) * 1e-6, rtol=1e-9, atol=1e-14)
-
-
-_micrometres = st.integers(-50_000, 50_000).map(lambda nanometres: nanometres * 1e-9)
+    runs = read(tmp_path, name, text, Conventions(unit))
+    assert [run.direction for run in runs] == ["forward", "backward"][: 1 if backward_um is None else 2]
+    for run, deviation_um in zip(runs, (forward_um, backward_um), strict=False):
+        np.testing.assert_allclose(run.x, np.array(x_mm) * 1e-3, rtol=1e-12)
+        np.testing.assert_allclose(run.deviation, np.array(deviation_um) * 1e-6, rtol=1e-9, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -86,22 +83,15 @@ _micrometres = st.integers(-50_000, 50_000).map(lambda nanometres: nanometres * 
 @given(
     start_um=st.integers(-2_000_000, 2_000_000),
     step_um=st.integers(1000, 20_000),
-    values=st.lists(st.tuples(_micrometres, _micrometres), min_size=2, max_size=60),
+    nanometres=st.lists(st.integers(-50_000, 50_000), min_size=2, max_size=60),
     unit=st.sampled_from(["mm", "inch"]),
     axes=st.permutations(range(1, 5)),
 )
-def test_what_is_written_is_read_again_or_its_mean_where_the_format_has_one_value(
-    tmp_path, name, start_um, step_um, values, unit, axes
-):
-    x = (start_um + step_um * np.arange(len(values))) * 1e-6
-    directions = np.array(values).T
+def test_what_is_written_is_read_again(tmp_path, name, start_um, step_um, nanometres, unit, axes):
+    points = np.array([((start_um + step_um * at) * 1e-6, value * 1e-9) for at, value in enumerate(nanometres)])
     conventions = Conventions(unit, axes[0], axes[1])
-    table = read(tmp_path, name, FORMATS[name].write(ErrorTable(x, *directions), conventions), conventions)
-    np.testing.assert_allclose(table.x, x, rtol=0.0, atol=3e-9)
-    found, expected = table.forward, directions.mean(axis=0)
-    if name == "linuxcnc":
-        found, expected = [table.forward, table.backward], directions
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-9)
+    for run in read(tmp_path, name, written(name, points.tolist(), conventions), conventions):
+        np.testing.assert_allclose(np.column_stack([run.x, run.deviation]), points, rtol=0.0, atol=3e-9)
 
 
 @pytest.mark.parametrize(
@@ -131,21 +121,6 @@ def test_a_fault_is_named(tmp_path, name, old, new, words):
     assert f"table{FORMATS[name].ending}" in str(caught.value)
     for word in words:
         assert word in str(caught.value)
-
-
-def test_a_table_becomes_a_survey_only_with_lengths_that_a_guide_has():
-    table = ErrorTable(np.linspace(0.0, 1.0, 30), np.sin(np.arange(30)) * 1e-6)
-    assert [run.direction for run in table.to_survey("a").runs] == ["forward"]
-    in_the_wrong_unit = ErrorTable(table.x * UNITS["mm"], table.forward)
-    with pytest.raises(SurveyError, match="a: x_m extends over 1000 m"):
-        in_the_wrong_unit.to_survey("a")
-
-
-def test_too_many_points_for_a_controller_are_refused():
-    table = ErrorTable(np.arange(2000) * 1e-3, np.zeros(2000))
-    for name, most in (("linuxcnc", "256"), ("crosscomp", "1001")):
-        with pytest.raises(SurveyError, match=most):
-            FORMATS[name].write(table, MM)
 
 
 X = np.arange(24) * 10.0  # mm
@@ -198,11 +173,6 @@ def pos(*blocks):
     )
 
 
-def runs_of(*arguments, **conventions):
-    found = read(*arguments, Conventions(**conventions))
-    return found.runs if hasattr(found, "runs") else found.to_survey("table").runs
-
-
 @pytest.mark.parametrize(
     ("name", "text", "conventions", "peak_to_peak"),
     [
@@ -222,103 +192,55 @@ def runs_of(*arguments, **conventions):
     ],
 )
 def test_a_file_has_the_value_that_its_maker_gives_it(tmp_path, name, text, conventions, peak_to_peak):
-    for run in runs_of(tmp_path, name, text, **conventions):
+    for run in read(tmp_path, name, text, Conventions(**conventions)):
         assert len(run.x) == 24
         assert np.ptp(run.deviation) * 1e6 == pytest.approx(peak_to_peak, abs=0.1)
 
 
 def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path):
-    forward, backward = read(tmp_path, "renishaw", rtl(OUT_AND_BACK), encoding="cp1252").runs
+    forward, backward = read(tmp_path, "renishaw", rtl(OUT_AND_BACK), encoding="cp1252")
     assert (forward.direction, backward.direction) == ("forward", "backward")
     np.testing.assert_allclose(forward.x, X * 1e-3)
     np.testing.assert_allclose(backward.deviation - forward.deviation, 0.2e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "conventions"),
+    ("name", "text", "options"),
     [
-        ("aerotech", aerotech("2 3 2 3", [UM, UM]), {}),
-        ("aerotech", aerotech("2 2 2 1", [UM, UM]), {}),
-        ("aerotech", aerotech("1 1 2 1", [UM, UM]), {}),
-        ("aerotech", aerotech("1 2 2 1", [UM, UM]), {}),
-        ("aerotech", COLUMNS, {"stage_axis": 2, "platform_axis": 1}),
-        ("crosscomp", crosscomp(3, 2), {}),
-        ("crosscomp", crosscomp(1, 2), {}),
-        ("crosscomp", crosscomp(2, 2), {}),
-        ("crosscomp", crosscomp(2, 1, "kw.crosscomp.table[03].correction 99\n"), {}),
-        ("etalon", etalon(BLOCK) + etalon(BLOCK), {}),
-        ("etalon", etalon(BLOCK) + etalon("{ }", "EZX") + etalon(BLOCK), {}),
-        ("etalon", etalon("{\n" + "\n".join(PAIRS) + "\n} 240 0.1"), {}),
-        *(("etalon", etalon(BLOCK, error), {"error": error}) for error in ("EXX", "ECX", "EAX", "YX", "EYXX")),
-        ("renishaw", rtl(OUT_AND_BACK, "Angular"), {}),
-        ("renishaw", rtl(OUT_AND_BACK, count=25), {}),
-        ("renishaw", rtl([*OUT_AND_BACK, (1, 3, 9.0)]), {}),
-        ("renishaw", rtl(OUT_AND_BACK[:-1]), {}),
-        ("renishaw", "HEADER::\n", {}),
-        ("api", pos(("Forward Directional", UM), ("Forward Directional", UM)), {}),
-        ("api", "Measurement type: Pitch\n" + pos(("Bidirectional", UM)), {}),
-        ("api", "API\n", {}),
+        ("aerotech", aerotech("2 3 2 3", [UM, UM]), ""),
+        ("aerotech", aerotech("2 2 2 1", [UM, UM]), ""),
+        ("aerotech", aerotech("1 1 2 1", [UM, UM]), ""),
+        ("aerotech", aerotech("1 2 2 1", [UM, UM]), ""),
+        ("aerotech", COLUMNS, "--stage-axis 2 --platform-axis 1"),
+        ("crosscomp", crosscomp(3, 2), ""),
+        ("crosscomp", crosscomp(1, 2), ""),
+        ("crosscomp", crosscomp(2, 2), ""),
+        ("crosscomp", crosscomp(2, 1, "kw.crosscomp.table[03].correction 99\n"), ""),
+        ("etalon", etalon(BLOCK) + etalon(BLOCK), ""),
+        ("etalon", etalon(BLOCK) + etalon("{ }", "EZX") + etalon(BLOCK), ""),
+        ("etalon", etalon("{\n" + "\n".join(PAIRS) + "\n} 240 0.1"), ""),
+        *(("etalon", etalon(BLOCK, error), f"--error {error}") for error in ("EXX", "ECX", "EAX", "YX", "EYXX")),
+        ("renishaw", rtl(OUT_AND_BACK, "Angular"), ""),
+        ("renishaw", rtl(OUT_AND_BACK, count=25), ""),
+        ("renishaw", rtl([*OUT_AND_BACK, (1, 3, 9.0)]), ""),
+        ("renishaw", rtl(OUT_AND_BACK[:-1]), ""),
+        ("renishaw", "HEADER::\n", ""),
+        ("api", pos(("Forward Directional", UM), ("Forward Directional", UM)), ""),
+        ("api", "Measurement type: Pitch\n" + pos(("Bidirectional", UM)), ""),
+        ("api", "API\n", ""),
     ],
 )
-def test_a_file_that_says_another_axis_error_or_point_twice_is_refused(tmp_path, name, text, conventions):
-    with pytest.raises(SurveyError):
-        runs_of(tmp_path, name, text, **conventions)
-
-
-def german(value, places=3):
-    whole, _, fraction = f"{abs(value):,.{places}f}".partition(".")
-    return ("-" if value < 0 else "") + whole.replace(",", ".") + ("," + fraction if fraction else "")
-
-
-def csv(header, cell, delimiter=";", x=lambda value: f"{value:g}"):
-    return "\n".join([header, *(f"{x(a)}{delimiter}{cell(b)}" for a, b in zip(X, UM, strict=True))]) + "\n"
-
-
-MM_UM = csv("x_mm;deviation_um", lambda v: german(v))
-READ = {
-    "Excel's first line": "sep=;\n" + MM_UM,
-    "Excel's first line with a comma": "sep=,\n" + csv("x_mm,deviation_um", lambda v: f"{v}", ","),
-    "lines before the header": "Operator;Müller, A.\nDate, 2026\n\nRun 3\n" + MM_UM,
-    "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
-    "decimal commas between tabs": csv(
-        "Position [mm]\tStraightness [um]", lambda v: german(v), "\t", lambda v: german(v, 1)
-    ),
-    "thousands in x": csv("x_um;deviation_um", lambda v: german(v), x=lambda v: german(v * 1e3, 0)),
-    "English thousands": csv("x_mm\tdeviation_nm", lambda v: f"{v * 1e3:,.0f}", "\t", lambda v: f"{v:.1f}"),
-    "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
-}
-
-
-@pytest.mark.parametrize("kind", READ)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_a_spreadsheet_has_the_value_that_it_shows(tmp_path, kind, encoding):
-    path = tmp_path / "survey.csv"
-    path.write_bytes(READ[kind].encode(encoding))
-    (run,) = read_survey(path).runs
-    np.testing.assert_allclose(run.x, X * 1e-3, atol=1e-12)
-    np.testing.assert_allclose(run.deviation, UM * 1e-6, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        csv("Position (mm);Straightness (µm)", lambda v: f"{v};{v}").replace("(µm)", "(µm);Straightness (µm)", 1),
-        csv("x_mm;deviation_um", lambda v: f"{v};{v}").replace("deviation_um", "deviation_um;Straightness [nm]", 1),
-        csv("Target (mm);deviation_um", lambda v: f"{v};{v}").replace("Target (mm)", "Target (mm);Position (mm)", 1),
-        csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0)).replace("10;", "10,5;", 1).replace("20;", "20.5;", 1),
-        csv("x_um;deviation_nm", lambda v: f"{abs(v) * 1e3 + 1000:,.0f}", x=lambda v: german(v * 1e3 + 1000, 0)),
-    ],
-)
-def test_a_spreadsheet_that_may_mean_two_things_is_refused(tmp_path, text):
-    path = tmp_path / "survey.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(SurveyError):
-        read_survey(path)
+def test_a_file_that_says_another_axis_error_or_point_twice_is_refused(tmp_path, capsys, name, text, options):
+    (tmp_path / "table").write_text(text)
+    arguments = [str(tmp_path / "table"), "--format", name, "-o", str(tmp_path / "o.csv"), *options.split()]
+    assert main(["map", "convert", *arguments]) != 0
+    assert capsys.readouterr().err.startswith("straightcomp map convert: ") and len(list(tmp_path.iterdir())) == 1
 
 
 def test_columns_of_other_names_are_chosen_by_name(tmp_path, capsys):
     path = tmp_path / "survey.csv"
-    path.write_text(csv("carriage_pos_mm,lateral_error_um", lambda v: f"{v}", ","), encoding="utf-8")
+    rows = "".join(f"{x},{y}\n" for x, y in zip(X, UM, strict=True))
+    path.write_text("carriage_pos_mm,lateral_error_um\n" + rows)
     assert main(["map", "build", str(path)]) == 1
     assert "--x-column" in capsys.readouterr().err
     names = ["--x-column", "Carriage_pos_mm", "--deviation-column", "lateral_error_um"]
@@ -384,11 +306,14 @@ def test_negate_turns_the_sign_over(tmp_path, capsys):
         (["export", "-o", "t.cal", "--stage-axis", "2"], ["--platform-axis", "two"]),
         (["export", "-o", "t.cal", "--survey", "no.csv"], ["no.csv"]),
         (["export", "-o", "no_folder/t.cal"], ["no_folder/t.cal", "no folder no_folder"]),
+        (["export", "-o", "t.rtl"], ["t.rtl", "an instrument's file"]),
         (["convert", "no.comp", "-o", "o.csv"], ["no.comp", "cannot be read"]),
+        (["convert", "mm.comp", "--unit", "m", "-o", "o.csv"], ["x_m extends over 230 m"]),
     ],
 )
 def test_a_refusal_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
+    Path("mm.comp").write_text("".join(f"{x:g} {y} {y}\n" for x, y in zip(X, UM, strict=True)))
     assert main(["map", *arguments]) in (1, 2)
     printed = capsys.readouterr().err
     assert printed.startswith(f"straightcomp map {arguments[0]}: ")
