@@ -33,12 +33,13 @@ _LEAST_COMMON = 100
 """Fewest samples at nodes seen before for which two passes are compared."""
 _MANY = 100
 """Updates assumed of a table that was read from a file, so that it is updated with the final gain."""
-_UNKNOWN = {"coefficients": 0.0, "best": 0.0, "best_square": math.nan, "bare_square": math.nan, "speed": 0.0}
-"""Columns of the table, with their values at a node that was not visited."""
+COEFFICIENT, BEST, BEST_SQUARE, BARE_SQUARE, SPEED = range(5)
+"""Rows of a table's nodes."""
+_UNKNOWN = np.array([[0.0], [0.0], [math.nan], [math.nan], [0.0]])
+"""A node that was not visited."""
 
 _QUANTITIES = ("correction_m", "speed_m_per_s", "rms_m", "bare_rms_m")
-_DIRECTIONS = (("forward", True), ("backward", False))
-_HEADER = ("x_m", *(f"{direction}_{quantity}" for direction, _ in _DIRECTIONS for quantity in _QUANTITIES))
+_HEADER = ("x_m", *(f"{direction}_{quantity}" for direction in ("forward", "backward") for quantity in _QUANTITIES))
 _LAW = "# law:"
 _LARGEST = 1e-3
 """m; a larger value is in the wrong unit."""
@@ -57,11 +58,9 @@ class LearnedTable:
 
     Attributes:
         first: number of the first node.
-        coefficients: (n,) of the spline, m.
-        best: (n,) coefficients of the best pass so far, m.
-        best_square, bare_square: (n,) mean square of r − y in that pass and without any correction, m²; NaN at nodes
-            that were not visited.
-        speed: (n,) of the stage when it was learned, m/s; 0 at nodes that were not visited.
+        nodes: (5, n): coefficient of the spline in m; that of the best pass so far in m; mean square of r − y in that
+            pass, and without any correction, in m², NaN at nodes that were not visited; speed of the stage when it was
+            learned in m/s, 0 at nodes that were not visited.
         updates: number of updates.
         caution: factor of the gain, halved when an update increased the error, doubled up to 1 when one reduced it.
         tried: whether the coefficients differ from those of the best pass.
@@ -77,16 +76,23 @@ class LearnedTable:
 
     def clear(self) -> None:
         """Forget everything."""
-        self.coefficients, self.best, self.best_square, self.bare_square, self.speed = np.zeros((5, 0))
+        self.nodes = np.zeros((5, 0))
         self.updates, self.caution, self.tried = 0, 1.0, False
 
-    def restore(self, first: int, coefficients: Array, best_square: Array, bare_square: Array, speed: Array) -> None:
-        """Take the columns of a saved table; (n,) each, from node ``first`` on."""
+    def restore(self, first: int, best: Array, best_square: Array, bare_square: Array, speed: Array) -> None:
+        """Take the rows of a saved table; (n,) each, from node ``first`` on."""
         self.first = first
-        self.coefficients, self.best = coefficients.copy(), coefficients.copy()
-        self.best_square, self.bare_square, self.speed = best_square.copy(), bare_square.copy(), speed.copy()
+        self.nodes = np.array([best, best, best_square, bare_square, speed])
         self.updates, self.caution, self.tried = _MANY, 1.0, False
         self._publish()
+
+    def between(self, first: int, end: int) -> Array:
+        """``nodes`` from ``first`` to before ``end``, which are all of the table's or more."""
+        if not self.nodes.size:
+            return np.repeat(_UNKNOWN, end - first, axis=1)
+        before, after = self.first - first, end - self.first - self.nodes.shape[1]
+        unknown = [np.repeat(_UNKNOWN, count, axis=1) for count in (before, after)]
+        return np.concatenate([unknown[0], self.nodes, unknown[1]], axis=1)
 
     def at(self, x: float, speed: float) -> tuple[float, float, float, float]:
         """Weight of the correction at a speed in m/s, the correction in m, and its first two derivatives by x in m/m
@@ -129,13 +135,19 @@ class LearnedTable:
         the stage in m/s; ``wanted(gain)`` is the correction for the next pass at these, m. ``gain`` is that of the
         learning before ``caution``, ``limit`` the largest coefficient in m.
         """
-        self._cover(x)
+        low = math.floor(float(x.min()) / self.spacing) - _ENDS
+        end = math.ceil(float(x.max()) / self.spacing) + _ENDS + 1
+        if self.nodes.size:
+            low, end = min(low, self.first), max(end, self.first + self.nodes.shape[1])
+        self.nodes, self.first = self.between(low, end), low
         node = np.floor(x / self.spacing + 0.5).astype(np.intp) - self.first
-        visits = np.bincount(node, minlength=self.coefficients.size)
+        visits = np.bincount(node, minlength=end - low)
         with np.errstate(invalid="ignore"):
             square = np.bincount(node, error * error, visits.size) / visits
             passed_at = np.bincount(node, speed, visits.size) / visits
-        self._forget_other_speeds(passed_at)
+        other = np.abs(passed_at - self.nodes[SPEED]) > _OTHER_SPEED * self.nodes[SPEED]
+        self.nodes[:, other & (self.nodes[SPEED] > 0.0)] = _UNKNOWN
+        self.nodes[SPEED, other] = passed_at[other]
         if self._accepted(visits, square):
             values = wanted(gain * self.caution)
             weights = np.bincount(node, weight, visits.size)
@@ -144,63 +156,50 @@ class LearnedTable:
                 means = np.bincount(node, weight * values, visits.size)[known] / weights[known]
                 # At high speed a node may lie between two samples.
                 between = np.arange(known[0], known[-1] + 1)
-                self.coefficients[between] = np.clip(np.interp(between, known, means), -limit, limit)
+                self.nodes[COEFFICIENT, between] = np.clip(np.interp(between, known, means), -limit, limit)
                 self.updates += 1
                 self.tried = True
         self._publish()
 
     def _accepted(self, visits: NDArray[np.intp], square: Array) -> bool:
         """Whether a pass is good enough to learn from; if not, the table goes back to the best pass."""
-        now, best = _sums(visits, square, self.best_square)
+        coefficients, best, best_square, bare_square, _ = self.nodes
+        now, least = _sums(visits, square, best_square)
         visited = visits > 0
-        if now > best * (1.0 + self._margin) ** 2:
+        if now > least * (1.0 + self._margin) ** 2:
             if self.tried:
-                self.coefficients, self.tried = self.best.copy(), False
+                coefficients[:] = best
+                self.tried = False
                 self.caution *= 0.5
                 return False
             # The machine has changed: the best pass counts no more. The table may still be better than none.
-            now, bare = _sums(visits, square, self.bare_square)
+            now, bare = _sums(visits, square, bare_square)
             if now > bare:
                 self.clear()
                 return False
-            self.best_square[visited] = square[visited]
-        elif now <= best:
+            best_square[visited] = square[visited]
+        elif now <= least:
             if self.tried:
                 self.caution = min(1.0, 2.0 * self.caution)
             # Only where the stage was: elsewhere the last update is not proved yet.
             proved = slice(*(np.flatnonzero(visited)[[0, -1]] + (0, 1)))
-            self.best[proved] = self.coefficients[proved]
-            self.tried = not np.array_equal(self.best, self.coefficients)
-            self.best_square[visited] = square[visited]
-        for kept in (self.best_square, self.bare_square):
+            best[proved] = coefficients[proved]
+            self.tried = not np.array_equal(best, coefficients)
+            best_square[visited] = square[visited]
+        for kept in (best_square, bare_square):
             new = visited & np.isnan(kept)
             kept[new] = square[new]
         return True
 
-    def _forget_other_speeds(self, passed_at: Array) -> None:
-        """Reset the nodes passed at another speed than before; ``passed_at`` is NaN where they were not passed."""
-        other = np.abs(passed_at - self.speed) > _OTHER_SPEED * self.speed
-        known = other & (self.speed > 0.0)
-        for name, unknown in _UNKNOWN.items():
-            getattr(self, name)[known] = unknown
-        self.speed[other] = passed_at[other]
-
-    def _cover(self, x: Array) -> None:
-        """Extend the table over all of ``x``."""
-        low = math.floor(float(x.min()) / self.spacing) - _ENDS
-        high = math.ceil(float(x.max()) / self.spacing) + _ENDS
-        if self.coefficients.size == 0:
-            self.first = low
-        before = max(0, self.first - low)
-        after = max(0, high + 1 - self.first - self.coefficients.size)
-        for name, unknown in _UNKNOWN.items():
-            setattr(self, name, np.pad(getattr(self, name), (before, after), constant_values=unknown))
-        self.first -= before
-
     def _publish(self) -> None:
         """Lists for :meth:`at`, whose time would be mostly NumPy's overhead; replaced at once: it may run in another
         thread."""
-        self._lookup = (self.first, self.coefficients.size - 2, self.coefficients.tolist(), self.speed.tolist())
+        self._lookup = (
+            self.first,
+            self.nodes.shape[1] - 2,
+            self.nodes[COEFFICIENT].tolist(),
+            self.nodes[SPEED].tolist(),
+        )
 
 
 def _sums(visits: NDArray[np.intp], square: Array, other: Array) -> tuple[float, float]:
@@ -219,18 +218,15 @@ def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> N
     be.
     """
     spacing = tables[True].spacing
-    filled = [table for table in tables.values() if table.best.size]
+    filled = [table for table in tables.values() if table.nodes.size]
     if not filled:
         return
     first = min(table.first for table in filled)
-    last = max(table.first + table.best.size for table in filled)
+    last = max(table.first + table.nodes.shape[1] for table in filled)
     columns = []
-    for _, forward in _DIRECTIONS:
-        table = tables[forward]
-        around = (table.first - first, last - table.first - table.best.size) if table.best.size else (last - first, 0)
-        columns += [np.pad(values, around) for values in (table.best, table.speed)]
-        for squares in (table.best_square, table.bare_square):
-            columns.append(np.sqrt(np.pad(squares, around, constant_values=math.nan)))
+    for forward in (True, False):
+        nodes = tables[forward].between(first, last)
+        columns += [nodes[BEST], nodes[SPEED], np.sqrt(nodes[BEST_SQUARE]), np.sqrt(nodes[BARE_SQUARE])]
     lines = [
         "# Correction of the reference learned by straightcomp, as coefficients of a uniform cubic B-spline over x.",
         "# rms: of r - y in the best pass; bare_rms: without a correction; empty where nothing was learned.",
@@ -275,8 +271,8 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
             f"{file}, line {rows[at][0]}: x_m {float(x[at]):.9g}; allowed: {(first + at) * spacing:.9g}, "
             f"nodes {spacing:g} m apart without a gap (learning.spacing)"
         )
-    for index, (_, forward) in enumerate(_DIRECTIONS):
-        correction, speed, rms, bare_rms = numbers[:, 1 + 4 * index : 5 + 4 * index].T
+    for forward, columns in ((True, numbers[:, 1:5]), (False, numbers[:, 5:9])):
+        correction, speed, rms, bare_rms = columns.T
         tables[forward].restore(first, correction, rms * rms, bare_rms * bare_rms, speed)
 
 
@@ -288,12 +284,13 @@ def _numbers(where: str, line: str) -> list[float]:
     numbers = []
     for name, cell in zip(_HEADER, cells, strict=True):
         try:
-            numbers.append(float(cell or "nan"))
+            value = float(cell or "nan")
         except ValueError:
-            numbers.append(math.inf)
+            value = math.inf
         largest = math.inf if name == "x_m" or "speed" in name else _LARGEST
         unknown = name.endswith("rms_m") and not cell
-        if not (unknown or (math.isfinite(numbers[-1]) and abs(numbers[-1]) <= largest)):
+        if not (unknown or (math.isfinite(value) and abs(value) <= largest)):
             words = "a finite number" if largest == math.inf else f"a number within ± {largest:g} m"
             raise LearningFileError(f"{where}: {name} {cell!r}; allowed: {words}")
+        numbers.append(value)
     return numbers
