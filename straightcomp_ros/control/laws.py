@@ -8,7 +8,7 @@ from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
-from straightcomp_ros.control.smc_observer import LagWeights, RestGains, SizeGains
+from straightcomp_ros.control.smc_observer import RestGains, SizeGains
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 
@@ -145,8 +145,9 @@ def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_obse
     return smc_observer.Stiffness(
         factor * design.surface,
         factor * design.reaching,
-        observer_gains(bandwidth, design.third_pole, period),
-        LagWeights(1.0 - math.exp(-rate), 1.0 - math.exp(-rate * design.third_pole)),
+        *observer_gains(bandwidth, design.third_pole, period),
+        double=1.0 - math.exp(-rate),
+        third=1.0 - math.exp(-rate * design.third_pole),
     )
 
 

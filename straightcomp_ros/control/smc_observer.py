@@ -90,13 +90,6 @@ class SizeGains(NamedTuple):
     largest: float
 
 
-class LagWeights(NamedTuple):
-    """Weights of a new value in the lags of the observer's double pole and of its third pole."""
-
-    double: float
-    third: float
-
-
 class Lags(NamedTuple):
     """The last F̄ and the one before, and their mean behind one, two and three lags, m/s²."""
 
@@ -144,12 +137,16 @@ class RestGains(NamedTuple):
 
 
 class Stiffness(NamedTuple):
-    """λ and κ in 1/s, the observer's gains, and the weights of its lags."""
+    """λ and κ in 1/s, the observer's gains (`ObserverGains`), and the weights of a new value in the lags of its double
+    pole and of its third pole."""
 
     surface: float
     reaching: float
-    observer: ObserverGains
-    lags: LagWeights
+    position: float
+    velocity: float
+    disturbance: float
+    double: float
+    third: float
 
 
 class Gains(NamedTuple):
@@ -203,8 +200,10 @@ def step(
 ) -> tuple[State, Command]:
     """One sample; see the module."""
     s = _stiffness(g, state.fit.misfit_square)
-    observed = corrected(s.observer, with_measured_current(g.loop, state.prior, current), y)
-    bristle, unit, fit = _known_friction(g, s, state, observed, r, r_dot)
+    gains = ObserverGains(s.position, s.velocity, s.disturbance)
+    observed = corrected(gains, with_measured_current(g.loop, state.prior, current), y)
+    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, r_dot, observed.velocity)
+    fit = fitted(g.size, s, state.fit, r, r_dot, unit, observed.disturbance)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
     at = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
@@ -225,13 +224,15 @@ def _stiffness(g: Gains, misfit_square: float) -> Stiffness:
     """Between quiet and stiff, by the mean square of the misfit in (m/s²)²."""
     share = max(0.0, min(1.0, math.sqrt(max(0.0, misfit_square)) / g.misfit - 1.0))
     a, b = g.quiet, g.stiff
-    observer = ObserverGains(
-        _between(a.observer.position, b.observer.position, share),
-        _between(a.observer.velocity, b.observer.velocity, share),
-        _between(a.observer.disturbance, b.observer.disturbance, share),
+    return Stiffness(
+        _between(a.surface, b.surface, share),
+        _between(a.reaching, b.reaching, share),
+        _between(a.position, b.position, share),
+        _between(a.velocity, b.velocity, share),
+        _between(a.disturbance, b.disturbance, share),
+        _between(a.double, b.double, share),
+        _between(a.third, b.third, share),
     )
-    lags = LagWeights(_between(a.lags.double, b.lags.double, share), _between(a.lags.third, b.lags.third, share))
-    return Stiffness(_between(a.surface, b.surface, share), _between(a.reaching, b.reaching, share), observer, lags)
 
 
 @compilable
@@ -240,21 +241,12 @@ def _between(one: float, other: float, share: float) -> float:
 
 
 @compilable
-def _known_friction(
-    g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float
-) -> tuple[float, float, Fit]:
-    """Friction from this sample to the next: z in m, F̄ in m/s², and the fit."""
-    velocity = r_dot + g.share * (observed.velocity - r_dot)
-    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
-    return bristle, unit, fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
-
-
-@compilable
-def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tuple[float, float]:
-    """z after this sample's period, m, and the acceleration by friction divided by its size, m/s²."""
+def _unit_friction(g: Gains, size: float, bristle: float, r_dot: float, observed: float) -> tuple[float, float]:
+    """z in m after this sample's period, and F̄ in m/s² until then; r_dot and the ``observed`` velocity in m/s."""
     if size <= 0.0:
         # Only in the linearisation of `margins.py`.
         return bristle, 0.0
+    velocity = r_dot + g.share * (observed - r_dot)
     coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
     lugre = LuGre(size * coulomb, size * static, stribeck_velocity, stiffness, damping, viscous)
     after = bristle_after(lugre, bristle, velocity, g.loop.period)
@@ -262,7 +254,7 @@ def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tu
 
 
 @compilable
-def lagged(g: LagWeights, lags: Lags, unit: float) -> Lags:
+def lagged(g: Stiffness, lags: Lags, unit: float) -> Lags:
     """The lags at the next sample; ``unit`` is F̄ until then."""
     first = lags.first + g.double * (0.5 * (lags.last + lags.before) - lags.first)
     second = lags.second + g.double * (first - lags.second)
@@ -270,13 +262,13 @@ def lagged(g: LagWeights, lags: Lags, unit: float) -> Lags:
 
 
 @compilable
-def fitted(g: SizeGains, weights: LagWeights, fit: Fit, r: float, r_dot: float, unit: float, others: float) -> Fit:
+def fitted(g: SizeGains, stiffness: Stiffness, fit: Fit, r: float, r_dot: float, unit: float, others: float) -> Fit:
     """The fit after one sample with the reference ``r`` and ``r_dot`` (m, m/s).
 
     ``unit`` is F̄ from this sample to the next, ``others`` the observer's disturbance without friction, both in m/s²;
     with s F̄ behind the lags the latter is d.
     """
-    lags = lagged(weights, fit.lags, unit)
+    lags = lagged(stiffness, fit.lags, unit)
     if abs(r_dot) <= g.speed:
         return Fit(*fit[:11], lags)
     c, b, s, p00, p01, p02, p11, p12, p22 = fit[:9]

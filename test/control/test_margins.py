@@ -63,6 +63,11 @@ def test_beyond_its_margins_the_loop_is_unstable(name):
     assert max(abs(in_time)) < 1.0 < max(abs(late))
 
 
+def test_a_loop_that_is_unstable_has_no_margins():
+    poles, *margins = loop_margins(law("smc", smc=SlidingDesign(boundary_layer=5e-4)), STAGE)
+    assert max(abs(poles)) > 1.0 and margins == [1.0, 1.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("delayed", [False, True])
 def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
     """L = k/(z − 1), or k/(z (z − 1)): |L| = 1 where 2 sin(ωT/2) = k."""
@@ -121,9 +126,3 @@ def test_the_border_of_stability_is_the_one_next_to_the_stable_value():
     assert last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
     assert last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
     assert last_stable(lambda value: True, 0.0, 99.0) == 99.0
-
-
-def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
-    thin = law("smc", smc=SlidingDesign(boundary_layer=5e-4))
-    margins = loop_margins(thin, STAGE)
-    assert max(abs(margins.poles)) > 1.0 and margins.longest_delay == 0.0

@@ -53,23 +53,15 @@ def test_a_constant_disturbance_is_found_exactly():
     assert estimate.disturbance == pytest.approx(disturbance, rel=1e-6)
 
 
-@pytest.mark.parametrize("y", [2e-4, 1.4e-3, 1.6e-3, 1.0])
-def test_mirroring_the_platform_mirrors_the_prediction(y):
-    over = interval(RATE, PERIOD)
-    ahead = predicted(ACTUATOR, 3.0, over, Estimate(y, 2e-3, 0.3, 0.02), 0.05)
-    mirrored = predicted(ACTUATOR, 3.0, over, Estimate(-y, -2e-3, -0.3, -0.02), -0.05)
-    assert mirrored == pytest.approx([-value for value in ahead], rel=1e-12)
+def test_the_magnets_pull_is_odd_and_grows_up_to_the_edge_of_the_gap_and_stays_so_beyond():
+    def pull(part, sign=1.0):
+        estimate = Estimate(sign * part * ACTUATOR.air_gap, 2e-3 * sign, 0.3 * sign, 0.02 * sign)
+        return predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), estimate, 0.05 * sign)
 
-
-def test_the_magnets_pull_grows_up_to_the_edge_of_the_gap_and_stays_so_beyond():
-    gap = ACTUATOR.air_gap
-    pulls = [
-        predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), Estimate(part * gap, 0.0, 0.0, 0.0), 0.0).velocity
-        for part in (0.0, 0.5, 0.9, 0.94, 0.95, 0.96, 2.0)
-    ]
-    assert pulls[0] == pytest.approx(0.0, abs=1e-12)
-    assert pulls[0] < pulls[1] < pulls[2] < pulls[3] < pulls[4]
-    assert pulls[4] == pulls[5] == pulls[6]
+    speeds = [pull(part).velocity for part in (0.0, 0.5, 0.9, 0.94, 0.95, 0.96, 2.0)]
+    assert speeds[:5] == sorted(set(speeds)) and speeds[4] == pytest.approx(speeds[5]) == pytest.approx(speeds[6])
+    for part in (0.13, 0.95, 600.0):
+        assert pull(part, -1.0) == pytest.approx([-value for value in pull(part)], rel=1e-12)
 
 
 def test_the_force_is_that_of_the_place_reached_halfway():
@@ -83,8 +75,8 @@ def test_the_mean_of_an_interval_is_the_integral_of_the_coils_decay():
     for duration in (1e-6, PERIOD, 0.02):
         times = np.linspace(0.0, duration, 20_001)
         decay = np.exp(-RATE * times)
-        assert interval(RATE, duration).mean == pytest.approx(np.trapezoid(decay, times) / duration, rel=1e-5)
-        assert interval(RATE, duration).left == pytest.approx(decay[-1], rel=1e-12)
+        mean = np.trapezoid(decay, times) / duration
+        assert interval(RATE, duration) == pytest.approx((duration, decay[-1], mean), rel=1e-5)
     assert interval(RATE, 0.0) == (0.0, 1.0, 1.0)
 
 
@@ -92,36 +84,24 @@ def nominal(delay_samples=0.5):
     return nominal_loop(StageParameters(), delay_samples=delay_samples)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
-def test_the_two_parts_of_a_period_are_divided_at_the_delay(delay):
-    rate = 2.0 * math.pi * 500.0
-    found = nominal(delay)
-    assert (found.period, found.delay) == (PERIOD, pytest.approx(delay * PERIOD))
-    assert found.before_action == interval(rate, delay * PERIOD)
-    assert found.after_action == interval(rate, (1.0 - delay) * PERIOD)
-    assert (found.mass, found.current_limit) == (3.0, 0.9)
-    slope = (magnetic_force(ACTUATOR, 0.0, ACTUATOR.bias_current, 1e-6)) / 1e-6 / 3.0
+@pytest.mark.parametrize("delay", [0.0, 0.25, 0.9, 1.0])
+def test_a_period_is_divided_at_the_delay_and_a_step_of_current_counts_by_its_mean_over_its_end(delay):
+    found, acting = nominal(delay), (1.0 - delay) * PERIOD
+    assert (found.period, found.delay, found.mass, found.current_limit) == (PERIOD, delay * PERIOD, 3.0, 0.9)
+    assert (found.before_action, found.after_action) == (interval(RATE, delay * PERIOD), interval(RATE, acting))
+    slope = magnetic_force(ACTUATOR, 0.0, ACTUATOR.bias_current, 1e-6) / 1e-6 / 3.0
     assert found.current_gain == pytest.approx(slope, rel=1e-6)
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.5, 0.9])
-def test_the_share_of_a_current_step_is_its_mean_over_the_period_relative_to_its_end(delay):
-    rate, acting = 2.0 * math.pi * 500.0, (1.0 - delay) * PERIOD
-    steps = 20_000
-    risen = [1.0 - math.exp(-rate * acting * (k + 0.5) / steps) for k in range(steps)]
-    mean = sum(risen) / steps * acting / PERIOD
-    assert nominal(delay).current_share == pytest.approx(mean / (1.0 - math.exp(-rate * acting)), rel=1e-6)
+    risen = 1.0 - np.exp(-RATE * np.linspace(0.0, acting, 20_001))
+    share = np.trapezoid(risen, dx=acting / 20_000) / PERIOD / risen[-1] if acting else 0.0
+    assert found.current_share == pytest.approx(share, rel=1e-6)
 
 
 def test_a_larger_current_than_predicted_has_made_the_platform_faster_by_its_share():
     g, prior = nominal(), Estimate(1e-6, 2e-3, 0.3, 0.05)
-    found = with_measured_current(g, prior, 0.07)
     gained = 0.02 * g.current_share * PERIOD * g.current_gain
-    assert gained > 0.0 and found.velocity - prior.velocity == pytest.approx(gained)
-    assert found.y - prior.y == pytest.approx(0.5 * PERIOD * gained, rel=1e-4)
-    assert (found.disturbance, found.current) == (0.3, 0.07)
+    expected = (1e-6 + 0.5 * PERIOD * gained, 2e-3 + gained, 0.3, 0.07)
+    assert gained > 0.0 and with_measured_current(g, prior, 0.07) == pytest.approx(expected, rel=1e-9)
     assert with_measured_current(g, prior, math.nan) == prior
-    assert with_measured_current(g, prior, 0.05) == pytest.approx(prior, rel=1e-12)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
