@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import IdentificationError
-from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.analysis.record import Array
+from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
@@ -29,22 +30,16 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 
 
 def readback_lag(bag: Path) -> int:
-    """Samples; 0 where the bag does not say it.
-
-    Raises:
-        BagError: the bag cannot be read.
-        ParameterError: its parameters, or the DBC file that they name, cannot be used here.
-    """
+    """Samples; 0 where the bag does not say it. BagError if it cannot be read, ParameterError if its parameters, or the
+    DBC file that they name, cannot be used here."""
     driver = recorded_parameters(bag, read_attachments(bag)).get("driver", {})
-    if driver.get("hardware") != "can":
-        return 0
-    lag: int = node_parameters("driver", {"driver": driver}).readback_lag
-    return lag
+    on_can = driver.get("hardware") == "can"
+    return int(node_parameters("driver", {"driver": driver}).readback_lag) if on_can else 0
 
 
-def advanced(current: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
+def advanced(current: Array, lag: int) -> Array:
     """``current`` (n,) moved to the samples at which it was measured; the last ones are not known yet: NaN."""
-    return np.concatenate([current[lag:], np.full(lag, np.nan)]) if lag else current
+    return np.concatenate([current[lag:], np.full(lag, np.nan)])
 
 
 SHORTEST, LONGEST = 2000, 60_000
@@ -57,22 +52,14 @@ SWITCH_ON = 10
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """An unbroken stretch with the amplifier on; all arrays (n,), one entry for each sample.
+    """An unbroken stretch with the amplifier on; all arrays (n,), one entry for each sample."""
 
-    Attributes:
-        period_ns: sampling period in ns.
-        x, y: encoder readings of stage and platform, m.
-        current: measured control current of the coils, A.
-        command: commanded control current in answer to the sample, A.
-        total: samples in the bag.
-    """
-
-    period_ns: int
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    current: NDArray[np.float64]
-    command: NDArray[np.float64]
-    total: int
+    period_ns: int  # of the samples
+    x: Array  # encoder reading of the stage, m
+    y: Array  # and of the platform
+    current: Array  # measured control current of the coils, A
+    command: Array  # commanded control current in answer to the sample, A
+    total: int  # samples in the bag
 
     @property
     def duration(self) -> float:
@@ -91,8 +78,7 @@ def read_recording(bag: Path) -> Recording:
     for stream in (ENCODER, COMMAND):
         if stream.topic not in streams:
             raise IdentificationError(f"bag {bag}: has no messages on '{stream.topic}'; record driver and controller")
-    encoder = streams[ENCODER.topic].by_stamp()
-    stamps = encoder.stamp
+    encoder, commands = (streams[stream.topic].by_stamp() for stream in (ENCODER, COMMAND))
     x, y, current = (encoder.columns[name] for name in ("x", "y", "coil_current"))
     current = advanced(current, readback_lag(bag))
     if not np.isfinite(current).any():
@@ -100,8 +86,16 @@ def read_recording(bag: Path) -> Recording:
             f"bag {bag}: the amplifier is off throughout (coil_current is NaN in all {len(current)} samples); "
             "record with the amplifier on"
         )
-    period_ns = round(float(np.median(np.diff(stamps)))) if len(stamps) > 1 else 0
-    start, stop = _longest_stretch(stamps, np.isfinite(current) & np.isfinite(y), period_ns)
+    steps = np.diff(encoder.stamp)
+    period_ns = round(float(np.median(steps))) if steps.size else 0
+    # The longest run of usable samples a period apart.
+    usable = np.isfinite(current) & np.isfinite(y)
+    broken = (steps > 1.5 * period_ns) | ~usable[:-1] | ~usable[1:]
+    edges = np.flatnonzero(np.concatenate([[True], broken, [True]]))
+    longest = int(np.argmax(np.diff(edges)))
+    stop = int(edges[longest + 1])
+    # At the start of the bag the amplifier may have been on for long, but nothing says so.
+    start = min(int(edges[longest]) + SWITCH_ON, stop)
     if stop - start < SHORTEST:
         raise IdentificationError(
             f"bag {bag}: the longest stretch with the amplifier on and no sample lost has {stop - start} samples; "
@@ -114,28 +108,11 @@ def read_recording(bag: Path) -> Recording:
             f"bag {bag}: nothing moves: the platform stays within {travel * 1e6:.2g} µm, the stage within "
             f"{float(np.ptp(x[stretch])) * 1e3:.3g} mm; allowed: platform >= {LEAST_TRAVEL * 1e6:g} µm; move the stage"
         )
-    command = _held(stamps[stretch], streams[COMMAND.topic])
-    return Recording(period_ns, x[stretch], y[stretch], current[stretch], command, len(stamps))
+    # The command before replaces a missing one, as in the amplifier.
+    before = np.searchsorted(commands.stamp, encoder.stamp[stretch], side="right") - 1
+    command = np.where(before >= 0, commands.columns["control_current"][np.maximum(before, 0)], 0.0)
+    return Recording(period_ns, x[stretch], y[stretch], current[stretch], command, len(steps) + 1)
 
-
-def _longest_stretch(stamps: NDArray[np.int64], usable: NDArray[np.bool_], period_ns: int) -> tuple[int, int]:
-    """First sample and the one after the last, of the longest run of usable samples a period apart."""
-    broken = np.concatenate([[True], (np.diff(stamps) > 1.5 * period_ns) | ~usable[:-1] | ~usable[1:], [True]])
-    edges = np.flatnonzero(broken)
-    longest = int(np.argmax(np.diff(edges)))
-    start, stop = int(edges[longest]), int(edges[longest + 1])
-    # At the start of the bag the amplifier may have been on for long, but nothing says so.
-    return min(start + SWITCH_ON, stop), stop
-
-
-def _held(stamps: NDArray[np.int64], stream: StreamColumns) -> NDArray[np.float64]:
-    """The command for each stamp; the one before replaces a missing one, as in the amplifier."""
-    own = stream.by_stamp()
-    before = np.searchsorted(own.stamp, stamps, side="right") - 1
-    return np.where(before >= 0, own.columns["control_current"][np.maximum(before, 0)], 0.0)
-
-
-Array = NDArray[np.float64]
 
 _TUNING = 1.345
 """Standard deviations from which a residual counts less: of normal residuals, 95 % of the information is used."""
@@ -187,27 +164,16 @@ _EXACT = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class CurrentPath:
-    """Commands for an amplifier that starts each period from the measured current.
+    """Commands for an amplifier that starts each period from the measured current."""
 
-    Attributes:
-        rate: of the first-order amplifier, rad/s.
-        before, after: (n,) commanded current in A, from each sample and from ``switch_ns`` after it.
-        switch_ns: (n,) int64 ns.
-        delay: median time from a sample to the arrival of its command, s; NaN where the measured current is
-            interpolated, because no amplifier explains it.
-        rate_found: whether the rate comes from the record, or else from the parameters.
-        rate_deviation: standard deviation of a rate from the record by its residuals, rad/s; 0 for one from elsewhere.
-        delay_spread: delays in s that a twentieth of the commands come before, and after; NaN with ``delay``.
-    """
-
-    rate: float
-    before: Array
-    after: Array
+    rate: float  # of the first-order amplifier, rad/s
+    before: Array  # (n,) commanded current in A from each sample
+    after: Array  # and from switch_ns after it
     switch_ns: NDArray[np.int64]
-    delay: float
-    rate_found: bool
-    rate_deviation: float
-    delay_spread: tuple[float, float]
+    delay: float  # median from a sample to its command's arrival, s; NaN if no amplifier explains the measured current
+    rate_found: bool  # whether the rate comes from the record, or else from the parameters
+    rate_deviation: float  # standard deviation of a rate from the record by its residuals, rad/s; else 0
+    delay_spread: tuple[float, float]  # in s, a twentieth of the commands come before, and after; NaN with the delay
 
 
 def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
@@ -269,7 +235,7 @@ def _arrivals(
     n = len(current)
     following = np.append(current[1:], current[-1])
     keep = math.exp(-rate * period)
-    best = (np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.full(n, np.inf))
+    best = (*np.zeros((3, n)), np.zeros(n, np.int64), np.full(n, np.inf))
     for late in sorted(range(_LATEST), key=lambda late: abs(late - usual)):
         new = np.concatenate([np.full(late, asked[0]), asked[: n - late]])
         old = np.concatenate([new[:1], new[:-1]])
@@ -282,5 +248,5 @@ def _arrivals(
         answer = (old, new, period + np.log(left) / rate, np.full(n, late), missed)
         # The usual one, if it explains the step: another one does so at times by chance.
         better = np.abs(missed) < 0.5 * np.abs(best[4]) - 1e-12
-        best = tuple(np.where(better, a, b) for a, b in zip(answer, best, strict=True))  # type: ignore[assignment]
+        best = tuple(np.where(better, a, b) for a, b in zip(answer, best, strict=True))
     return best

@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.record import Array
 
 BANDS = ((0.0, 10.0), (10.0, 100.0), (100.0, 1000.0))
 """Bands in Hz of the reported errors: map and friction, the loop's own bandwidth, noise and chatter."""
@@ -45,8 +46,8 @@ SLIP = 0.5
 class Spectrum:
     """One-sided power spectral density: frequency (m,) in Hz, density (m,) in m²/Hz; empty for too few samples."""
 
-    frequency: NDArray[np.float64]
-    density: NDArray[np.float64]
+    frequency: Array
+    density: Array
 
     def band_rms(self, low: float, high: float) -> float:
         """RMS in m of the band from ``low`` (inclusive) to ``high`` Hz; NaN for an empty spectrum."""
@@ -64,7 +65,7 @@ class Spectrum:
         return [(float(self.frequency[place]), float(self.density[place])) for place in highest]
 
 
-def error_spectrum(time: NDArray[np.float64], error: NDArray[np.float64]) -> Spectrum:
+def error_spectrum(time: Array, error: Array) -> Spectrum:
     """Spectrum by Welch's method: segments of :data:`SEGMENT` that overlap by half, Hann window, mean removed.
 
     ``error`` (n,) in m at ``time`` (n,) in s, rising, is interpolated over short gaps; the spectra of the
@@ -85,7 +86,7 @@ def error_spectrum(time: NDArray[np.float64], error: NDArray[np.float64]) -> Spe
     return Spectrum(spectra[0][0], density)
 
 
-def stretches(time: NDArray[np.float64], *columns: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], ...]]:
+def stretches(time: Array, *columns: Array) -> Iterator[tuple[Array, ...]]:
     """The ``columns`` (n,) of each stretch of ``time`` (n,) in s without a gap of more than :data:`FILLED`, on its even
     grid: single samples that are missing are interpolated, a pause of the recording never."""
     steps = np.diff(time)
@@ -111,35 +112,31 @@ class StickSlip:
     slip: float
 
 
-def stick_slips(
-    time: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], r: NDArray[np.float64]
-) -> list[StickSlip]:
+def stick_slips(time: Array, x: Array, y: Array, r: Array) -> list[StickSlip]:
     """The events in one stroke; all arrays (n,), in s and m, as the encoders see them."""
     events = []
     for start, stop in _standing(y):
-        ahead = r[stop - 1] - r[start]
+        last = stop - 1
+        ahead = r[last] - r[start]
         if abs(ahead) < STUCK:
             continue
-        until = int(np.searchsorted(time, time[stop - 1] + SLIP_TIME))
-        way = np.sign(ahead)
-        gained = way * ((y[stop - 1 : until + 1] - y[stop - 1]) - (r[stop - 1 : until + 1] - r[stop - 1]))
-        if len(gained) and gained.max() >= SLIP * abs(ahead):
-            slip = float(np.abs(y[stop - 1 : until + 1] - y[stop - 1]).max())
-            events.append(StickSlip(float(time[start]), float(x[start]), float(time[stop - 1] - time[start]), slip))
+        after = slice(last, int(np.searchsorted(time, time[last] + SLIP_TIME)) + 1)
+        moved = y[after] - y[last]
+        gained = np.sign(ahead) * (moved - (r[after] - r[last]))
+        if gained.max() >= SLIP * abs(ahead):
+            slip = float(np.abs(moved).max())
+            events.append(StickSlip(float(time[start]), float(x[start]), float(time[last] - time[start]), slip))
     return events
 
 
-def _standing(y: NDArray[np.float64]) -> list[tuple[int, int]]:
+def _standing(y: Array) -> list[tuple[int, int]]:
     """Samples (first, one after the last) of each longest stretch that stays within :data:`STANDING` of its start."""
-    places = np.concatenate([[0], np.flatnonzero(np.diff(y)) + 1, [len(y)]]).tolist()
-    levels = y[places[:-1]].tolist()
     stretches, start = [], 0
-    for place, level in zip(places[:-1], levels, strict=True):
-        if abs(level - y[start]) > STANDING:
+    for place in (np.flatnonzero(np.diff(y)) + 1).tolist():
+        if abs(y[place] - y[start]) > STANDING:
             stretches.append((start, place))
             start = place
-    stretches.append((start, len(y)))
-    return stretches
+    return [*stretches, (start, len(y))]
 
 
 _SCALES = ((0.25, 40.0), (1.0, 8.0))
@@ -171,31 +168,23 @@ class Oscillation(NamedTuple):
     frequency: float
 
 
-def tolerated_amplitude(error: NDArray[np.float64], count: float, uncompensated: float) -> float:
-    """Amplitude in m up to which a line in ``error`` is no oscillation of the loop.
-
-    Args:
-        error: (n,) in m.
-        count: one count of the encoder, m.
-        uncompensated: what a platform that stands still would leave, p-p in m.
-    """
+def tolerated_amplitude(error: Array, count: float, uncompensated: float) -> float:
+    """Amplitude in m up to which a line in ``error`` (n,) is no oscillation of the loop; ``count`` is that of the
+    encoder, ``uncompensated`` what a platform that stands still would leave, p-p, all in m."""
     return max(count, _DEVIATION * uncompensated, _SHARE * float(np.std(error)))
 
 
-def sustained_oscillation(error: NDArray[np.float64], reference: NDArray[np.float64], period: float) -> Oscillation:
+def sustained_oscillation(error: Array, reference: Array, period: float) -> Oscillation:
     """The strongest line that ``error`` holds on either scale, or throughout if it is shorter.
 
-    Its amplitude is the smallest over its segments. An ``error`` shorter than a segment (0.25 s) has none.
-
-    Args:
-        error: (n,) finite, in m.
-        reference: (n,) what the platform was to follow at the same samples, in m.
-        period: sampling period in s.
+    Its amplitude is the smallest over its segments. An ``error`` shorter than a segment (0.25 s) has none. ``error``
+    and ``reference``, what the platform was to follow at the same samples, are (n,), finite, in m; ``period`` is that
+    of the samples in s.
     """
     return max(_held_line(error, reference, period, *scale) for scale in _SCALES)
 
 
-def irregular_oscillation(error: NDArray[np.float64], reference: NDArray[np.float64], period: float) -> Oscillation:
+def irregular_oscillation(error: Array, reference: Array, period: float) -> Oscillation:
     """What ``error`` does beyond what ``reference`` asks for, if that is most of it, whether it is a line or not.
 
     For an error that is known to be large: a loop that reaches the current limit changes its frequency from one moment
@@ -211,33 +200,29 @@ def irregular_oscillation(error: NDArray[np.float64], reference: NDArray[np.floa
     own[: _LOBE + 1] = 0.0
     if own.sum() < _MOST * power.sum():
         return Oscillation(0.0, 0.0)
-    frequencies = np.fft.rfftfreq(length, period)
-    return Oscillation(float(np.sqrt(own.sum() / _HANN_BANDWIDTH)), float(frequencies[own.argmax()]))
+    return Oscillation(
+        float(np.sqrt(own.sum() / _HANN_BANDWIDTH)), float(np.fft.rfftfreq(length, period)[own.argmax()])
+    )
 
 
-def _held_line(
-    error: NDArray[np.float64], reference: NDArray[np.float64], period: float, span: float, lowest: float
-) -> Oscillation:
+def _held_line(error: Array, reference: Array, period: float, span: float, lowest: float) -> Oscillation:
     length = round(span / period)
     if error.size < length:
         return Oscillation(0.0, 0.0)
     frequencies = np.fft.rfftfreq(length, period)
     power, asked = (_power(values, length) for values in (error, reference))
     power[:, frequencies < lowest] = 0.0
-    peaks = power.argmax(axis=1)
-    near = np.abs(np.arange(frequencies.size) - peaks[:, np.newaxis]) <= _LOBE
+    near = np.abs(np.arange(frequencies.size) - power.argmax(axis=1)[:, np.newaxis]) <= _LOBE
     own = np.where(near, power, 0.0)
     line, there = own.sum(axis=1), np.where(near, asked, 0.0).sum(axis=1)
     found = (line > _MOST * power.sum(axis=1)) & (line > _ASKED**2 * there)
     amplitudes = np.where(found, np.sqrt(line / _HANN_BANDWIDTH), 0.0)
     held = sliding_window_view(amplitudes, min(_HELD, amplitudes.size)).min(axis=1)
     at = int(held.argmax())
-    if held[at] == 0.0:
-        return Oscillation(0.0, 0.0)
-    return Oscillation(float(held[at]), float(own[at] @ frequencies / line[at]))
+    return Oscillation(float(held[at]), float(own[at] @ frequencies / line[at]) if held[at] else 0.0)
 
 
-def _power(values: NDArray[np.float64], length: int) -> NDArray[np.float64]:
+def _power(values: Array, length: int) -> Array:
     """Squared amplitude of each bin in each segment, (segments, bins) in m²; segments overlap by half."""
     segments = sliding_window_view(values, length)[:: length // 2]
     window = np.hanning(length)

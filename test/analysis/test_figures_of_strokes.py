@@ -82,22 +82,6 @@ def test_a_shift_of_less_than_a_millimetre_is_no_stroke_and_a_longer_one_is():
         assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.2), abs=0.003)
 
 
-def test_the_first_of_several_faults_is_the_one_that_is_named():
-    time = np.arange(10) * 0.1
-    y = np.zeros(10)
-    y[[4, 7]] = np.nan
-    record = StrokeRecord(time, time, y, y, y, "law")
-    with pytest.raises(MetricsError, match=r"y is nan at sample 4 \(0.4 s\), one of 2"):
-        record.check_finite(("x", "y"), slice(None))
-    with pytest.raises(MetricsError, match=r"y is nan at sample 7 \(0.7 s\), one of 1"):
-        record.check_finite(("y",), slice(5, 10))
-    record.check_finite(("x", "y"), slice(0, 4))
-    backwards = time.copy()
-    backwards[[3, 6]] = backwards[[2, 5]]
-    with pytest.raises(MetricsError, match=r"does not rise at sample 3: 0\.2 s"):
-        motion_of(backwards, time)
-
-
 def test_a_stick_is_told_with_the_place_and_time_at_which_it_began_either_way():
     time = np.arange(3000) * 1e-3
     for way in (1.0, -1.0):

@@ -8,51 +8,58 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pytest import approx
 
 from straightcomp_ros.analysis.metrics import evaluate, force_balance
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
 from straightcomp_ros.offline.simulation import Simulation
 
-
-def _wave(profile, amplitude):
-    return amplitude * np.sin(2.0 * np.pi * 7.0 * profile[0])
-
-
-def test_of_a_perfect_servo_the_encoder_sees_its_own_quantum_and_the_truth_nothing(make_record, cosine_map):
-    metrics = evaluate(make_record(), cosine_map)
-    assert (metrics.true_pp, metrics.residual_pp) == pytest.approx((0.0, 0.0), abs=1e-15)
-    assert metrics.encoder_pp == pytest.approx(0.1e-6, rel=0.01)
-    assert metrics.encoder_rms == pytest.approx(0.1e-6 / np.sqrt(12.0), rel=0.1)
-    # The made-up current alternates between ±1 mA.
-    assert metrics.control_rms_step == pytest.approx(2e-3)
-    assert metrics.control_activity == pytest.approx(2e-3 * (metrics.samples - 1))
-    assert metrics.duration == pytest.approx(2.0 * (1.76 / 0.3 + 1.5) + 0.25, abs=0.01)
-    assert metrics.samples == round(metrics.duration / 5e-4) + 1
+ERRORS = {
+    "none": lambda time, x: 0.0,
+    "constant": lambda time, x: 0.3e-6,
+    "wave": lambda time, x: 0.2e-6 * np.sin(2.0 * np.pi * 7.0 * time),
+    "changes its sign with the direction": lambda time, x: 0.1e-6 * np.sign(np.gradient(x, time)),
+    "tilt of the platform's axis": lambda time, x: 5e-6 * x,
+}
 
 
-def test_a_constant_error_counts_in_the_rms_alone_and_figures_are_shown_in_micrometres(make_record, cosine_map):
+@pytest.mark.parametrize(
+    ("error", "quantum", "names", "value", "rel"),
+    [
+        ("none", 1e-7, "true_pp residual_pp", 0.0, 0.0),
+        # The encoder sees its own quantum.
+        ("none", 1e-7, "encoder_pp", 1e-7, 0.01),
+        ("none", 1e-7, "encoder_rms", 1e-7 / np.sqrt(12.0), 0.1),
+        ("constant", 1e-12, "true_pp", 0.0, 0.0),
+        ("constant", 1e-12, "true_rms", 0.3e-6, 1e-6),
+        ("wave", 1e-12, "true_pp encoder_pp", 0.4e-6, 1e-3),
+        ("wave", 1e-12, "true_rms encoder_rms", 0.2e-6 / np.sqrt(2.0), 1e-3),
+        ("wave", 1e-12, "residual_pp residual_encoder_pp", 0.4e-6, 0.01),
+        ("changes its sign with the direction", 1e-12, "true_pp_forward true_pp_backward", 0.0, 0.0),
+        ("changes its sign with the direction", 1e-12, "true_pp residual_pp", 0.2e-6, 1e-3),
+        # That is no lack of straightness.
+        ("tilt of the platform's axis", 1e-12, "residual_pp", 0.0, 0.0),
+        ("tilt of the platform's axis", 1e-12, "true_pp", 8.8e-6, 1e-5),
+    ],
+)
+def test_a_known_error_has_figures_in_closed_form(
+    make_record, cosine_map, motion_profile, error, quantum, names, value, rel
+):
+    metrics = evaluate(make_record(ERRORS[error](*motion_profile), quantum=quantum), cosine_map)
+    for name in names.split():
+        assert getattr(metrics, name) == approx(value, rel=rel, abs=1e-14)
+
+
+def test_current_and_duration_are_those_of_the_window_and_figures_are_shown_in_micrometres(make_record, cosine_map):
     metrics = evaluate(make_record(0.3e-6), cosine_map)
+    # The made-up current alternates between ±1 mA.
+    assert metrics.control_rms_step == approx(2e-3)
+    assert metrics.control_activity == approx(2e-3 * (metrics.samples - 1))
+    assert metrics.duration == approx(2.0 * (1.76 / 0.3 + 1.5) + 0.25, abs=0.01)
+    assert metrics.samples == round(metrics.duration / 5e-4) + 1
     shown = metrics.to_display()
-    assert metrics.true_pp == pytest.approx(0.0, abs=1e-15)
-    assert shown["true_rms_um"] == pytest.approx(0.3)
+    assert shown["true_rms_um"] == approx(0.3) and len(shown) == len(dataclasses.fields(metrics))
     assert (shown["control_rms_step_A"], shown["duration_s"]) == (metrics.control_rms_step, metrics.duration)
-    assert len(shown) == len(dataclasses.fields(metrics))
-
-
-def test_a_wave_is_measured_from_peak_to_peak(make_record, cosine_map, motion_profile):
-    metrics = evaluate(make_record(_wave(motion_profile, 0.2e-6), quantum=1e-12), cosine_map)
-    assert (metrics.true_pp, metrics.encoder_pp) == pytest.approx((0.4e-6, 0.4e-6), rel=1e-3)
-    assert (metrics.true_rms, metrics.encoder_rms) == pytest.approx((0.2e-6 / np.sqrt(2.0),) * 2, rel=1e-3)
-    assert (metrics.residual_pp, metrics.residual_encoder_pp) == pytest.approx((0.4e-6, 0.4e-6), rel=0.01)
-
-
-def test_an_error_that_changes_sign_with_the_direction_shows_only_over_both(make_record, cosine_map, motion_profile):
-    time, x = motion_profile
-    metrics = evaluate(make_record(0.1e-6 * np.sign(np.gradient(x, time))), cosine_map)
-    assert metrics.true_pp_forward == pytest.approx(0.0, abs=1e-15)
-    assert metrics.true_pp_backward == pytest.approx(0.0, abs=1e-15)
-    assert metrics.true_pp == pytest.approx(0.2e-6)
-    assert metrics.residual_pp == pytest.approx(0.2e-6, rel=1e-3)
 
 
 def test_the_pause_counts_in_the_error_only_and_what_is_outside_the_motion_nowhere(
@@ -61,12 +68,12 @@ def test_the_pause_counts_in_the_error_only_and_what_is_outside_the_motion_nowhe
     forward, backward = make_record().motion.strokes
     error = np.zeros(motion_profile[0].size)
     error[:100] = error[-100:] = np.nan
-    assert evaluate(make_record(error), cosine_map).true_pp == pytest.approx(0.0, abs=1e-15)
+    assert evaluate(make_record(error), cosine_map).true_pp == approx(0.0, abs=1e-15)
     error[(forward.stop + backward.start) // 2] = 1e-6
     metrics = evaluate(make_record(error), cosine_map)
-    assert metrics.true_pp == pytest.approx(1e-6)
-    assert metrics.true_pp_forward == metrics.true_pp_backward == pytest.approx(0.0, abs=1e-15)
-    assert metrics.residual_pp == pytest.approx(0.0, abs=1e-15)
+    assert metrics.true_pp == approx(1e-6)
+    assert metrics.true_pp_forward == metrics.true_pp_backward == approx(0.0, abs=1e-15)
+    assert metrics.residual_pp == approx(0.0, abs=1e-15)
 
 
 def test_the_uncompensated_straightness_is_that_of_the_guide(make_record, cosine_map):
@@ -76,7 +83,7 @@ def test_the_uncompensated_straightness_is_that_of_the_guide(make_record, cosine
     slope = 12.0 * 10e-6 * -2.0 / (5.0 * np.pi) ** 2
     guide = np.ptp(cosine - slope * (x - 0.5))
     for truth in (True, False):
-        assert evaluate(make_record(truth=truth), cosine_map).uncompensated_pp == pytest.approx(guide, rel=2e-4)
+        assert evaluate(make_record(truth=truth), cosine_map).uncompensated_pp == approx(guide, rel=2e-4)
 
 
 def test_an_error_of_the_map_shows_in_the_true_residual_and_not_in_the_encoders(make_record, cosine_map):
@@ -84,15 +91,9 @@ def test_an_error_of_the_map_shows_in_the_true_residual_and_not_in_the_encoders(
     assert record.guide is not None and record.true_x is not None
     wrong = 0.05e-6 * np.cos(2.0 * np.pi * 8.0 * record.true_x / 1.76)
     metrics = evaluate(dataclasses.replace(record, guide=record.guide + wrong), cosine_map)
-    assert metrics.residual_pp == pytest.approx(0.1e-6, rel=1e-3)
+    assert metrics.residual_pp == approx(0.1e-6, rel=1e-3)
     assert metrics.residual_encoder_pp < 0.001e-6
-    assert metrics.true_pp == pytest.approx(0.0, abs=1e-15)
-
-
-def test_a_tilt_of_the_platforms_axis_is_no_lack_of_straightness(make_record, cosine_map, motion_profile):
-    metrics = evaluate(make_record(5e-6 * motion_profile[1]), cosine_map)
-    assert metrics.residual_pp == pytest.approx(0.0, abs=1e-14)
-    assert metrics.true_pp == pytest.approx(8.8e-6, rel=1e-5)
+    assert metrics.true_pp == approx(0.0, abs=1e-15)
 
 
 def test_without_truth_the_true_figures_are_missing(make_record, cosine_map):
@@ -102,16 +103,14 @@ def test_without_truth_the_true_figures_are_missing(make_record, cosine_map):
     assert metrics.to_display()["true_pp_um"] is None
 
 
-@pytest.mark.parametrize(
-    ("column", "value"),
-    [*((name, np.nan) for name in ("x", "y", "r", "current", "true_x", "true_y", "guide")), ("y", np.inf)],
-)
-def test_what_is_not_finite_is_refused_with_its_place(make_record, cosine_map, column, value):
+@pytest.mark.parametrize("column", ["x", "y", "r", "current", "true_x", "true_y", "guide"])
+def test_what_is_not_finite_is_refused_with_its_first_place_and_how_many_there_are(make_record, cosine_map, column):
     record = make_record()
-    values = record.columns()[column].copy()
-    values[5000] = value
-    with pytest.raises(MetricsError, match=rf"record: {column} is {value} at sample 5000 \(2.5 s\)"):
-        evaluate(dataclasses.replace(record, **{column: values}), cosine_map)
+    for value in (np.nan, np.inf):
+        values = record.columns()[column].copy()
+        values[[5000, 6000]] = value
+        with pytest.raises(MetricsError, match=rf"record: {column} is {value} at sample 5000 \(2.5 s\), one of 2"):
+            evaluate(dataclasses.replace(record, **{column: values}), cosine_map)
 
 
 REST, LEG = 0.25, 1.76 / 0.3 + 1.5
@@ -140,7 +139,7 @@ def test_a_jitter_of_the_encoder_makes_no_stroke(make_record, seed):
     jitter = np.random.default_rng(seed).integers(-2, 3, record.x.size) * 1e-7
     motion = dataclasses.replace(record, x=record.x + jitter).motion
     assert [stroke.direction for stroke in motion.strokes] == ["forward", "backward"]
-    assert motion.window.start == pytest.approx(record.motion.window.start, abs=4)
+    assert motion.window.start == approx(record.motion.window.start, abs=4)
 
 
 def test_lost_samples_do_not_split_a_stroke_and_a_record_that_begins_in_motion_counts_from_its_beginning(make_record):
@@ -168,6 +167,7 @@ def test_a_stage_that_stands_is_refused(make_record):
         ({"time": np.zeros((1, 3))}, r"time has shape \(1, 3\)"),
         ({"true_y": np.zeros(3)}, "true_y only"),
         (dict.fromkeys(("time", "x", "y", "r", "current"), np.array([0.0, 1.0])), "2 samples"),
+        ({"time": np.array([0.1, 0.1, 0.2])}, r"time does not rise at sample 1: 0\.1 s"),
     ],
 )
 def test_columns_that_make_no_record_are_refused(change, words):
@@ -198,8 +198,8 @@ def stroke(friction: float, noise: float = 0.0, lost: float = 0.0) -> tuple[NDAr
 )
 def test_friction_is_half_the_hysteresis_and_stiffness_the_slope_despite_noise(stage, error, stiffness_error) -> None:
     found = force_balance(*stroke(*stage))
-    assert found.friction == pytest.approx(stage[0], abs=error)
-    assert found.stiffness == pytest.approx(STIFFNESS, rel=stiffness_error)
+    assert found.friction == approx(stage[0], abs=error)
+    assert found.stiffness == approx(STIFFNESS, rel=stiffness_error)
 
 
 def test_a_platform_that_rests_or_goes_one_way_shows_no_friction() -> None:
@@ -216,5 +216,5 @@ def test_ten_percent_more_friction_of_a_simulated_stage_is_seen_as_nearly_that()
         simulation = Simulation({"driver": {"simulated.truth.friction": factor}})
         record = simulation.run(observe=lambda sample, *_, coils=coils: coils.append(sample.current))
         found.append(force_balance(record.time, record.y, np.array(coils)))
-    assert found[1].friction / found[0].friction == pytest.approx(1.1, abs=0.02)
-    assert found[0].friction == pytest.approx(0.0075, abs=0.001)
+    assert found[1].friction / found[0].friction == approx(1.1, abs=0.02)
+    assert found[0].friction == approx(0.0075, abs=0.001)
