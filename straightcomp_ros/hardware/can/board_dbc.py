@@ -6,11 +6,12 @@ these signals; file and meaning that do not fit together are refused with the pa
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -76,6 +77,15 @@ _HEARTBEAT_PERIOD = 0.05
 """s, where the DBC file does not say it."""
 
 
+@contextlib.contextmanager
+def _naming(parameter: str) -> Iterator[None]:
+    """What the DBC file refuses is refused by the name of ``parameter``."""
+    try:
+        yield
+    except DbcError as error:
+        raise RefusedParameter(parameter, str(error)) from None
+
+
 class Wire:
     """All frames of one board and its host.
 
@@ -116,24 +126,28 @@ class Wire:
         self._taken: dict[int, str] = {}
         self._signals = signals = self._signals_of_roles()
         self._names = names = {role: self._message(role).name for role in signals}
+        self._pages = {role: selectors(self._message(role), signal) for role, signal in signals.items()}
         self._check_messages()
         self._check_values()
-        protection = self._protections()
-        by_message = {name: [role for role in (*OF_BOARD, *OF_HOST) if names.get(role) == name] for name in protection}
-        reports = {
-            name: self._frames(name, inside, *protection[name], Report)
-            for name, inside in by_message.items()
-            if inside[0] in OF_BOARD
-        }
-        self.homes = {role: reports[names[role]] for role in OF_BOARD if role in names}
+        protections = self._protections()
+        of_board, of_host = (
+            {
+                name: self._frames(name, [role for role in roles if names.get(role) == name], *protections[name], kind)
+                for name in dict.fromkeys(names[role] for role in order if role in names)
+            }
+            # What is sent last is the command, which is said first.
+            for roles, order, kind in ((OF_BOARD, OF_BOARD, Report), (OF_HOST, OF_HOST[::-1], Command))
+        )
+        self.homes = {role: of_board[names[role]] for role in OF_BOARD if role in names}
         self.sample, self.status = self.homes["x"], self.homes["amplifier"]
         self.current, self.counting = self.homes.get("current"), self.homes.get("counter")
-        self.reports: Mapping[int, Frames] = {frames.identifier: frames for frames in reports.values()}
-        last_first = dict.fromkeys(names[role] for role in reversed(OF_HOST) if role in names)
-        commands = {name: self._frames(name, by_message[name], *protection[name], Command) for name in last_first}
-        self.command = commands.pop(names["command"])
-        self.commands = *commands.values(), self.command
-        self.parts = self._parts()
+        self.reports: Mapping[int, Frames] = {
+            of_board[name].identifier: of_board[name] for name in protections if name in of_board
+        }
+        self.command = of_host.pop(names["command"])
+        self.commands = *of_host.values(), self.command
+        parts = dict.fromkeys(self.homes[role] for role in READINGS if role in names)
+        self.parts = (*sorted(parts, key=lambda one: 0 if one is self.counting else 1 if one.sample_modulus else 2),)
         self.part_modulus, self.command_modulus = self._common_modulus(self.parts), self._common_modulus(self.commands)
         self.heartbeat: Frames | None = None
         if "heartbeat" in signals:
@@ -145,7 +159,10 @@ class Wire:
         choices = signals["fault"].choices if "fault" in signals else None
         self._fault_words = {int(raw): str(words) for raw, words in (choices or {}).items()}
         self.fault_codes = {fault: self._fault_code(fault) for fault in BoardFault}
-        self._set_rates()
+        for frames in self.reports.values():
+            if frames not in self.parts:
+                every = frames.period / self.sample.period if self.sample.period and frames.period else _USUAL_EVERY
+                frames.every = max(1, round(every))
         self._check_numbers()
 
     @property
@@ -187,14 +204,13 @@ class Wire:
     def _signals_of_roles(self) -> dict[str, Signal]:
         found: dict[str, Signal] = {}
         for role in (*OF_BOARD, *OF_HOST, "heartbeat"):
-            named = getattr(self.meaning, role)
+            named, parameter = getattr(self.meaning, role), f"wire.{role}.signal"
             if named.signal if role != "heartbeat" else named.message:
-                found[role] = self._find(self._message(role), named.signal, f"wire.{role}.signal")
-            elif role != "heartbeat" and named.message and role not in ("x", "command"):
-                raise RefusedParameter(f"wire.{role}.signal", f"'' is not allowed with message '{named.message}'")
-        for role in _NEEDED:
-            if role not in found:
-                raise RefusedParameter(f"wire.{role}.signal", "'' is not allowed; the driver needs this signal")
+                found[role] = self._find(self._message(role), named.signal, parameter)
+            elif role in _NEEDED:
+                raise RefusedParameter(parameter, "'' is not allowed; the driver needs this signal")
+            elif role != "heartbeat" and named.message:
+                raise RefusedParameter(parameter, f"'' is not allowed with message '{named.message}'")
         return found
 
     def _message_parameter(self, role: str) -> str:
@@ -203,35 +219,26 @@ class Wire:
         return role if getattr(self.meaning, role).message else main
 
     def _message(self, role: str) -> Message:
-        where = self._message_parameter(role)
-        name = getattr(self.meaning, where).message
-        try:
+        parameter = f"wire.{self._message_parameter(role)}.message"
+        name = getattr(self.meaning, self._message_parameter(role)).message
+        with _naming(parameter):
             message = self.dbc.message(name)
-        except DbcError as error:
-            raise RefusedParameter(f"wire.{where}.message", str(error)) from None
         if is_fd(message) and not self.fd:
             text = f"'{name}' of {self.dbc.file} is a message of CAN FD; allowed: others ('{{group}}fd' is false)"
-            raise RefusedParameter(f"wire.{where}.message", text)
+            raise RefusedParameter(parameter, text)
         return message
 
     def _find(self, message: Message, name: str, parameter: str, *, in_every_frame: bool = False) -> Signal:
         """The signal ``name`` that ``parameter`` asks for."""
-        try:
+        with _naming(parameter):
             signal = self.dbc.signal(message, name)
             refuse_signal(message, signal)
-        except DbcError as error:
-            raise RefusedParameter(parameter, str(error)) from None
         place = f"'{name}' of message '{message.name}'"
         if parameter in _COUNTS and (signal.is_signed or signal.is_float):
             raise RefusedParameter(parameter, f"{place} is signed or a float; allowed: an unsigned integer")
         if in_every_frame and selectors(message, signal):
-            text = f"{place} is multiplexed; allowed: a signal that is in every frame"
-            raise RefusedParameter(parameter, text)
+            raise RefusedParameter(parameter, f"{place} is multiplexed; allowed: a signal that is in every frame")
         return signal
-
-    def _page(self, role: str) -> list[tuple[Signal, list[int]]]:
-        """The multiplexer pages that have the role's signal."""
-        return selectors(self._message(role), self._signals[role])
 
     def _check_messages(self) -> None:
         names = self._names
@@ -245,11 +252,11 @@ class Wire:
             raise RefusedParameter("wire.heartbeat.message", text)
         readings = {names[role] for role in READINGS if role in names}
         # Frames of several messages belong together by their counts, so that each sample must have one of each.
-        page = self._page("x") if len(readings) == 1 else []
+        page = self._pages["x"] if len(readings) == 1 else []
         wanted = {role: page for role in (*READINGS, "counter") if names.get(role) in readings}
         wanted |= {role: [] for role in OF_HOST if role in names}
         for role, own in wanted.items():
-            if self._page(role) != own:
+            if self._pages[role] != own:
                 text = "is not in all frames that it must be in; allowed: one that is"
                 raise RefusedParameter(f"wire.{role}.signal", f"{self._place(role)} {text}")
 
@@ -264,7 +271,7 @@ class Wire:
                     raise RefusedParameter(f"wire.{role}.{name}", text)
         if self.meaning.amplifier.fault_value < 0:
             together = self._names.get("fault") == self._names["amplifier"]
-            if not together or self._page("fault") != self._page("amplifier"):
+            if not together or self._pages["fault"] != self._pages["amplifier"]:
                 text = "-1 needs a signal for 'fault' in the same frames as the amplifier's"
                 raise RefusedParameter("wire.amplifier.fault_value", text)
 
@@ -289,10 +296,8 @@ class Wire:
         """The frames of the message ``name``: the signals of the roles ``inside``, and their protection."""
         message = self.dbc.message(name)
         self._places[name] = place = f"wire.protection.{group}"
-        try:
+        with _naming("node"):
             identifier = self.dbc.identifier(message, self._node)
-        except DbcError as error:
-            raise RefusedParameter("node", str(error)) from None
         other = self._taken.setdefault(identifier, name)
         if other != name:
             raise RefusedParameter("dbc", f"messages '{other}' and '{name}' of {self.dbc.file} have one identifier")
@@ -302,21 +307,15 @@ class Wire:
             alive = fields["alive"] = self._find(message, protected.alive, f"{place}.alive", in_every_frame=True)
             used.append(alive)
         if protected.profile != "none":
-            try:
+            with _naming(f"{place}.data_id"):
                 ids = data_ids(protected.data_id, protected.profile, identifier)
-            except DbcError as error:
-                raise RefusedParameter(f"{place}.data_id", str(error)) from None
             used.append(self._find(message, protected.crc, f"{place}.crc", in_every_frame=True))
-            try:
+            with _naming(f"{place}.crc"):
                 crc = Crc(message, used[-1], alive, protected.profile, ids, by_identifier=not protected.data_id)
-            except DbcError as error:
-                raise RefusedParameter(f"{place}.crc", str(error)) from None
         elif protected.crc or protected.data_id:
             raise RefusedParameter(f"{place}.profile", "'none' is not allowed with a CRC signal or data id")
-        try:
+        with _naming(f"wire.{inside[0]}.signal"):
             message = used_signals(message, list({one.name: one for one in used}.values()))
-        except DbcError as error:
-            raise RefusedParameter(f"wire.{inside[0]}.signal", str(error)) from None
         factors = {_FIELDS.get(role, role): self._factor(role) for role in inside if _FIELDS.get(role, role) in UNITS}
         counts = alive_modulus(alive, protected.profile) if alive is not None else 0
         no_fault = self.meaning.fault.none_value
@@ -338,20 +337,11 @@ class Wire:
 
     def _values(self) -> dict[str, Mapping[Any, int]]:
         """For each role that says something the raw value of each meaning."""
-        switches = {role: getattr(self.meaning, role) for role in _SWITCHES}
-        amplifier = self.meaning.amplifier
-        states = {
-            Amplifier.OFF: amplifier.off_value,
-            Amplifier.ON: amplifier.on_value,
-            Amplifier.FAULT: amplifier.fault_value,
-        }
-        return {"amplifier": states} | {
+        switches, amplifier = {role: getattr(self.meaning, role) for role in _SWITCHES}, self.meaning.amplifier
+        states = zip(Amplifier, (amplifier.off_value, amplifier.on_value, amplifier.fault_value), strict=True)
+        return {"amplifier": dict(states)} | {
             role: {False: named.no_value, True: named.yes_value} for role, named in switches.items()
         }
-
-    def _parts(self) -> tuple[Frames, ...]:
-        found = dict.fromkeys(self.homes[role] for role in READINGS if role in self.homes)
-        return tuple(sorted(found, key=lambda one: 0 if one is self.counting else 1 if one.sample_modulus else 2))
 
     def _common_modulus(self, several: Sequence[Frames]) -> int:
         """Modulus of what the counts of these messages have in common; 0 if one of them has none."""
@@ -367,13 +357,6 @@ class Wire:
                 f"{text}; allowed: moduli with a common divisor >= {_LEAST_COUNTS}, or ''",
             )
         return common
-
-    def _set_rates(self) -> None:
-        sample_ms = self.sample.message.cycle_time
-        for frames in self.reports.values():
-            if frames not in self.parts:
-                cycle_ms = frames.message.cycle_time
-                frames.every = max(1, round(cycle_ms / sample_ms)) if sample_ms and cycle_ms else _USUAL_EVERY
 
     def _check_numbers(self) -> None:
         counts = self.parts[0].counts("alive")
@@ -408,10 +391,8 @@ def make_wire(file: str, meaning: WireParameters, node: int, fd: bool) -> Wire:
 @lru_cache(maxsize=16)
 def _made(file: str, modified: int, meaning: WireParameters, node: int, fd: bool) -> Wire:
     """A wire, made once as long as its file is not ``modified``."""
-    try:
+    with _naming("dbc"):
         dbc = Dbc(file)
-    except DbcError as error:
-        raise RefusedParameter("dbc", str(error)) from None
     return Wire(dbc, meaning, node, fd)
 
 
@@ -429,11 +410,11 @@ _SLOW = {
 
 def gaps(wire: Wire) -> list[str]:
     """One sentence for each thing that the frames lack; none for the package's own."""
-    found = []
-    for frames in wire.parts:
-        if frames.crc is None:
-            name = frames.name
-            found.append(f"{name} has no CRC: a damaged sample is found only where it is not plausible")
+    found = [
+        f"{frames.name} has no CRC: a damaged sample is found only where it is not plausible"
+        for frames in wire.parts
+        if frames.crc is None
+    ]
     if len(wire.parts) > 1 and not wire.part_modulus:
         found.append(
             f"{_has(wire.parts)} no counter in each: frames that come within half a period of each other are taken for "
@@ -460,11 +441,10 @@ def gaps(wire: Wire) -> list[str]:
     if wire.heartbeat is None:
         found.append("there is no heartbeat: a board that restarts is found only by its samples and its state")
     for asked in wire.commands:
-        name = asked.name
         if asked.crc is None:
-            found.append(f"{name} has no CRC: the board would act on a damaged command")
+            found.append(f"{asked.name} has no CRC: the board would act on a damaged command")
         if "alive" not in asked.fields:
-            found.append(f"{name} has no counter: the board does not find repeated commands")
+            found.append(f"{asked.name} has no counter: the board does not find repeated commands")
     has = _has(wire.commands)
     asks = {field for asked in wire.commands for field in asked.fields}
     if len(wire.commands) > 1 and not wire.command_modulus:

@@ -6,8 +6,8 @@ highest, and bit 0 of each byte is the byte's lowest.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-import itertools
 import math
 import os
 import re
@@ -29,14 +29,10 @@ FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 FLOATS = {16: "e", 32: "f", 64: "d"}
 """struct's letters by the bits of a float."""
 _LARGEST_FLOAT = {16: 65504.0, 32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
-_TOKEN = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*|\w+|[^\w\s]')
-_CLOSED = frozenset(
-    re.findall(
-        r"\w+",
-        "BA_ BA_DEF_ BA_DEF_DEF_ BA_DEF_DEF_REL_ BA_DEF_REL_ BA_DEF_SGTYPE_ BA_REL_ BA_SGTYPE_ BO_TX_BU_ CAT_ CAT_DEF_ "
-        "CM_ ENVVAR_DATA_ EV_ EV_DATA_ FILTER SGTYPE_ SGTYPE_VAL_ SG_MUL_VAL_ SIGTYPE_VALTYPE_ SIG_GROUP_ "
-        "SIG_TYPE_REF_ SIG_VALTYPE_ VAL_ VAL_TABLE_",
-    )
+_CLOSED = (
+    "BA_|BA_DEF_|BA_DEF_DEF_|BA_DEF_DEF_REL_|BA_DEF_REL_|BA_DEF_SGTYPE_|BA_REL_|BA_SGTYPE_|BO_TX_BU_|CAT_|CAT_DEF_|CM_|"
+    "ENVVAR_DATA_|EV_|EV_DATA_|FILTER|SGTYPE_|SGTYPE_VAL_|SG_MUL_VAL_|SIGTYPE_VALTYPE_|SIG_GROUP_|SIG_TYPE_REF_|"
+    "SIG_VALTYPE_|VAL_|VAL_TABLE_"
 )
 """Statements that a semicolon ends."""
 _WHOLE = {
@@ -45,15 +41,16 @@ _WHOLE = {
     "BS_": r"BS_\s*:",
     "BU_": r"BU_\s*:",
     "BO_": r"BO_\s+\d+\s+\w+\s*:\s*\d+\s+\w",
-    "SG_": r'SG_\s[^"]*"[^"]*"\s*\w',
+    "SG_": r'SG_\s+(\w+)[^"]*"[^"]*"\s*\w',
 }
 """How the statements that no semicolon ends are when they are whole. The list of NS_ ends where another begins."""
+_BEGIN = rf"[ \t]*\b({_CLOSED}|{'|'.join(_WHOLE)})\b(?![ \t]*\r?$)"
+_TEXT = r'"(?:\\"|[^"])*"'
+_STATEMENT = re.compile(rf'(?:^|(?<=;)){_BEGIN}(?:{_TEXT}|//[^\n]*|[^"\n/;]+|/|\n(?!{_BEGIN}))*;?', re.MULTILINE)
 _MESSAGE = re.compile(r"BO_\s+(\d+)\s+(\w+)")
-_SIGNAL = re.compile(r"SG_\s+(\w+)")
-_OF_SIGNAL = re.compile(r"(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)\s+(\w+)")
-_ATTRIBUTE = re.compile(
-    r'(BA_|BA_DEF_|BA_DEF_DEF_)\s+(?:BO_\s+|SG_\s+)?"([^"]*)"(?:\s+(?:BO_|SG_)\s+(\d+)(?:\s+(\w+))?)?'
-)
+_DEFINITION = re.compile(r'BA_DEF_(?:DEF_)?\s+(?:BO_\s+|SG_\s+)?"([^"]*)"')
+_ABOUT = re.compile(r'(?:BA_\s+"([^"]*)"\s+(?:BO_|SG_)|VAL_|SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)(?:\s+(\w+))?')
+"""Statements on a message: attribute if it is one, number of the message, signal."""
 _LONG_NAME = "SystemMessageLongSymbol"
 _READ = {"GenMsgCycleTime", "GenSigStartValue", "VFrameFormat", "SystemSignalLongSymbol", _LONG_NAME}
 """Attributes that mean something to the driver."""
@@ -75,21 +72,29 @@ class Dbc:
 
     def __init__(self, file: str) -> None:
         self.file, self.path = file, _found(file)
-        self._statements = list(_statements(_text(self.path), self.path))
         self._messages: dict[str, Message] = {}
+        self._statements: dict[tuple[str, str], list[str]] = {}
+        """By number and name those of each message itself, and of its signals."""
         self._known: dict[str, list[tuple[str, str]]] = {}
-        matches = [match for _, text in self._statements if (match := _MESSAGE.match(text))]
-        named = [(match[1], match[2]) for match in matches]
-        for number, short in named:
-            self._known.setdefault(short, []).append((number, short))
-        for _, text in self._statements:
-            attribute = _ATTRIBUTE.match(text)
-            if attribute and attribute[1] == "BA_" and attribute[2] == _LONG_NAME:
-                name = text.split('"')[3]
-                found = [pair for pair in named if pair[0] == attribute[3] and pair[1] != name]
-                self._known.setdefault(name, []).extend(found)
-        if not named:
+        """By name, in the file the short one or a long one, number and short name of each message."""
+        self._definitions, self._about, own = list[str](), list[tuple[str | None, str, str, str]](), list[str]()
+        for keyword, text in _statements(_text(self.path), self.path):
+            if named := _MESSAGE.match(text):
+                own = self._statements[named[1], named[2]] = []
+                self._known.setdefault(named[2], []).append((named[1], named[2]))
+            if keyword in ("BO_", "SG_"):
+                own.append(text)
+            elif (defined := _DEFINITION.match(text)) and defined[1] in _READ:
+                self._definitions.append(text)
+            elif about := _ABOUT.match(text):
+                self._about.append((about[1], about[2], about[3], text))
+        if not self._statements:
             raise DbcError(f"'{self.path}' is no valid DBC file: it has no message (BO_)")
+        for attribute, number, _, text in self._about:
+            if attribute == _LONG_NAME:
+                name = text.split('"')[3]
+                found = [pair for pair in self._statements if pair[0] == number and pair[1] != name]
+                self._known.setdefault(name, []).extend(found)
 
     def message(self, name: str) -> Message:
         """The message ``name``, if it can be sent as one frame. Nothing else in the file is looked at.
@@ -112,7 +117,7 @@ class Dbc:
             identifiers = " and ".join(f"{int(number) & ~EXTENDED_ID:#x}" for number, _ in found)
             raise DbcError(f"message '{name}' is in {self.file} {len(found)} times, as {identifiers}; allowed: once")
         try:
-            database = cantools.database.load_string("\n".join(self._about(*found[0])), "dbc", strict=False)
+            database = cantools.database.load_string("\n".join(self._of(*found[0])), "dbc", strict=False)
             assert isinstance(database, cantools.database.can.Database)
             (message,) = database.messages
         except (cantools.Error, ValueError, LookupError, TypeError, ArithmeticError, AssertionError) as error:
@@ -125,27 +130,14 @@ class Dbc:
             )
         return message
 
-    def _about(self, number: str, short: str) -> Iterator[str]:
+    def _of(self, number: str, short: str) -> list[str]:
         """The statements of one message. Those of signals that are gone have been left over."""
-        signals: set[str] = set()
-        inside, defined = False, set()
-        for keyword, text in self._statements:
-            if keyword == "BO_":
-                inside = (match := _MESSAGE.match(text)) is not None and match.groups() == (number, short)
-            if inside and keyword in ("BO_", "SG_"):
-                signals.update(_SIGNAL.findall(text)[:1])
-                yield text
-        for _, text in self._statements:
-            attribute, signal = _ATTRIBUTE.match(text), _OF_SIGNAL.match(text)
-            if attribute and attribute[1] != "BA_" and attribute[2] in _READ:
-                defined.add(attribute[2])
-                yield text
-            elif signal and signal[1] == number and signal[2] in signals:
-                yield text
-        for _, text in self._statements:
-            attribute = _ATTRIBUTE.match(text)
-            if attribute and attribute[1] == "BA_" and attribute[2] in defined and attribute[3] == number:
-                yield text
+        own = self._statements[number, short]
+        signals = {found[1] for text in own if (found := re.match(_WHOLE["SG_"], text))}
+        about = [(attribute, word, text) for attribute, of, word, text in self._about if of == number]
+        of_signals = [text for attribute, word, text in about if attribute is None and word in signals]
+        defined = {text.split('"')[1] for text in self._definitions}
+        return [*own, *self._definitions, *of_signals, *(text for attribute, _, text in about if attribute in defined)]
 
     def signal(self, message: Message, name: str) -> Signal:
         """The signal ``name`` of a message of this file; DbcError if there is none."""
@@ -236,7 +228,7 @@ def in_page(message: Message, signal: Signal, selected: Mapping[str, int]) -> bo
 def refuse_signal(message: Message, signal: Signal) -> None:
     """Raise DbcError for a signal that cannot be used: its place, its factor, or its limits."""
     place = f"'{signal.name}' of message '{message.name}'"
-    if not _fits(message, signal):
+    if not 0 < signal.length <= 8 * message.length - shift(signal, message.length) <= 8 * message.length:
         raise DbcError(f"{place} does not lie within the {message.length} bytes of its message")
     if signal.is_float and signal.length not in FLOATS:
         raise DbcError(f"{place} is a float of {signal.length} bits; allowed: 16, 32 or 64")
@@ -258,7 +250,7 @@ def used_signals(message: Message, used: Sequence[Signal]) -> Message:
     Raises:
         DbcError: two of the signals lie on each other, or one chooses the page of another.
     """
-    from cantools.database.can import Message as CanMessage
+    import cantools
 
     chosen = {signal.name: signal for signal in used}
     names = set(chosen)
@@ -270,42 +262,30 @@ def used_signals(message: Message, used: Sequence[Signal]) -> Message:
                     "allowed: a multiplexer without another meaning"
                 )
             chosen.setdefault(selector.name, selector)
-    for one, other in itertools.combinations(chosen.values(), 2):
-        if _overlap(message, one, other):
-            raise DbcError(f"'{one.name}' and '{other.name}' of message '{message.name}' lie on each other")
+
+    def made(chosen: Mapping[str, Signal]) -> Message:
+        return cantools.database.can.Message(
+            message.frame_id,
+            message.name,
+            message.length,
+            [signal for signal in message.signals if chosen.get(signal.name) is signal],
+            cycle_time=message.cycle_time,
+            is_extended_frame=message.is_extended_frame,
+            is_fd=message.is_fd,
+            strict=True,
+        )
+
+    try:
+        found = made(chosen)
+    except cantools.Error as error:
+        raise DbcError(f"two signals lie on each other: {error}") from None
     for signal in message.signals:
         shown = all(selector.name in chosen for selector, _ in selectors(message, signal))
-        free = _fits(message, signal) and not any(_overlap(message, signal, one) for one in chosen.values())
-        if signal.raw_initial and shown and free:
-            chosen.setdefault(signal.name, signal)
-    return CanMessage(
-        message.frame_id,
-        message.name,
-        message.length,
-        [signal for signal in message.signals if chosen.get(signal.name) is signal],
-        cycle_time=message.cycle_time,
-        is_extended_frame=message.is_extended_frame,
-        is_fd=message.is_fd,
-    )
-
-
-def _fits(message: Message, signal: Signal) -> bool:
-    return signal.length > 0 and 0 <= shift(signal, message.length) <= 8 * message.length - signal.length
-
-
-def _overlap(message: Message, one: Signal, other: Signal) -> bool:
-    """Whether two signals have a bit in common in some frame."""
-    chosen = dict((selector.name, ids) for selector, ids in selectors(message, one))
-    for selector, ids in selectors(message, other):
-        if not set(chosen.get(selector.name, ids)) & set(ids):
-            return False
-    return bool(_bits(message, one) & _bits(message, other))
-
-
-def _bits(message: Message, signal: Signal) -> int:
-    """The signal's bits in the payload, as an integer of Intel order."""
-    bits: int = (2**signal.length - 1) << shift(signal, message.length)
-    return int.from_bytes(bits.to_bytes(message.length, byte_order(signal)), "little")
+        if signal.raw_initial and shown and signal.name not in chosen:
+            # One that lies on others, or beyond the message, is left out.
+            with contextlib.suppress(cantools.Error):
+                found, chosen = made(chosen | {signal.name: signal}), chosen | {signal.name: signal}
+    return found
 
 
 def _found(file: str) -> Path:
@@ -338,28 +318,16 @@ def _statements(text: str, path: Path) -> Iterator[tuple[str, str]]:
     Raises:
         DbcError: the file ends within a statement, so that others may be missing.
     """
-    keyword, begin, end, closed, before = "", 0, 0, True, ""
-    for token in _TOKEN.finditer(text):
-        word = token[0]
-        if word.startswith("//"):
-            continue
-        first = not end or "\n" in text[end : token.start()]
-        if word == '"':
-            raise DbcError(f"'{path}' is cut off: it ends within a text of {keyword or 'its first line'}")
-        listed = keyword == "NS_" and not text[token.end() :].split("\n", 1)[0].strip()
-        inside = keyword in _CLOSED and not closed and not (first and before != keyword)
-        if (word in _CLOSED or word in _WHOLE) and not listed and not inside:
-            if keyword:
-                yield keyword, text[begin:end]
-            keyword, begin, closed = word, token.start(), False
-        before, end = word, token.end()
-        closed = closed or word == ";"
+    keyword, last, end = "", "", 0
+    for found in _STATEMENT.finditer(text):
+        keyword, last, end = found[1], found[0].strip(), found.end()
+        yield keyword, last
+    if '"' in re.sub(_TEXT, "", text[end:]):
+        raise DbcError(f"'{path}' is cut off: it ends within a text of {keyword or 'its first line'}")
     # A last table of values without its semicolon is seen in real files.
-    last = closed or (keyword == "VAL_" and before.endswith('"') and text.endswith("\n"))
-    if not (last if keyword in _CLOSED else re.match(_WHOLE.get(keyword, ""), text[begin:end])):
+    closed = last.endswith(";") or (keyword == "VAL_" and last.endswith('"') and text.endswith("\n"))
+    if keyword and not (re.match(_WHOLE[keyword], last) if keyword in _WHOLE else closed):
         raise DbcError(f"'{path}' is cut off: it ends within {keyword}")
-    if keyword:
-        yield keyword, text[begin:end]
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

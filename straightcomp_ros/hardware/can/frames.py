@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import enum
 import math
-import operator
 import struct
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
@@ -101,6 +100,9 @@ class Report(NamedTuple):
         return self.alive if self.counter is None else self.counter
 
 
+_AMPLIFIER, _FAULT, _GOOD = map(Report._fields.index, ("amplifier", "fault", "good"))
+
+
 class Command(NamedTuple):
     """What the host asks for. What is not in the frame is None.
 
@@ -122,17 +124,19 @@ UNITS = {"x": "m", "y": "m", "current": "A"}
 class _Profile(NamedTuple):
     bits: int
     function: Callable[[bytes], int]
+    ids: int = 0
+    """Number of its data ids."""
+    largest_id: int = 0
     reserved: int | None = None
     """First count that no frame has: profile 1 keeps 15 for "not valid"."""
 
 
 PROFILES = {
-    "e2e_1": _Profile(8, crc8.gsm_a, 15),
-    "e2e_2": _Profile(8, crc8.autosar),
-    "e2e_5": _Profile(16, crc16.ibm_3740),
+    "e2e_1": _Profile(8, crc8.gsm_a, 1, 0xFFFF, 15),
+    "e2e_2": _Profile(8, crc8.autosar, 16, 0xFF),
+    "e2e_5": _Profile(16, crc16.ibm_3740, 1, 0xFFFF),
     "j1850": _Profile(8, crc8.sae_j1850),
 }
-_IDS_OF_2 = 16
 
 
 def alive_modulus(alive: Signal, profile: str) -> int:
@@ -147,13 +151,11 @@ def data_ids(text: str, profile: str, identifier: int) -> list[int]:
     Raises:
         DbcError: other numbers than the profile needs.
     """
-    if profile not in ("e2e_1", "e2e_2", "e2e_5"):
-        if text:
-            raise DbcError(f"'{text}' is not allowed with profile {profile}, which has no data id")
-        return []
-    wanted, largest = (_IDS_OF_2, 0xFF) if profile == "e2e_2" else (1, 0xFFFF)
-    if not text and profile != "e2e_2":
-        return [identifier & 0xFFFF]
+    wanted, largest = PROFILES[profile].ids, PROFILES[profile].largest_id
+    if not text and wanted < 2:
+        return [identifier & 0xFFFF] * wanted
+    if not wanted:
+        raise DbcError(f"'{text}' is not allowed with profile {profile}, which has no data id")
     try:
         numbers = [int(word, 0) for word in text.split()]
     except ValueError:
@@ -183,7 +185,8 @@ class Crc:
         by_identifier: bool = False,
     ) -> None:
         self.profile, self.data_id, self.by_identifier = profile, data_id, by_identifier
-        self.begin, self.order, bits = crc.start // 8, byte_order(crc), PROFILES[profile].bits
+        bits, self._function = PROFILES[profile][:2]
+        self.begin, self.order, self._size = crc.start // 8, byte_order(crc), bits // 8
         first = 0 if self.order == "little" else 7
         if crc.length != bits or crc.start % 8 != first or crc.is_float or crc.is_signed:
             raise DbcError(
@@ -192,17 +195,16 @@ class Crc:
             )
         if profile == "e2e_2" and (alive is None or alive.length != 4):
             raise DbcError(f"profile e2e_2 of message '{message.name}' needs a counter 'alive' of 4 bits")
-        self._end, self._function = self.begin + bits // 8, PROFILES[profile].function
         if profile == "e2e_1":
             # It begins with the data id, so with the CRC of that: the final XOR is 0.
             self._function = partial(crc8.gsm_a, initial=crc8.gsm_a(data_id[0].to_bytes(2, "little")))
-        self._ends = [one.to_bytes(bits // 8, "little") for one in data_id] if profile in ("e2e_2", "e2e_5") else []
+        self._ends = [one.to_bytes(self._size, "little") for one in data_id] if profile in ("e2e_2", "e2e_5") else []
         """Bytes behind the payload; of several, the counter chooses one."""
         self._counted = (byte_order(alive), shift(alive, message.length)) if alive and profile == "e2e_2" else None
 
     def of(self, payload: bytes) -> int:
         """The CRC that belongs into ``payload``."""
-        content = payload[: self.begin] + payload[self._end :] if self.begin else payload[self._end :]
+        content = payload[: self.begin] + payload[self.begin + self._size :]
         if self._counted:
             order, place = self._counted
             content += self._ends[int.from_bytes(payload, order) >> place & 15]
@@ -212,32 +214,24 @@ class Crc:
 
     def fits(self, payload: bytes) -> bool:
         """Whether ``payload`` has its CRC."""
-        return self.of(payload) == int.from_bytes(payload[self.begin : self._end], self.order)
+        return self.of(payload) == int.from_bytes(payload[self.begin : self.begin + self._size], self.order)
 
     def sealed(self, payload: bytes) -> bytes:
         """``payload`` with its CRC."""
-        crc = self.of(payload).to_bytes(self._end - self.begin, self.order)
-        return payload[: self.begin] + crc + payload[self._end :]
+        crc = self.of(payload).to_bytes(self._size, self.order)
+        return payload[: self.begin] + crc + payload[self.begin + self._size :]
 
 
-class _Table(NamedTuple):
-    """What unpacking goes through, by the places of the values: their bits, then what is said by them."""
+class _Meanings(dict[Any, Any]):
+    """What each raw value says; any other says ``other``, or is refused by ``reason`` where that is None."""
 
-    bits: list[tuple[int, int]]
-    """Shift and mask."""
-    floats: list[tuple[int, int, Any]]
-    """Bytes, and the function from them."""
-    counted: list[tuple[int, int]]
-    """Number of counts, where not all that the bits hold are allowed."""
-    numbers: list[tuple[int, int, float, float, tuple[float, float] | None]]
-    """Sign bit, scale, offset, and least and largest raw value of a good reading."""
-    code: tuple[int, int] | None
-    """Places of state and fault code, where the code alone says that there is a fault."""
-    said: list[tuple[int, Callable[[Any, Any], Any], Any, str]]
-    """Meaning of each raw value, that of any other, and the error where it has none."""
-    good: int
-    """Place of "both readings are good"."""
-    pick: Callable[[list[Any]], tuple[Any, ...]]
+    other: Any = None
+    reason = ""
+
+    def __missing__(self, raw: int) -> Any:
+        if self.other is None:
+            raise FrameError(self.reason)
+        return self.other
 
 
 class Frames:
@@ -291,7 +285,7 @@ class Frames:
             field: [(*self._bits(one), _sign(one), ids) for one, ids in selectors(message, signal)]
             for field, signal in fields.items()
         }
-        self._page_tables: dict[tuple[str, ...], _Table] = {}
+        self._page_tables: dict[tuple[str, ...], tuple[Any, ...]] = {}
         self._whole_table = None if any(self._selectors.values()) else self._table(fields)
         self.pages = pages(message, fields.values())
         self._packings = [self._packing(page) for page in self.pages]
@@ -327,37 +321,6 @@ class Frames:
         behind = self._behind if byte_order(signal) != self._bytes else 0
         return shift(signal, self.size) + behind, (1 << signal.length) - 1
 
-    def _table(self, shown: Collection[str]) -> _Table:
-        """The table of the frames that have the fields ``shown``."""
-        fields = {field: signal for field, signal in self.fields.items() if field in shown}
-        at = {field: place for place, field in enumerate(fields)}
-        # Behind the values of the fields stand None, for those that the frame does not have, and True.
-        absent = len(at)
-        good = at.get("good", absent if "good" in self.fields else absent + 1)
-        floats = [
-            (at[field], one.length // 8, struct.Struct(f"<{FLOATS[one.length]}").unpack)
-            for field, one in fields.items()
-            if one.is_float
-        ]
-        counted = [
-            (at[field], self.counts(field))
-            for field in ("alive", "counter")
-            if field in at and self.counts(field) < 2 ** fields[field].length
-        ]
-        numbers = []
-        for field, signal in fields.items():
-            bounds = limits(signal) if self.kind is Report and field in ("x", "y") and good != absent else None
-            if (_sign(signal) or field in self.factors or bounds) and field not in self.values:
-                numbers.append((at[field], _sign(signal), *self._line(field), bounds))
-        code, by_code = None, self.values.get("amplifier", {}).get(Amplifier.FAULT, 0) < 0
-        if "amplifier" in at and by_code:
-            code = at["amplifier"], at["fault"]
-        said = [(at[field], *self._meanings(field)) for field in self.values if field in at]
-        picked = [good if field == "good" else at.get(field, absent) for field in self._order]
-        # Of a single place, itemgetter() makes no tuple.
-        pick = operator.itemgetter(*picked) if len(picked) > 1 else lambda values: (values[picked[0]],)
-        return _Table([self._bits(one) for one in fields.values()], floats, counted, numbers, code, said, good, pick)
-
     def _line(self, field: str) -> tuple[float, float]:
         """Scale and offset from a raw value to SI units; a whole number without them stays one, and -0.0 stays -0.0."""
         signal, factor = self.fields[field], self.factors.get(field)
@@ -365,16 +328,45 @@ class Frames:
             return 1, 0
         return signal.scale * factor, signal.offset * factor or -0.0
 
-    def _meanings(self, field: str) -> tuple[Callable[[Any, Any], Any], Any, str]:
-        """The meaning of each raw value of ``field``, that of any other, and the error where that is None."""
+    def _table(self, shown: Collection[str]) -> tuple[Any, ...]:
+        """What :meth:`unpack` goes through for frames with the fields ``shown``, each by its place in ``kind``.
+
+        Shift and mask of each, 0 for a field that the frame does not have; moduli that are less than the bits hold;
+        decoders of floats and of meanings; sign bit, scale and offset of numbers; what stands for a field that is
+        absent; ends of a good reading; whether the fault code alone says that there is a fault.
+        """
+        bits, counted, decoders, numbers, absent, ends = [], [], [], [], [], []
+        for at, field in enumerate(self._order):
+            if field not in shown:
+                bits.append((0, 0))
+                absent.append((at, True if field == "good" and field not in self.fields else None))
+                continue
+            signal, (scale, offset) = self.fields[field], self._line(field)
+            bits.append(self._bits(signal))
+            if field in ("alive", "counter") and self.counts(field) < 2**signal.length:
+                counted.append((at, self.counts(field)))
+            if field in self.values:
+                decoders.append((at, self._meanings(field).__getitem__))
+            elif signal.is_float:
+                decoders.append((at, partial(_float_of, signal.length, scale, offset)))
+            elif _sign(signal) or field in self.factors:
+                numbers.append((at, _sign(signal), scale, offset))
+            if self.kind is Report and field in ("x", "y") and ("good" in shown or "good" not in self.fields):
+                ends.append((at, *sorted(raw * scale + offset for raw in limits(signal))))
+        by_code = "amplifier" in shown and self.values["amplifier"][Amplifier.FAULT] < 0
+        return bits, counted, decoders, numbers, absent, ends, by_code
+
+    def _meanings(self, field: str) -> _Meanings:
+        """The meaning of each raw value of ``field``."""
         raw_of, mask = self.values[field], (1 << self.fields[field].length) - 1
+        found = _Meanings({raw & mask: meaning for meaning, raw in raw_of.items() if raw >= 0 or field != "amplifier"})
+        found.reason = "pattern"
         if field == "good":
-            return {raw_of[True] & mask: True}.get, False, ""
-        meanings: dict[Any, Any] = {raw & mask: meaning for meaning, raw in raw_of.items() if raw >= 0}
-        if field != "amplifier":
-            return meanings.get, None, "pattern"
-        other = Amplifier.OFF if raw_of[Amplifier.OFF] < 0 else None
-        return (meanings | {_BY_CODE: Amplifier.FAULT}).get, other, "state"
+            found.other = False
+        elif field == "amplifier":
+            found[_BY_CODE], found.reason = Amplifier.FAULT, "state"
+            found.other = Amplifier.OFF if raw_of[Amplifier.OFF] < 0 else None
+        return found
 
     def unpack(self, payload: bytes) -> Any:
         """What a frame says; raises FrameError."""
@@ -383,31 +375,25 @@ class Frames:
         if self.crc is not None and not self.crc.fits(payload):
             raise FrameError("crc")
         whole = int.from_bytes(payload + payload[::-1] if self._behind else payload, self._bytes)
-        bits, floats, counted, numbers, code, said, good, pick = self._whole_table or self._page_table(whole)
+        bits, counted, decoders, numbers, absent, ends, by_code = self._whole_table or self._page_table(whole)
         values: list[Any] = [whole >> place & mask for place, mask in bits]
-        for at, size, unpack in floats:
-            (values[at],) = unpack(values[at].to_bytes(size, "little"))
         for at, counts in counted:
             if values[at] >= counts:
                 raise FrameError("alive")
-        within = True
-        for at, sign, scale, offset, bounds in numbers:
-            raw = (values[at] ^ sign) - sign if sign else values[at]
-            if bounds and not bounds[0] <= raw <= bounds[1]:
-                within = False
-            values[at] = raw * scale + offset
-        if code is not None and values[code[1]] != self._no_fault:
-            values[code[0]] = _BY_CODE
-        for at, meaning_of, other, reason in said:
-            values[at] = meaning_of(values[at], other)
-            if values[at] is None:
-                raise FrameError(reason)
-        values += None, True
-        if not within:
-            values[good] = False
-        return _NEW(self.kind, pick(values))
+        if by_code and values[_FAULT] != self._no_fault:
+            values[_AMPLIFIER] = _BY_CODE
+        for at, decode in decoders:
+            values[at] = decode(values[at])
+        for at, sign, scale, offset in numbers:
+            values[at] = ((values[at] ^ sign) - sign) * scale + offset
+        for at, stands_for in absent:
+            values[at] = stands_for
+        for at, least, largest in ends:
+            if not least <= values[at] <= largest:
+                values[_GOOD] = False
+        return _NEW(self.kind, values)
 
-    def _page_table(self, whole: int) -> _Table:
+    def _page_table(self, whole: int) -> tuple[Any, ...]:
         """The table of a frame with multiplexed signals, of which ``whole`` are the bits."""
         shown = tuple(
             field
@@ -419,12 +405,12 @@ class Frames:
         return self._page_tables[shown]
 
     def _packing(self, page: Mapping[str, int]) -> tuple[int, list[tuple[int, dict[Any, int]]], list[tuple[Any, ...]]]:
-        """What :meth:`pack` goes through with one choice of multiplexer pages: fixed bits, raw values, and signals.
+        """What :meth:`pack` goes through with one choice of multiplexer pages: fixed bits, those of meanings, numbers.
 
         A signal without a field has the initial value of the DBC file, a multiplexer the page.
         """
         fields = {signal.name: field for field, signal in self.fields.items()}
-        fixed, rows, said = 0, [], []
+        fixed, said, rows = 0, [], []
         for signal in self.message.signals:
             place, mask = self._bits(signal)
             letter = FLOATS[signal.length] if signal.is_float else ""
@@ -435,7 +421,9 @@ class Frames:
                 continue
             at, (scale, offset), (least, largest) = self._order.index(field), self._line(field), limits(signal)
             if field in self.values:
-                said.append((at, sent_values(self.values[field])))
+                raw_of = sent_values(self.values[field])
+                said.append((at, {meaning: (raw & mask) << place for meaning, raw in raw_of.items()}))
+                continue
             if signal.length == 64 and letter and signal.minimum is None:
                 least = largest = math.nan
             elif field in self.factors and not letter:
@@ -451,14 +439,13 @@ class Frames:
             ValueError: a value does not fit its signal.
         """
         bits, said, rows = self._packings[turn % len(self._packings)]
-        fields = list(values)
-        for at, raw_of in said:
-            fields[at] = raw_of[fields[at]]
+        for at, bits_of in said:
+            bits |= bits_of[values[at]]
         for at, scale, offset, least, largest, mask, place, letter, field in rows:
             # A whole number without scale stays exact; a comparison with NaN is false.
-            raw = fields[at] - offset if scale == 1 else (fields[at] - offset) / scale
+            raw = values[at] - offset if scale == 1 else (values[at] - offset) / scale
             if not least <= raw <= largest and least == least:
-                self._refuse(field, fields[at])
+                self._refuse(field, values[at])
             bits |= (_float_bits(letter, raw) if letter else round(raw) & mask) << place
         if self._behind:
             turned = (bits >> self._behind).to_bytes(self.size, "big")
@@ -478,6 +465,11 @@ class Frames:
 def _sign(signal: Signal) -> int:
     """Bit of the sign, 0 without: (bits ^ sign) - sign is the number in two's complement."""
     return 1 << signal.length - 1 if signal.is_signed and not signal.is_float else 0
+
+
+def _float_of(length: int, scale: float, offset: float, bits: int) -> float:
+    (raw,) = struct.unpack(f"<{FLOATS[length]}", bits.to_bytes(length // 8, "little"))
+    return float(raw * scale + offset)
 
 
 def _float_bits(letter: str, value: float) -> int:

@@ -8,15 +8,16 @@ its names only small letters, digits and underscores, of all else numbers.
 from __future__ import annotations
 
 import copy
+import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import jinja2
 
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, DbcError, in_page, limits
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Frames, Report, sent_values
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Frames, sent_values
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -27,18 +28,15 @@ _SHORT = 31
 """Bits from which on a value may be more than the core's nearest() takes."""
 _LARGEST_FLOAT = 3.4028234663852886e38
 _FLOATS = {32: "float", 64: "double"}
-_KEYWORDS = frozenset(
-    re.findall(
-        r"\w+",
-        "auto bool break case char const continue default do double else enum extern false float for goto if inline "
-        "int long register restrict return short signed sizeof static struct switch true typedef union unsigned void "
-        "volatile while",
-    )
+_KEYWORDS = (
+    " auto bool break case char const continue default do double else enum extern false float for goto if inline int "
+    "long register restrict return short signed sizeof static struct switch true typedef union unsigned void volatile "
+    "while "
 )
 _TEMPLATE = """\
-{% macro frame(name, page, indent) %}
-{{ " " * indent }}const struct frames_{{ name }}_t frame = {
-{% for member, value in page.items() %}
+{% macro frame(wire, one, page, indent) %}
+{{ " " * indent }}const struct frames_{{ names[one.name] }}_t frame = {
+{% for member, value in packed(wire, one, page).items() %}
 {{ " " * indent }}    .{{ member }} = {{ value }},
 {% endfor %}
 {{ " " * indent }}};
@@ -48,17 +46,19 @@ _TEMPLATE = """\
 .identifier = {{ "%#x" % (one.message.frame_id + EXTENDED_ID * one.message.is_extended_frame) }}u,
         .length = {{ one.size }}u,
 {% endmacro %}
-{% macro pack(one) %}
+{% macro pack(wire, one) %}
+{% set call = "(void)frames_%s_pack(data, &frame, %du);" | format(names[one.name], one.size) %}
 
-static void pack_{{ one.name }}(uint8_t *data, {{ one.head }})
+static void pack_{{ names[one.name] }}(uint8_t *data{{- \
+", const struct wire_report *report, uint32_t page" if one is not sameas wire.heartbeat else ", bool boot_up" }})
 {
 {% if one.pages | length == 1 %}
-{{ frame(one.name, one.pages[0], 4) }}{{ "    (void)page;\n" if one.paged }}    {{ one.call }}
+{{ frame(wire, one, one.pages[0], 4) }}{{ "    (void)page;\\n" if one is not sameas wire.heartbeat }}    {{ call }}
 {% else %}
     switch (page) {
 {% for page in one.pages %}
     {{ "default" if loop.last else "case %du" % loop.index0 }}: {
-{{ frame(one.name, page, 8) }}        {{ one.call }}
+{{ frame(wire, one, page, 8) }}        {{ call }}
         break;
     }
 {% endfor %}
@@ -67,18 +67,19 @@ static void pack_{{ one.name }}(uint8_t *data, {{ one.head }})
 }
 {% endmacro %}
 {% macro unpack(one) %}
+{% set statements, tests = unpacked(one) %}
 
-static bool unpack_{{ one.name }}(struct command *command, const uint8_t *data, size_t length)
+static bool unpack_{{ names[one.name] }}(struct command *command, const uint8_t *data, size_t length)
 {
-    struct frames_{{ one.name }}_t frame;
-    bool known = frames_{{ one.name }}_unpack(&frame, data, length) == 0;
+    struct frames_{{ names[one.name] }}_t frame;
+    bool known = frames_{{ names[one.name] }}_unpack(&frame, data, length) == 0;
 
     if (known) {
-{% for statement in one.statements %}
+{% for statement in statements %}
         {{ statement }}
 {% endfor %}
-{% if one.tests %}
-        known = {{ one.tests | join(" && ") }};
+{% if tests %}
+        known = {{ tests | join(" && ") }};
 {% endif %}
     }
     return known;
@@ -87,14 +88,14 @@ static bool unpack_{{ one.name }}(struct command *command, const uint8_t *data, 
 /* The frames of {{ dbc }}, made by straightcomp: do not edit. */
 #include "frames.h"
 #include "wire.h"
-{% for bus, wire, functions, fits in wires %}
-{% for one in functions %}
-{{ pack(one) if one.pages is defined else unpack(one) -}}
+{% for bus, wire, first_here in wires %}
+{% for one in first_here %}
+{{ unpack(one) if one in wire.commands else pack(wire, one) -}}
 {% endfor %}
 
 static bool {{ bus }}_fits(const struct wire_report *report)
 {
-    return {{ fits | join(" && ") }};
+    return {{ within(wire.homes.x, "x") }} && {{ within(wire.homes.y, "y") }};
 }
 
 static const struct wire_frame {{ bus }}_frames[] = {
@@ -143,8 +144,8 @@ static const struct wire {{ bus }} = {
 };
 {% endfor %}
 
-{% for name, value in made.items() %}
-const struct wire *const {{ name }} = {{ value }};
+{% for bus in ("classic", "fd") %}
+const struct wire *const wire_{{ bus }} = {{ "&" ~ bus if bus in wires | map("first") else "NULL" }};
 {% endfor %}
 """
 
@@ -158,48 +159,44 @@ def frames_in_c(wires: Sequence[Wire]) -> dict[str, str]:
     from cantools.database.can import Database
     from cantools.database.can.c_source import generate
 
-    messages = {one.name: one for wire in wires for one in _all(wire)}
+    messages: dict[str, Frames] = {}
+    described = []
+    for wire in wires:
+        of_wire = [*wire.reports.values(), *wire.commands, *([wire.heartbeat] if wire.heartbeat else [])]
+        first_here = [one for one in of_wire if one.name not in messages]
+        messages |= {one.name: one for one in of_wire}
+        described.append(("fd" if wire.fd else "classic", wire, first_here))
     for one in messages.values():
         _refuse(one)
-    names = _free_of_each_other({name: one.message for name, one in messages.items()})
+    names = _message_names({name: one.message for name, one in messages.items()})
     database = Database([_renamed(one, names[name]) for name, one in messages.items()])
     header, source, *_ = generate(
         database, "frames", "frames.h", "frames.c", "", floating_point_numbers=False, node_name="Board"
     )
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.globals |= {"names": names, "protection": _protection, "packed": _packed, "unpacked": _unpacked}
+    environment.globals |= {"EXTENDED_ID": EXTENDED_ID, "within": lambda frames, axis: _number(frames, axis)[1]}
+    text = environment.from_string(_TEMPLATE).render(dbc=wires[0].source().split()[0], wires=described)
     # Without the date: the files change when their content does.
     made = {name: _WHEN.sub(r"\1.", text) for name, text in (("frames.h", header), ("frames.c", source))}
-    described, written = [], set[str]()
-    for wire in wires:
-        functions = [_function(wire, one, names[one.name]) for one in _all(wire) if one.name not in written]
-        written |= {one.name for one in _all(wire)}
-        fits = [_number(wire.homes[axis], axis)[1] for axis in ("x", "y")]
-        described.append(("fd" if wire.fd else "classic", wire, functions, fits))
-    pointers = dict.fromkeys(("wire_classic", "wire_fd"), "NULL") | {f"wire_{bus}": f"&{bus}" for bus, *_ in described}
-    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.globals |= {"names": names, "protection": _protection, "EXTENDED_ID": EXTENDED_ID}
-    file = wires[0].source().split()[0]
-    made["wire.c"] = environment.from_string(_TEMPLATE).render(dbc=file, wires=described, made=pointers)
-    return made
+    return made | {"wire.c": text}
 
 
-def _all(wire: Wire) -> list[Frames]:
-    return [*wire.reports.values(), *wire.commands, *([wire.heartbeat] if wire.heartbeat else [])]
+def _numbered(plain: str, mark: str) -> Iterator[str]:
+    yield plain
+    yield from (f"{plain}{mark}{number}" for number in itertools.count(2))
 
 
 def c_names(names: Iterable[str]) -> dict[str, str]:
     """For each name of a DBC file one in C: in small letters, no keyword, and no two alike."""
+    from cantools.database.can.c_source import camel_to_snake_case
+
     found: dict[str, str] = {}
     for name in names:
         # As cantools writes them, which leaves such names as they are.
-        parted = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", re.sub(r"(.)([A-Z][a-z]+)", r"\1_\2", name))
-        plain = own = re.sub(r"_+", "_", re.sub(r"[^a-z0-9]", "_", parted.lower()))
-        if not re.match("[a-z]", plain):
-            plain = own = f"x{plain}"
-        number = 1
-        while own in found.values() or own in _KEYWORDS:
-            number += 1
-            own = f"{plain}_{number}"
-        found[name] = own
+        plain = re.sub(r"_+", "_", camel_to_snake_case(name))
+        candidates = _numbered(plain if re.match("[a-z]", plain) else f"x{plain}", "_")
+        found[name] = next(own for own in candidates if own not in found.values() and f" {own} " not in _KEYWORDS)
     return found
 
 
@@ -207,15 +204,15 @@ def _member_names(message: Message) -> dict[str, str]:
     return c_names(signal.name for signal in message.signals)
 
 
-def _free_of_each_other(messages: Mapping[str, Message]) -> dict[str, str]:
+def _message_names(messages: Mapping[str, Message]) -> dict[str, str]:
     """Names of the messages in C. cantools joins them with those of signals: A with B_C must not meet A_B with C."""
     names, taken = c_names(messages), set[str]()
     for name, message in messages.items():
-        signals, number, plain = _member_names(message).values(), 1, names[name]
-        while (joined := {names[name], *(f"{names[name]}_{signal}" for signal in signals)}) & taken:
-            number += 1
-            names[name] = f"{plain}_n{number}"
-        taken |= joined
+        for own in _numbered(names[name], "_n"):
+            joined = {own, *(f"{own}_{member}" for member in _member_names(message).values())}
+            if not joined & taken:
+                break
+        names[name], taken = own, taken | joined
     return names
 
 
@@ -247,25 +244,6 @@ def _refuse(frames: Frames) -> None:
         if frames.counts(field) > _MOST_COUNTS:
             place = f"'{frames.fields[field].name}' of message '{frames.name}'"
             raise DbcError(f"{place} counts beyond 32 bits; the firmware's counts have 32 bits")
-
-
-def _function(wire: Wire, frames: Frames, name: str) -> dict[str, Any]:
-    """The function that packs the frames of one message, with the values of each page, or that unpacks a command."""
-    if frames.kind is Command:
-        statements, tests = _unpacked(frames)
-        return {"name": name, "statements": statements, "tests": tests}
-    call = f"(void)frames_{name}_pack(data, &frame, {frames.size}u);"
-    if frames.kind is Report:
-        codes = ", ".join(f"{wire.fault_codes[fault]}u" for fault in BoardFault)
-        head, known = (
-            "const struct wire_report *report, uint32_t page",
-            {"fault": f"((const uint32_t[]){{{codes}}})[report->fault]"},
-        )
-    else:
-        said = wire.meaning.heartbeat
-        head, known = "bool boot_up", {"state": f"(boot_up ? {said.boot_up_value}u : {said.operational_value}u)"}
-    pages = [_packed(frames, page, known) for page in frames.pages]
-    return {"name": name, "head": head, "call": call, "pages": pages, "paged": frames.kind is Report}
 
 
 def _protection(frames: Frames) -> str:
@@ -308,17 +286,14 @@ def _number(frames: Frames, field: str) -> tuple[str, str]:
     return _typed(signal, raw), f"(({value} >= {least}) && ({value} <= {largest}))"
 
 
-def _packed(frames: Frames, page: Mapping[str, int], known: Mapping[str, str]) -> dict[str, str]:
-    """Values of the members of cantools' struct in C, for one page of a multiplexed message.
-
-    ``known`` has the expressions of fields that the board's report does not have.
-    """
+def _packed(wire: Wire, frames: Frames, page: Mapping[str, int]) -> dict[str, str]:
+    """Values of the members of cantools' struct in C, for one page of a multiplexed message."""
     own, fields = _member_names(frames.message), {signal.name: field for field, signal in frames.fields.items()}
     values = {}
     for signal in frames.message.signals:
         shown = in_page(frames.message, signal, page)
         if signal.name in fields and shown:
-            values[own[signal.name]] = _value(frames, fields[signal.name], known)
+            values[own[signal.name]] = _value(wire, frames, fields[signal.name])
         elif signal.name in page:
             values[own[signal.name]] = _typed(signal, f"{page[signal.name]}")
         elif signal.raw_initial and shown:
@@ -328,17 +303,25 @@ def _packed(frames: Frames, page: Mapping[str, int], known: Mapping[str, str]) -
     return values or {next(iter(own.values())): "0"}
 
 
-def _value(frames: Frames, field: str, known: Mapping[str, str]) -> str:
+def _value(wire: Wire, frames: Frames, field: str) -> str:
     if field in frames.factors:
         return _number(frames, field)[0]
-    expression = known.get(field, f"report->{field}")
-    if field == "amplifier":
+    expression, said = f"report->{field}", wire.meaning.heartbeat
+    if field == "state":
+        expression = f"(boot_up ? {said.boot_up_value}u : {said.operational_value}u)"
+    elif field == "fault":
+        expression = _chosen((wire.fault_codes[fault] for fault in BoardFault), expression)
+    elif field == "amplifier":
         raw = sent_values(frames.values[field])
-        states = ", ".join(f"{raw[state]}u" for state in (Amplifier.OFF, Amplifier.OFF, Amplifier.ON, Amplifier.FAULT))
-        expression = f"((const uint32_t[]){{{states}}})[report->amplifier]"
+        states = (Amplifier.OFF, Amplifier.OFF, Amplifier.ON, Amplifier.FAULT)
+        expression = _chosen((raw[state] for state in states), expression)
     elif field == "good":
-        expression = f"(report->good ? {frames.values[field][True]} : {frames.values[field][False]})"
+        expression = f"({expression} ? {frames.values[field][True]} : {frames.values[field][False]})"
     return _typed(frames.fields[field], expression)
+
+
+def _chosen(values: Iterable[int], index: str) -> str:
+    return f"((const uint32_t[]){{{', '.join(f'{value}u' for value in values)}}})[{index}]"
 
 
 def _unpacked(frames: Frames) -> tuple[list[str], list[str]]:

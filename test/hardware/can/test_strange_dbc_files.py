@@ -186,7 +186,7 @@ REFUSED = {
     "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), "y.signal", "inf"),
     "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", "x.message", "0x120 and 0x12c"),
     "a name of a signal twice": (with_line("SG_ OK", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'), "x.signal", "2"),
-    "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), "x.signal", "'POS_Y'"),
+    "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), "x.signal", "POS_Y"),
     "a signal beyond its message": (with_line("SET_CNT : 24|8", "SET_CNT : 26|8"), "protection.command.alive", "4"),
     "a float of 24 bits": (with_line("X : 0|32", "X : 0|24") + "SIG_VALTYPE_ 288 POS_X : 1;\n", "x.signal", "24"),
     "a state that chooses the current's page": (MULTIPLEXED, "x.signal", "'AMP'"),
