@@ -27,7 +27,7 @@ from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import Heartbeats, message_from_waypoints
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node
+from straightcomp_ros.runtime.streams import Streams, SubscriptionQueue, publisher, subscribe
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -163,11 +163,11 @@ class Stand:
     def echo(self, on: bool) -> None:
         """Start or stop acting as a second controller that repeats each command."""
         if on:
-            self._unspun = unspun_node(self.node)
-            self._echoed = SubscriptionQueue(self.node, self._unspun, COMMAND)
+            self._streams = Streams(self.node)
+            self._echoed = self._streams.queue(COMMAND)
         elif self._echoed is not None:
             self._echoed = None
-            self._unspun.destroy_node()
+            self._streams.close()
 
     def begin_foreign(self, rate: float, clock: bool, offset_ns: int) -> int:
         """Let a foreign process publish ``rate`` commands a second until :meth:`end_foreign`.

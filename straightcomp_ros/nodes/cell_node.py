@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
-from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.cell.cell_sequence import AMPLIFIER_OFF, CellSequence
@@ -17,6 +16,7 @@ from straightcomp_ros.cell.packml import Command, State
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.node_parameters import CellNodeParameters
 from straightcomp_ros.runtime.graph_client import GraphClient
+from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
@@ -36,9 +36,9 @@ class CycleFailed(Exception):
 class CellNode(Runnable):
     """Lets the sequencer run one cycle; in :meth:`_cycle` each ``yield`` waits for the next tick."""
 
-    def __init__(self, node: Node, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
+    def __init__(self, node: GuardedNode, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
-        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
         self._graph = GraphClient(
             node,
             parameters.nodes.split(),

@@ -6,19 +6,16 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.recorded_nodes import attach_map
 from straightcomp_ros.bags.recorder import Recorder, RecorderOptions
 from straightcomp_ros.bags.topics import Topic, definition
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
+from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED, Stream
 from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
@@ -29,7 +26,7 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.other_topics import OtherTopics, stored
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import BatchQueue, RawQueue, message_type, stream_qos
+from straightcomp_ros.runtime.streams import BatchQueue, RawQueue, message_class, stream_qos
 from straightcomp_ros.timing.delays import Histogram, StampGaps
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
@@ -49,20 +46,15 @@ class LoggerComponent:
         self._topics: dict[str, RawQueue | BatchQueue] = {}
         self._silent: dict[str, Topic] = {}
         """Topics that have had no message yet."""
-        self._unspun = node.streams.unspun
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
         self._recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
-            depth = parameters.queue_depth
-            batches = partial(BatchQueue, node, self._unspun, stream, depth, complete=True)
-            self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(depth), batches)
-        self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
-        self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
-        batches_of_ours = [node.resolve_topic_name(stream.batch_topic) for stream in STREAMS]
-        self._others = OtherTopics(
-            node, self._unspun, others, [*self._topics, *batches_of_ours], self._recorder.announce
-        )
+            self._record(stream.topic, stream.layout.type_name, stream_qos(parameters.queue_depth), stream)
+        self._record(STAGE_TRAJECTORY, "trajectory_msgs/msg/JointTrajectory", QoSProfile(depth=10))
+        self._record(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray", QoSProfile(depth=100))
+        ours = [*self._topics, *(node.resolve_topic_name(stream.batch_topic) for stream in STREAMS)]
+        self._others = OtherTopics(node, node.streams, others, ours, self._recorder.announce)
         self._provide_services()
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
@@ -84,19 +76,20 @@ class LoggerComponent:
         """Prepare another limit of free disk space."""
         return self._recorder.other_min_free(parameters.min_free_bytes)
 
-    def _record(
-        self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], BatchQueue] | None = None
-    ) -> None:
+    def _record(self, topic: str, type_name: str, qos: QoSProfile, stream: Stream | None = None) -> None:
         if not self._chosen.fullmatch(topic.lstrip("/")):
             return
-        full_name = self.node.resolve_topic_name(topic)
-        type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        full_name, streams = self.node.resolve_topic_name(topic), self.node.streams
         # The first definition takes half a second to load: do it before the bag's first message arrives.
         definition(type_name)
         # The publisher's QoS is known when it exists: at the first message.
         self._silent[full_name] = Topic(full_name, type_name, stored([qos]))
         self._recorder.expect(self._silent[full_name])
-        self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
+        self._topics[full_name] = (
+            streams.raw_batches(stream, qos.depth, complete=True)
+            if stream
+            else streams.raw(message_class(type_name), topic, qos)
+        )
 
     def _provide_services(self) -> None:
         """Make the services ``~/start``, ``~/stop`` and so on. Each acts on the messages that arrive after it."""
@@ -174,7 +167,7 @@ class LoggerComponent:
 
     def _announce(self, topic: str) -> None:
         announced = self._silent.pop(topic)
-        publishers = self._unspun.get_publishers_info_by_topic(topic)
+        publishers = self.node.get_publishers_info_by_topic(topic)
         if publishers:
             announced = replace(announced, qos=stored([publisher.qos_profile for publisher in publishers]))
         self._recorder.announce(announced)

@@ -8,7 +8,6 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.cell.cell_sequence import CellSequence
@@ -18,9 +17,10 @@ from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
+from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.ros_parameters import declare
-from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 
 if TYPE_CHECKING:
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 _TICK_S = 0.02
 
 
-class OpcuaNode:
+class OpcuaNode(Runnable):
     """Connects the ROS graph, the PackML state machine and the OPC UA server."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: GuardedNode) -> None:
         self._parameters = parameters = declare(node, OpcuaNodeParameters)
-        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
         names = parameters.nodes.split()
         self._graph = GraphClient(node, names, description=parameters.stage.identity)
         self._remote = RemoteParameters(node, ["driver"])

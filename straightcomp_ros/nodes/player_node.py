@@ -5,7 +5,6 @@ import time
 import warnings
 from pathlib import Path
 
-from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
@@ -14,6 +13,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.parameters.node_parameters import PlayerNodeParameters
+from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.loops import PeriodicLoop
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.ros_parameters import declare
@@ -30,7 +30,7 @@ _SILENCE_NS = 1_000_000_000
 class PlayerNode(Runnable):
     """Plays a bag. It keeps the bag's stamps, since they pair samples, references and commands."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: GuardedNode) -> None:
         parameters = declare(node, PlayerNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         if not parameters.bag:

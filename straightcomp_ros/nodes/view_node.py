@@ -4,12 +4,12 @@ import queue
 from collections.abc import Callable
 from functools import partial
 
-from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
 from straightcomp_ros.runtime.graph_client import GraphClient
-from straightcomp_ros.runtime.runner import run
+from straightcomp_ros.runtime.guarded_node import GuardedNode
+from straightcomp_ros.runtime.runner import Runnable, run
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -28,7 +28,7 @@ _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": 
 """Name in the diagnostics, by name on the page."""
 
 
-class ViewNode:
+class ViewNode(Runnable):
     """Serves the page at ``port`` and calls ``ready`` with its address. Only the main thread uses ROS; others serve it.
 
     ``realtime`` must equal that of the graph's nodes: see docs/realtime.md. ``maintenance`` is a file of advice, empty
@@ -37,14 +37,14 @@ class ViewNode:
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         port: int,
         ready: Callable[[str], object],
         realtime: RealtimeParameters,
         maintenance: str = "",
     ) -> None:
         self._advice = WatchedAdvice(maintenance)
-        self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
+        self.node, self.done, self.realtime = node, Future(), realtime
         self._graph = GraphClient(node, _NODES)
         self._reference = self._graph.streams.batches(REFERENCE)
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})

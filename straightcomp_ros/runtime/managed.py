@@ -89,7 +89,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self.done.add_done_callback(lambda _: self._turn())
         _refuse_wrong_transitions(self)
 
-    def begin(self) -> None:
+    def begun(self) -> "ManagedNode":
         """Declare the parameters; with ``autostart`` configure and activate. One of :data:`REFUSALS` if that fails."""
         parameters = declare(self, self._parameter_set, changeable=True)
         self.realtime = parameters.realtime
@@ -103,6 +103,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
                 self.trigger_activate()
             if self._failure is not None:
                 raise self._failure
+        return self
 
     @property
     def loop(self) -> Loop | None:
@@ -120,6 +121,9 @@ class ManagedNode(GuardedNode, LifecycleNode):
         elif self.active:
             self.trigger_deactivate()
 
+    def leave(self) -> None:
+        """Leave nothing to switch off: see `Runnable`."""
+
     def close(self) -> None:
         """Stop and release the component, if there is one."""
         if self.active and self._component is not None:
@@ -134,13 +138,12 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self._own_timers = self.steady_timers.mark()
 
         def configure() -> None:
-            self._component = self._make(self, self._changes.parameters())
+            self._component = component = self._make(self, self._changes.parameters())
+            self._changes.follow(component.prepare)
 
         with at_normal_priority():
             code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
-        if self._component is not None:
-            self._changes.follow(self._component.prepare)
-        else:
+        if self._component is None:
             self._destroy_entities()
         return code
 

@@ -1,6 +1,5 @@
 """Records topics outside the contract: finds them by name when they appear, of any type."""
 
-import importlib
 import re
 import time
 from collections.abc import Callable, Collection
@@ -10,7 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from straightcomp_ros.bags.topics import Definition, Topic, TopicQos, typestore
-from straightcomp_ros.runtime.streams import RawQueue
+from straightcomp_ros.runtime.streams import RawQueue, Streams, message_class
 
 Add = Callable[[str, bytes, int, int], None]
 """Takes topic, serialised message, reception time and source time in ns since the epoch."""
@@ -32,12 +31,12 @@ class OtherTopics:
     def __init__(
         self,
         node: Node,
-        unspun: Node,
+        streams: Streams,
         pattern: re.Pattern[str],
         ours: Collection[str],
         announce: Callable[[Topic], None],
     ) -> None:
-        self._node, self._unspun, self._pattern, self._announce = node, unspun, pattern, announce
+        self._node, self._streams, self._pattern, self._announce = node, streams, pattern, announce
         self._settled = set(ours)
         self._queues: dict[str, RawQueue] = {}
         self._latched: dict[str, tuple[bytes, int]] = {}
@@ -79,7 +78,7 @@ class OtherTopics:
         qos = offered(profiles)
         described = None if types[0] in typestore().fielddefs else definition_of_class(kind)
         self._announce(Topic(name, types[0], stored(profiles), described))
-        self._queues[name] = RawQueue(self._unspun, kind, name, qos)
+        self._queues[name] = self._streams.raw(kind, name, qos)
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._latched[name] = b"", 0
         self._node.get_logger().info(f"recording '{name}' ({types[0]}) too")
@@ -112,15 +111,6 @@ def stored(profiles: Collection[QoSProfile]) -> TopicQos:
         history="keep_last" if known else "unknown",
         depth=qos.depth if known else 0,
     )
-
-
-def message_class(type_name: str) -> Any:
-    """The class of a type such as ``sensor_msgs/msg/Range``; None if its package is not installed."""
-    package, _, name = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name, None)
-    except ImportError:
-        return None
 
 
 def definition_of_class(kind: Any) -> Definition:

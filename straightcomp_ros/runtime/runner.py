@@ -9,12 +9,11 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -35,13 +34,22 @@ _LEAVE_WITHIN_S = 2.0
 """Longest wait for the driver's answer at the end: a launcher kills a node 5 s after it asked it to end."""
 
 
-class Runnable(Protocol):
+class Runnable:
     """What the runner needs: a node to spin, a future that ends it, its scheduling, and a safe close."""
 
     node: GuardedNode
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
-    loop: Loop | None  # runs instead of the executor, which gets the idle time
+    loop: Loop | None = None  # runs instead of the executor, which gets the idle time
+
+    @property
+    def turn(self) -> Future:
+        """Done when another loop is to run, or none."""
+        return self.done
+
+    def fail(self, error: Exception) -> None:
+        """Handle one of :data:`RUN_FAILURES` of the loop or a callback; by default it ends the process."""
+        raise error
 
     def leave(self) -> Future | None:
         """Begin to switch the amplifier off if the work is not finished, also after an error of this node. None if
@@ -51,35 +59,28 @@ class Runnable(Protocol):
         """Leave outputs safe and data saved; by default nothing to do. The ROS context may have ended already."""
 
 
-def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | None = None) -> int:
-    """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
+def run(
+    name: str,
+    make: Callable[[Any], Any],
+    arguments: Sequence[str] | None = None,
+    make_node: Callable[[], GuardedNode] | None = None,
+) -> int:
+    """Run what ``make`` makes of the node ``name`` until SIGINT, SIGTERM, shutdown of the context or its own end.
 
     Returns:
         Exit code: 0 after a requested stop that interrupted no work, 2 if parameters or files cannot be used, 1 if the
         node failed or its work was interrupted, or the result that the node itself gave to ``done``.
     """
-    return _run(name, lambda: GuardedNode(name, automatically_declare_parameters_from_overrides=True), make, arguments)
-
-
-def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
-    """Like :func:`run`, for a lifecycle node, whose configuration makes its component; see :mod:`~.managed`."""
-
-    def begun(node: ManagedNode) -> ManagedNode:
-        node.begin()
-        return node
-
-    return _run(name, lambda: ManagedNode(name, parameter_set, make), begun, arguments)
-
-
-def _run(name: str, make_node: Callable[[], Any], make: Callable[[Any], Any], arguments: Sequence[str] | None) -> int:
     # rclpy's own handlers shut the context down during a callback; ours let the callback end first.
-    stop = _StopRequest()
+    stop = Future()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: _complete(stop, 0))
     try:
         with own_profile():
             rclpy.init(
                 args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
             )
-            node = make_node()
+            node = make_node() if make_node else GuardedNode(name, automatically_declare_parameters_from_overrides=True)
             # Python handles signals only between its own instructions, and an idle executor runs none. The timer also
             # collects cyclic garbage while there is little, so that it is never collected during a cycle.
             node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
@@ -94,7 +95,7 @@ def _run(name: str, make_node: Callable[[], Any], make: Callable[[Any], Any], ar
             print(f"{name}: {error}", file=sys.stderr)
             return EXIT_CONFIGURATION
         try:
-            stop.ends(runnable.done)
+            stop.add_done_callback(lambda _: _complete(runnable.done, 0))
             return _spin(runnable)
         finally:
             runnable.close()
@@ -107,62 +108,40 @@ def _run(name: str, make_node: Callable[[], Any], make: Callable[[Any], Any], ar
         rclpy.try_shutdown()
 
 
-class _StopRequest:
-    """Handles SIGINT and SIGTERM: they complete a node's future as soon as there is one."""
+def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
+    """Like :func:`run`, for a lifecycle node, whose configuration makes its component; see :mod:`~.managed`."""
+    return run(name, ManagedNode.begun, arguments, lambda: ManagedNode(name, parameter_set, make))
 
-    def __init__(self) -> None:
-        self._requested, self._done = False, Future()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._request)
 
-    def ends(self, done: Future) -> None:
-        """Let a request complete ``done`` with exit code 0, also a request that came before."""
-        self._done = done
-        if self._requested:
-            self._request()
-
-    def _request(self, *_: object) -> None:
-        self._requested = True
-        if not self._done.done():
-            self._done.set_result(0)
+def _complete(future: Future, result: int) -> None:
+    if not future.done():
+        future.set_result(result)
 
 
 def _spin(runnable: Any) -> int:
     executor = EventsExecutor()
     idle = _settle(runnable, executor)
-    if isinstance(runnable, ManagedNode):
-        return _spin_until_done(runnable, executor, idle)
     interrupted = False
     try:
-        code = _spin_until_done(runnable, executor, idle)
+        while not runnable.done.done():
+            turn = runnable.turn
+            try:
+                if runnable.loop:
+                    runnable.loop.run(turn.done, idle)
+                else:
+                    executor.spin_until_future_complete(turn, timeout_sec=_LONGEST_WAIT_S)
+            except ExternalShutdownException:
+                _complete(runnable.done, 0)
+            except RUN_FAILURES as error:
+                runnable.fail(error)
     finally:
+        _complete(runnable.done, EXIT_FAILURE)
         interrupted = _left(runnable, executor)
-    return code or (EXIT_FAILURE if interrupted else 0)
+    return int(runnable.done.result()) or (EXIT_FAILURE if interrupted else 0)
 
 
-def _spin_until_done(runnable: Any, executor: Executor, idle: Callable[[], None]) -> int:
-    managed = isinstance(runnable, ManagedNode)
-    while not runnable.done.done():
-        # Each state of a managed node has its own loop, or none.
-        turn = runnable.turn if managed else runnable.done
-        try:
-            if runnable.loop:
-                runnable.loop.run(turn.done, idle)
-            else:
-                executor.spin_until_future_complete(turn, timeout_sec=_LONGEST_WAIT_S)
-        except ExternalShutdownException:
-            return 0
-        except RUN_FAILURES as error:
-            if not managed:
-                raise
-            runnable.fail(error)
-    return int(runnable.done.result())
-
-
-def _left(runnable: Runnable, executor: Executor) -> bool:
+def _left(runnable: Any, executor: Executor) -> bool:
     """Let a client leave the machine with the amplifier off; returns whether that interrupted its work."""
-    if not runnable.done.done():
-        runnable.done.set_result(EXIT_FAILURE)
     leaving, logger = runnable.leave(), runnable.node.get_logger()
     if leaving is None:
         return False
@@ -182,7 +161,7 @@ def _left(runnable: Runnable, executor: Executor) -> bool:
     return True
 
 
-def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
+def _settle(runnable: Any, executor: Executor) -> Callable[[], None]:
     """Do everything that is done once before the first cycle; returns the idle work for a loop."""
     node = runnable.node
     executor.add_node(node)

@@ -9,6 +9,7 @@ The loops know a stream only as a function ``publish(stamp_ns, *numbers)`` and a
 they get both from :class:`Streams`. Within a process another class with its methods could hand the numbers over.
 """
 
+import importlib
 import itertools
 import math
 import time
@@ -20,9 +21,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
-from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import Stream
 from straightcomp_ros.messages.cdr import (
@@ -49,15 +48,18 @@ _DELIVERY = Duration(seconds=0.2)
 """Longest wait for subscribers to acknowledge the last batches."""
 _LOOK_NS = 200_000_000
 _LONGEST_DELAY_NS = 1_000_000_000
-_MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
 
 Messages = list[tuple[bytes, Mapping[str, int]]]
 """Serialised messages with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
 
 
-def message_type(type_name: str) -> Any:
-    """The message class of a stream's type."""
-    return _MESSAGE_TYPES[type_name]
+def message_class(type_name: str) -> Any:
+    """The class of a type such as ``sensor_msgs/msg/Range``; None if its package is not installed."""
+    package, _, name = type_name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except ImportError:
+        return None
 
 
 def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
@@ -69,7 +71,7 @@ def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
 
 def stream_publisher(node: Node, stream: Stream) -> Publisher:
     """rclpy's publisher of a stream."""
-    return node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
+    return node.create_publisher(message_class(stream.layout.type_name), stream.topic, stream_qos())
 
 
 def publisher(node: Node, stream: Stream) -> Callable[..., None]:
@@ -94,7 +96,7 @@ def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[floa
         if message:
             callback(*message)
 
-    node.create_subscription(message_type(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
+    node.create_subscription(message_class(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
 
 
 class StreamPublisher:
@@ -162,9 +164,9 @@ class RawQueue:
     """Serialised messages of the topic with this full name, fetched by the caller. The depth of ``qos`` limits the
     number of waiting messages; ``wait(timeout_ns)`` returns when one has arrived, or after that time."""
 
-    def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
+    def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile) -> None:
         self._unspun = unspun
-        self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True)
+        self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos, raw=True)
         self._take, self.wait = raw_take(self._subscription), waiter(unspun, self._subscription)
 
     @property
@@ -192,13 +194,11 @@ class BatchQueue:
     """
 
     def __init__(self, node: Node, unspun: Node, stream: Stream, depth: int = 1000, complete: bool = False) -> None:
-        def queue(kind: type, topic: str, reliable: bool = False) -> RawQueue:
-            return RawQueue(unspun, kind, node.resolve_topic_name(topic), stream_qos(depth, reliable))
-
-        kind = message_type(stream.layout.type_name)
-        self._make_direct: Callable[[], RawQueue] = lambda: queue(kind, stream.topic)
+        kind, topic = message_class(stream.layout.type_name), node.resolve_topic_name(stream.topic)
+        self._make_direct: Callable[[], RawQueue] = lambda: RawQueue(unspun, kind, topic, stream_qos(depth))
         self._size = stream.layout.size
-        self._batches = queue(UInt8MultiArray, stream.batch_topic, complete)
+        batches = node.resolve_topic_name(stream.batch_topic)
+        self._batches = RawQueue(unspun, UInt8MultiArray, batches, stream_qos(depth, complete))
         self._direct: RawQueue | None = self._make_direct()
         self._dropped = ThrottledWarning(node, f"batches on '{stream.batch_topic}' are dropped")
         self._newest_ns: int | None = None
@@ -265,20 +265,14 @@ class SubscriptionQueue:
     """A stream whose messages wait in the middleware until they are fetched.
 
     A message does not wake this process. A loop that looks into its queue anyway saves two context switches a message.
-    ``node`` resolves topic names and logs warnings; ``unspun`` is from :func:`unspun_node`. The messages are those of
-    ``queue``, or of the stream's own topic.
 
     Attributes:
         wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
         sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
     """
 
-    def __init__(self, node: Node, unspun: Node, stream: Stream, queue: RawQueue | BatchQueue | None = None) -> None:
-        self._read = _reader(node, stream)
-        self._queue = queue or RawQueue(
-            unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic)
-        )
-        self.wait = self._queue.wait
+    def __init__(self, node: Node, stream: Stream, queue: RawQueue | BatchQueue) -> None:
+        self._read, self._queue, self.wait = _reader(node, stream), queue, queue.wait
         self.sent_ns: list[int] = []
 
     def fetch(self) -> list[tuple[int, Sequence[float], int]]:
@@ -294,17 +288,6 @@ class SubscriptionQueue:
         return messages
 
 
-def unspun_node(node: Node) -> Node:
-    """A node that no executor spins, for subscriptions that are only fetched; `ros2 node list` hides it by its `_`."""
-    return Node(
-        f"_{node.get_name()}_subscriptions",
-        namespace=node.get_namespace(),
-        use_global_arguments=False,
-        enable_rosout=False,
-        start_parameter_services=False,
-    )
-
-
 class Streams:
     """The ends of streams that one component of ``node`` uses, until :meth:`close`."""
 
@@ -314,18 +297,32 @@ class Streams:
 
     @property
     def unspun(self) -> Node:
-        """See :func:`unspun_node`."""
+        """A node that no executor spins, for subscriptions that are only fetched; `ros2 node list` hides its name."""
         if self._unspun is None:
-            self._unspun = unspun_node(self._node)
+            self._unspun = Node(
+                f"_{self._node.get_name()}_subscriptions",
+                namespace=self._node.get_namespace(),
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
         return self._unspun
+
+    def raw(self, kind: Any, topic: str, qos: QoSProfile | None = None) -> RawQueue:
+        """The serialised messages of a topic."""
+        return RawQueue(self.unspun, kind, self._node.resolve_topic_name(topic), qos or stream_qos())
+
+    def raw_batches(self, stream: Stream, depth: int = 1000, complete: bool = False) -> BatchQueue:
+        """The stream's serialised messages, taken from its batches; see :class:`BatchQueue`."""
+        return BatchQueue(self._node, self.unspun, stream, depth, complete)
 
     def queue(self, stream: Stream) -> SubscriptionQueue:
         """The stream's messages, each as it was published."""
-        return SubscriptionQueue(self._node, self.unspun, stream)
+        return SubscriptionQueue(self._node, stream, self.raw(message_class(stream.layout.type_name), stream.topic))
 
     def batches(self, stream: Stream) -> SubscriptionQueue:
         """The stream's messages, taken from its batches."""
-        return SubscriptionQueue(self._node, self.unspun, stream, BatchQueue(self._node, self.unspun, stream))
+        return SubscriptionQueue(self._node, stream, self.raw_batches(stream))
 
     def publisher(
         self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
@@ -347,7 +344,7 @@ def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence
     names. One that cannot be read is dropped, with a warning.
     """
     layout = stream.layout
-    kind = message_type(layout.type_name)
+    kind = message_class(layout.type_name)
     unpack, dropped = layout.unpack, ThrottledWarning(node, f"messages on '{stream.topic}' are dropped")
 
     def read(data: bytes) -> tuple[int, Sequence[float]] | None:

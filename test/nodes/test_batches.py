@@ -8,7 +8,7 @@ from participant import Participant
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
-from straightcomp_ros.runtime.streams import BatchQueue, StreamPublisher, SubscriptionQueue, unspun_node
+from straightcomp_ros.runtime.streams import StreamPublisher, Streams, SubscriptionQueue
 
 pytestmark = pytest.mark.live
 
@@ -20,9 +20,9 @@ class Pair(Participant):
 
     def __init__(self):
         super().__init__("reader")
-        self.writer, self.unspun = Node("writer"), unspun_node(self.node)
-        self.queue = BatchQueue(self.node, self.unspun, ENCODER)
-        self.received = SubscriptionQueue(self.node, self.unspun, ENCODER, self.queue)
+        self.writer, self.streams = Node("writer"), Streams(self.node)
+        self.queue = self.streams.raw_batches(ENCODER)
+        self.received = SubscriptionQueue(self.node, ENCODER, self.queue)
         self.stamps, self.sent = [], 0
 
     def wait(self, condition):
@@ -34,7 +34,7 @@ class Pair(Participant):
         self.until(came)
 
     def __exit__(self, *_):
-        self.unspun.destroy_node()
+        self.streams.close()
         self.writer.destroy_node()
         super().__exit__()
 
@@ -80,7 +80,7 @@ def test_a_reader_has_each_message_once_whether_batches_come_go_or_never_were(pa
 
 def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes_to_it(pair):
     publish, sent = StreamPublisher(pair.writer, TRUTH, 2000), 0
-    batches = BatchQueue(pair.node, pair.unspun, TRUTH)
+    batches = pair.streams.raw_batches(TRUTH)
 
     def send(count):
         nonlocal sent
@@ -100,7 +100,7 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
     send(100)
     # Having had the first batch the reader leaves the stream itself, and no other node reads that.
     pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
-    direct = SubscriptionQueue(pair.node, pair.unspun, TRUTH)
+    direct = pair.streams.queue(TRUTH)
     pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
     time.sleep(0.2)
     send(20)
@@ -111,7 +111,7 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
 
 def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
     publish = StreamPublisher(pair.writer, TRUTH, None)
-    batches = BatchQueue(pair.node, pair.unspun, TRUTH)
+    batches = pair.streams.raw_batches(TRUTH)
     pair.wait(lambda: batches.connected)
     time.sleep(0.2)
     publish(0, *NOUGHT)

@@ -54,7 +54,7 @@ class CommissioningNode(Runnable):
 
     def __init__(self, node: GuardedNode) -> None:
         self._parameters = parameters = declare(node, CommissioningNodeParameters)
-        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
         if not parameters.output:
             raise ParameterError("parameter 'output' is empty; allowed: a folder for the record and the bags")
         self._folder = Path(parameters.output).resolve()
