@@ -121,8 +121,8 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
             frames[asked.name] = asked.pack, asked.unpack, _COMMAND
     return {
         name: {
-            "pack_us": cost(_calls(pack, frame), _CALLS, repeats).median,
-            "unpack_us": cost(_calls(unpack, pack(frame)), _CALLS, repeats).median,
+            "pack_us": cost(_calls(pack, frame), _CALLS, repeats)["median_us"],
+            "unpack_us": cost(_calls(unpack, pack(frame)), _CALLS, repeats)["median_us"],
         }
         for name, (pack, unpack, frame) in frames.items()
     }

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from straightcomp_ros.bench.processes import Usage, usage
-from straightcomp_ros.bench.window import growth_mb_per_hour
+from straightcomp_ros.bench.processes import Usage, growth_mb_per_hour, usage
 
 MEMORY_SPAN_S = 600.0
 """Shortest time over which the slope of a process's memory is meaningful: a logger takes 5 MB in the first four minutes

@@ -4,15 +4,13 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
-from straightcomp_ros.bench.processes import cores, usage
-from straightcomp_ros.bench.recorded_window import Recording, read_window
-from straightcomp_ros.bench.window import Window, growth_mb_per_hour
+from straightcomp_ros.bench.processes import Usage, cores, growth_mb_per_hour, usage
+from straightcomp_ros.bench.recorded_window import read_window
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import RECORDED, LaunchError, run_cycle, verb_command
 from straightcomp_ros.contract import PACKAGE, STROKE
@@ -23,13 +21,14 @@ from straightcomp_ros.parameters.node_parameters import (
     node_parameters,
 )
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.timing.node_timing import NodeTiming, summarise
+from straightcomp_ros.timing.node_timing import summarise
 
 _SETTLE_S = 1.5
 """Motion before the window, in which caches fill and loops lock to each other."""
 _REST_S = 1.0
 """Time after the window in which its last samples are answered and recorded."""
 _PAUSE_S = 0.5
+_LOOK_INTERVAL_S = 10.0
 _DRIVER_TIMEOUT_S = 1.0
 """Command timeout of the machine: a stall must be measured, not switch the amplifier off."""
 
@@ -38,67 +37,36 @@ class BenchFailed(RuntimeError):
     """The measurement failed; the message names the node and the reason."""
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """One measured run.
+class Window:
+    """The measured time of a run: looks at the processes at its begin, every ``interval`` s, and at its end.
 
-    Attributes:
-        timing: each node in the window, from its diagnostics.
-        cpu_cores: CPU cores that each node kept busy.
-        rss_mb: resident memory of each node at begin and end, MB.
-        growth_mb_per_hour: slope of that memory; meaningful only over many minutes.
-        recording: the bag's streams in the window.
-        seconds: length of the window.
+    It begins ``settle`` s after the first call, and ends ``seconds`` later. Call it repeatedly while the graph runs.
     """
 
-    timing: Mapping[str, NodeTiming]
-    cpu_cores: Mapping[str, float]
-    rss_mb: Mapping[str, tuple[float, float]]
-    growth_mb_per_hour: Mapping[str, float]
-    recording: Recording
-    seconds: float
+    def __init__(self, look: Callable[[], Usage], *, settle: float, seconds: float, interval: float) -> None:
+        self._look, self._settle, self._seconds, self._interval = look, settle, seconds, interval
+        self._begin = self._next = math.nan
+        self.looks: list[Usage] = []
+        self.finished = False
 
-    def to_display(self) -> dict[str, Any]:
-        """All figures by name, as `straightcomp bench graph --json` prints them."""
-        figures: dict[str, Any] = {}
-        for node, timing in self.timing.items():
-            shown = timing.to_display()
-            figures[node] = {key: shown[key] for key in ("rate_hz", "overruns", "stalls", "timer_error_us")}
-            figures[node] |= {
-                "cpu_cores": self.cpu_cores[node],
-                "rss_mb": list(self.rss_mb[node]),
-            }
-        recording = self.recording
-        return {
-            **figures,
-            "lost_samples": recording.lost_samples,
-            "overruns": sum(timing.overruns for timing in self.timing.values()),
-            "stalls": sum(timing.stalls for timing in self.timing.values()),
-            "latency_us": recording.latency_us(),
-            "cpu_cores": sum(self.cpu_cores.values()),
-            "seconds": self.seconds,
-            "bag": {
-                "complete": not any(recording.missing.values()),
-                "expected_samples": recording.expected,
-                "missing": dict(recording.missing),
-                "amplifier_on": recording.amplifier_on,
-            },
-        }
+    def __call__(self, now: float) -> None:
+        """Look if it is time to at ``now``, in s of a monotonic clock."""
+        if math.isnan(self._begin):
+            self._begin = self._next = now + self._settle
+        over = now >= self._begin + self._seconds
+        if not self.finished and (over or now >= self._next):
+            self.looks.append(self._look())
+            self._next += self._interval
+            self.finished = over
 
 
 def bench_parameters(
     values: Mapping[str, Mapping[str, Any]], *, rate: int, seconds: float, priority: int
 ) -> dict[str, dict[str, Any]]:
-    """Parameters of a measured run.
+    """Parameters of a measured run, made from ``values`` by node and dotted name; ParameterError if one is refused.
 
-    Args:
-        values: parameters to start from, by node and dotted name.
-        rate: samples per second, of machine and controller.
-        seconds: length of the window; the stage moves a little longer.
-        priority: SCHED_FIFO priority of all nodes, with CPUs kept awake; 0 for normal scheduling.
-
-    Raises:
-        ParameterError: a value is refused.
+    The stage moves a little longer than the ``seconds`` of the window. All nodes get this SCHED_FIFO ``priority``, with
+    the CPUs kept awake; 0 for normal scheduling.
     """
     chosen = {STAGE: {}, **{node: dict(section) for node, section in values.items()}}
     for node in NODE_PARAMETERS:
@@ -131,11 +99,7 @@ _CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}
 
 
 def view_beside(priority: int) -> dict[str, Sequence[str]]:
-    """Commands of the live view and of a client that reads its page, to run beside the graph.
-
-    Args:
-        priority: SCHED_FIFO priority of the graph's nodes, which the view needs too.
-    """
+    """Commands of the live view, with the graph's ``priority``, and of a client that reads its page."""
     port = str(free_port())
     return {
         "view": verb_command("view", "--port", port, "--priority", str(priority)),
@@ -150,38 +114,34 @@ def measure(
     *,
     progress: Callable[[float], None] = lambda fraction: None,
     beside: Mapping[str, Sequence[str]] | None = None,
-    look_interval: float = 10.0,
-) -> Measurement:
-    """Run the graph once and measure it.
+) -> tuple[dict[str, Any], dict[str, float]]:
+    """Run the graph once with the parameters of :func:`bench_parameters` for the same ``seconds``, and measure it.
 
-    Args:
-        values: from :func:`bench_parameters`, for the same ``seconds``.
-        folder: gets bag, logs and parameter file; must not hold a bag.
-        seconds: length of the window.
-        progress: called with the finished fraction of the stage's motion.
-        beside: further programs to run during the measurement, by name.
-        look_interval: time between two looks at the nodes' memory, s.
+    Bag, logs and parameter file go to ``folder``, which must not hold a bag. ``progress`` is called with the finished
+    fraction of the stage's motion; ``beside`` are further programs to run, by name. BenchFailed if a node died or the
+    bag cannot be read.
 
-    Raises:
-        BenchFailed: a node died or the bag cannot be read.
+    Returns:
+        The figures by name as `straightcomp bench graph --json` prints them; and the slope of each node's memory in
+        MB/h, meaningful only over many minutes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     bag, parameter_file = folder / "bag", folder / "parameters.yaml"
     parameter_file.write_text(as_parameter_file(values))
     duration = forward_and_back(node_parameters("cell", values).stage.motion)[-1].time_ns * 1e-9
     process_ids: dict[str, int] = {}
-    window = Window(lambda: usage(process_ids), settle=_SETTLE_S, seconds=seconds, interval=look_interval)
-
-    finished: list[float] = []
+    window = Window(lambda: usage(process_ids), settle=_SETTLE_S, seconds=seconds, interval=_LOOK_INTERVAL_S)
+    recorded_at = math.inf
 
     def follow(fraction: float) -> bool:
+        nonlocal recorded_at
         now = time.monotonic()
         window(now)
         progress(fraction)
         if window.finished:
-            finished.append(now)
-        # By then the window's last samples are answered and recorded.
-        return bool(finished) and now >= finished[0] + _REST_S
+            # By then the window's last samples are answered and recorded.
+            recorded_at = min(recorded_at, now + _REST_S)
+        return now >= recorded_at
 
     try:
         run_cycle(
@@ -199,11 +159,19 @@ def measure(
         reports = read_reports(bag)
     except (LaunchError, BagError, OSError) as error:
         raise BenchFailed(str(error)) from error
-    return Measurement(
-        timing={node: summarise(reports.get(node, []), begin.time_ns, end.time_ns) for node in RECORDED},
-        cpu_cores=cores(begin, end),
-        rss_mb={node: (begin.rss_mb[node], end.rss_mb[node]) for node in RECORDED},
-        growth_mb_per_hour=growth_mb_per_hour(window.looks),
-        recording=recording,
-        seconds=(end.time_ns - begin.time_ns) * 1e-9,
-    )
+    timing = {node: summarise(reports.get(node, []), begin.time_ns, end.time_ns) for node in RECORDED}
+    cpu_cores, figures = cores(begin, end), dict[str, Any]()
+    for node, one in timing.items():
+        shown = one.to_display()
+        figures[node] = {key: shown[key] for key in ("rate_hz", "overruns", "stalls", "timer_error_us")}
+        figures[node] |= {"cpu_cores": cpu_cores[node], "rss_mb": [begin.rss_mb[node], end.rss_mb[node]]}
+    return {
+        **figures,
+        "lost_samples": recording.pop("lost_samples"),
+        "overruns": sum(one.overruns for one in timing.values()),
+        "stalls": sum(one.stalls for one in timing.values()),
+        "latency_us": recording.pop("latency_us"),
+        "cpu_cores": sum(cpu_cores.values()),
+        "seconds": (end.time_ns - begin.time_ns) * 1e-9,
+        **recording,
+    }, growth_mb_per_hour(window.looks)

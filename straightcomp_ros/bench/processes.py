@@ -2,9 +2,11 @@
 
 import os
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 _TICKS = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -12,27 +14,16 @@ _UTIME = 11
 """Index of the user time after the command's name in /proc/PID/stat (proc(5): field 14); the system time follows."""
 
 
-@dataclass(frozen=True)
-class Usage:
-    """What processes have used up to one moment.
+class Usage(NamedTuple):
+    """What processes have used up to one moment, by name."""
 
-    Attributes:
-        time_ns: the moment, ns since the epoch.
-        cpu: seconds of CPU since the start of each, all threads, by name; known to 10 ms.
-        rss_mb: resident memory of each in MB (10⁶ bytes), by name.
-    """
-
-    time_ns: int
-    cpu: Mapping[str, float]
-    rss_mb: Mapping[str, float]
+    time_ns: int  # since the epoch
+    cpu: Mapping[str, float]  # seconds of CPU since the start of each, all threads; known to 10 ms
+    rss_mb: Mapping[str, float]  # resident memory in MB (10⁶ bytes)
 
 
 def usage(process_ids: Mapping[str, int]) -> Usage:
-    """Look now.
-
-    Raises:
-        OSError: a process has ended.
-    """
+    """Look now; OSError if a process has ended."""
     cpu, rss = {}, {}
     for name, pid in process_ids.items():
         # The command's name is in parentheses and may contain any character.
@@ -42,25 +33,19 @@ def usage(process_ids: Mapping[str, int]) -> Usage:
     return Usage(time.time_ns(), cpu, rss)
 
 
-def descriptors(process_id: int) -> int:
-    """Open file descriptors of a process.
-
-    Raises:
-        OSError: it has ended.
-    """
-    return len(os.listdir(f"/proc/{process_id}/fd"))
-
-
-def threads(process_id: int) -> int:
-    """Threads of a process.
-
-    Raises:
-        OSError: it has ended.
-    """
-    return len(os.listdir(f"/proc/{process_id}/task"))
-
-
 def cores(begin: Usage, end: Usage) -> dict[str, float]:
     """CPU cores that each process kept busy between two looks."""
     seconds = (end.time_ns - begin.time_ns) * 1e-9
     return {name: (end.cpu[name] - begin.cpu[name]) / seconds for name in begin.cpu}
+
+
+def growth_mb_per_hour(looks: Sequence[Usage]) -> dict[str, float]:
+    """Slope of each process's memory over all looks (least squares), MB/h; NaN with fewer than two."""
+    hours = np.array([look.time_ns - looks[0].time_ns for look in looks]) / 3.6e12
+    hours -= hours.mean()
+    return {
+        name: float(hours @ np.array([look.rss_mb[name] for look in looks]) / (hours @ hours))
+        if len(looks) > 1
+        else float("nan")
+        for name in looks[0].rss_mb
+    }

@@ -2,8 +2,8 @@
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from straightcomp_ros.contract import STREAMS
@@ -15,28 +15,24 @@ from straightcomp_ros.stage.description import StageParameters
 _CALLS = 1000
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Time of one call in µs: the median over repeats of many calls, the smallest and the largest."""
+Cost = dict[str, float]
+"""Time of one call in µs: ``median_us`` over repeats of many calls, ``min_us`` and ``max_us``."""
 
-    median: float
-    least: float
-    largest: float
 
-    def to_display(self) -> dict[str, float]:
-        """Values by name, in µs."""
-        return {"median_us": self.median, "min_us": self.least, "max_us": self.largest}
+def _cost(times: Sequence[float]) -> Cost:
+    return {"median_us": statistics.median(times), "min_us": min(times), "max_us": max(times)}
+
+
+def _timed(work: Callable[[], object], calls: int) -> float:
+    begin = time.perf_counter_ns()
+    work()
+    return (time.perf_counter_ns() - begin) * 1e-3 / calls
 
 
 def cost(work: Callable[[], object], calls: int, repeats: int) -> Cost:
     """Time ``work``, which makes ``calls`` calls, ``repeats`` times after one call to warm up."""
     work()
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter_ns()
-        work()
-        times.append((time.perf_counter_ns() - begin) * 1e-3 / calls)
-    return Cost(statistics.median(times), min(times), max(times))
+    return _cost([_timed(work, calls) for _ in range(repeats)])
 
 
 def law_costs(parameters: ControlParameters, stage: StageParameters, repeats: int) -> dict[str, Cost]:
@@ -81,20 +77,11 @@ def _message_costs(layout: Any, repeats: int) -> dict[str, Cost]:
 
 
 def simulation_cost(values: Mapping[str, Mapping[str, Any]], repeats: int) -> tuple[Cost, float]:
-    """Cost of one sample of `straightcomp simulate`, and how many seconds it simulates in one.
-
-    Raises:
-        ParameterError: a parameter is refused.
-        SurveyError: the map is refused.
-    """
+    """Cost of one sample of `straightcomp simulate`, and how many seconds it simulates in one. ParameterError or
+    SurveyError if a parameter or the map is refused."""
     rate = node_parameters("driver", values).stage.rate
     # Exclude what is made once, before the first sample.
     simulations = [Simulation(values) for _ in range(repeats + 1)]
     samples = len(simulations.pop().run().time)
-    times = []
-    for simulation in simulations:
-        begin = time.perf_counter_ns()
-        simulation.run()
-        times.append((time.perf_counter_ns() - begin) * 1e-3 / samples)
-    found = Cost(statistics.median(times), min(times), max(times))
-    return found, 1e6 / (found.median * rate)
+    found = _cost([_timed(simulation.run, samples) for simulation in simulations])
+    return found, 1e6 / (found["median_us"] * rate)

@@ -86,10 +86,9 @@ def _measured(
         raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
     try:
         with working(f"measuring {words}") as advance:
-            measured = measure(values, folder, seconds, progress=advance, beside=view)
+            return measure(values, folder, seconds, progress=advance, beside=view)
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
-    return measured.to_display(), dict(measured.growth_mb_per_hour)
 
 
 def _other(trigger: str) -> str:
@@ -170,11 +169,9 @@ def _step(options: argparse.Namespace) -> None:
         laws = law_costs(controller.control, controller.stage, options.repeats)
         messages = message_costs(options.repeats)
     figures = {
-        "laws": {name: found.to_display() for name, found in laws.items()},
-        "messages": {
-            topic: {verb: found.to_display() for verb, found in both.items()} for topic, both in messages.items()
-        },
-        "simulate": {"simulated_seconds_per_second": speed, "sample": sample.to_display()},
+        "laws": laws,
+        "messages": messages,
+        "simulate": {"simulated_seconds_per_second": speed, "sample": sample},
     }
     if options.json:
         print_json(figures)

@@ -10,10 +10,9 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.bench.graph_bench import bench_parameters
-from straightcomp_ros.bench.processes import Usage, cores, usage
+from straightcomp_ros.bench.graph_bench import Window, bench_parameters
+from straightcomp_ros.bench.processes import Usage, cores, growth_mb_per_hour, usage
 from straightcomp_ros.bench.recorded_window import read_window
-from straightcomp_ros.bench.window import Window, growth_mb_per_hour
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -25,15 +24,10 @@ PERIOD = 500_000
 
 
 def test_the_window_begins_after_the_settling_and_ends_once():
-    taken = []
-    window = Window(lambda: taken.append(None), settle=1.0, seconds=25.0)
-    times = np.arange(100.0, 140.0, 0.05)
-    seen = []
-    for now in times:
-        before = len(taken)
+    now, seen = 0.0, []
+    window = Window(lambda: seen.append(now), settle=1.0, seconds=25.0, interval=10.0)
+    for now in np.arange(100.0, 140.0, 0.05):
         window(now)
-        if len(taken) > before:
-            seen.append(now)
     np.testing.assert_allclose(seen, [101.0, 111.0, 121.0, 126.0], atol=0.06)
     assert window.finished
 
@@ -49,28 +43,25 @@ def test_the_slope_of_the_memory_is_that_of_the_line_through_the_looks():
 def test_cpu_and_memory_of_a_process_are_its_own():
     code = "import time\nblock = bytearray(b'x' * 60_000_000)\nprint(flush=True)\nend = time.process_time() + 0.5\n"
     code += "while time.process_time() < end: pass\nprint(flush=True)\ntime.sleep(60)\n"
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
-    try:
-        process.stdout.readline()
-        begin = usage({"busy": process.pid, "here": os.getpid()})
-        process.stdout.readline()
-        end = usage({"busy": process.pid, "here": os.getpid()})
-    finally:
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+        looks = []
+        for _ in range(2):
+            process.stdout.readline()
+            looks.append(usage({"busy": process.pid, "here": os.getpid()}))
         process.kill()
-        process.wait()
-        process.stdout.close()
-    seconds = (end.time_ns - begin.time_ns) * 1e-9
-    assert cores(begin, end)["busy"] * seconds == pytest.approx(0.5, abs=0.1)
-    assert cores(begin, end)["here"] * seconds < 0.3
-    assert 60 < end.rss_mb["busy"] < 120
+    seconds = (looks[1].time_ns - looks[0].time_ns) * 1e-9
+    assert cores(*looks)["busy"] * seconds == pytest.approx(0.5, abs=0.1)
+    assert cores(*looks)["here"] * seconds < 0.3
+    assert 60 < looks[1].rss_mb["busy"] < 120
     with pytest.raises(OSError):
         usage({"busy": process.pid})
 
 
-@pytest.fixture
-def bag(tmp_path):
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
     """1000 samples; every 10th lacks its command, the controller's state lacks the last of the first 900."""
-    with BagWriter(tmp_path / "bag") as bag:
+    path = tmp_path_factory.mktemp("window") / "bag"
+    with BagWriter(path) as bag:
         for stream in STREAMS:
             bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
         for k in range(1000):
@@ -82,47 +73,33 @@ def bag(tmp_path):
                 if stream is DRIVER_STATE:
                     numbers = [k * 1e-6, 0.0, 0.0, float(k >= 300)]
                 bag.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), stamp, stamp)
-    return tmp_path / "bag"
+    return path
 
 
-def test_every_sample_of_the_window_is_asked_for_on_every_topic(bag):
+def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_count(bag):
     found = read_window(bag, 2000, START + 100 * PERIOD, START + 900 * PERIOD)
-    assert found.expected == 800
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
-    assert found.missing == missing and found.lost_samples == 80
-    assert found.amplifier_on == pytest.approx(0.75)
-    assert found.latency_us()["max"] == pytest.approx(899) and found.latency_us()["p50"] == pytest.approx(499.5)
-
-
-def test_samples_lost_at_the_edges_of_the_window_count(bag):
-    found = read_window(bag, 2000, START - 50 * PERIOD, START + 1010 * PERIOD)
-    assert found.expected == 1060 and found.missing["encoder"] == 60
-
-
-def test_a_window_without_samples_is_an_error(bag):
+    expected = {"expected_samples": 800, "missing": missing, "complete": False, "amplifier_on": pytest.approx(0.75)}
+    assert found["bag"] == expected and found["lost_samples"] == 80
+    assert [found["latency_us"][name] for name in ("max", "p50")] == pytest.approx([899, 499.5])
+    beyond = read_window(bag, 2000, START - 50 * PERIOD, START + 1010 * PERIOD)["bag"]
+    assert beyond["expected_samples"] == 1060 and beyond["missing"]["encoder"] == 60
     with pytest.raises(BagError, match="window"):
         read_window(bag, 2000, START + 10**12, START + 2 * 10**12)
 
 
-@pytest.mark.parametrize("rate", [1000, 2000, 4000])
-@pytest.mark.parametrize("seconds", [2.0, 20.0, 3600.0])
-def test_at_every_rate_the_stage_moves_all_the_while(rate, seconds):
-    shipped = shipped_parameters()
-    values = bench_parameters(shipped, rate=rate, seconds=seconds, priority=0)
+@pytest.mark.parametrize(("rate", "seconds", "priority"), [(1000, 2.0, 0), (2000, 20.0, 30), (4000, 3600.0, 0)])
+def test_at_every_rate_the_stage_moves_all_the_while_and_all_nodes_have_the_priority(rate, seconds, priority):
+    values = bench_parameters(shipped_parameters(), rate=rate, seconds=seconds, priority=priority)
     controller, driver, cell = (node_parameters(node, values) for node in ("controller", "driver", "cell"))
     assert controller.stage.rate == driver.stage.rate == rate
     duration = forward_and_back(cell.stage.motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
-    assert all(values[node]["realtime.priority"] == 0 for node in NODE_PARAMETERS)
-    assert not driver.realtime.keep_awake
+    assert {values[node]["realtime.priority"] for node in NODE_PARAMETERS} == {priority}
+    assert driver.realtime.keep_awake is (priority > 0)
 
 
-def test_a_priority_is_that_of_all_nodes_and_is_checked():
-    shipped = shipped_parameters()
-    values = bench_parameters(shipped, rate=2000, seconds=5.0, priority=30)
-    assert {values[node]["realtime.priority"] for node in NODE_PARAMETERS} == {30}
-    assert values["driver"]["realtime.keep_awake"] is True
-    with pytest.raises(ParameterError, match=r"realtime\.priority"):
-        bench_parameters(shipped, rate=2000, seconds=5.0, priority=99)
-    with pytest.raises(ParameterError, match=r"stage\.rate"):
-        bench_parameters(shipped, rate=1, seconds=5.0, priority=0)
+@pytest.mark.parametrize(("name", "chosen"), [("realtime.priority", {"priority": 99}), ("stage.rate", {"rate": 1})])
+def test_a_measured_run_is_refused_the_parameters_that_a_node_refuses(name, chosen):
+    with pytest.raises(ParameterError, match=name):
+        bench_parameters(shipped_parameters(), **{"rate": 2000, "seconds": 5.0, "priority": 0, **chosen})

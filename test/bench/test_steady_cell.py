@@ -39,6 +39,12 @@ class Graph:
     def move(self, waypoints):
         self.moves.append(waypoints)
 
+    def begin(self):
+        assert not self.sequence.command(Command.RESET)
+        self.until(State.IDLE)
+        assert not self.sequence.command(Command.START, 1)
+        self.until(State.EXECUTE)
+
     def until(self, state):
         for _ in range(1000):
             self.now += 0.05
@@ -52,10 +58,7 @@ class Graph:
 def test_the_motion_begins_with_the_amplifier_on_or_when_patience_is_over(on, capsys):
     graph = Graph()
     graph.seen = replace(graph.seen, amplifier_on=on, faults={} if on else {"driver": "tripped"})
-    assert not graph.sequence.command(Command.RESET)
-    graph.until(State.IDLE)
-    assert not graph.sequence.command(Command.START, 1)
-    graph.until(State.EXECUTE)
+    graph.begin()
     began = graph.now
     for _ in range(20):
         graph.until(State.EXECUTE)
@@ -69,10 +72,7 @@ def test_the_motion_begins_with_the_amplifier_on_or_when_patience_is_over(on, ca
 def test_an_amplifier_that_goes_off_is_switched_on_again_and_the_motion_goes_on():
     graph = Graph()
     graph.seen = replace(graph.seen, amplifier_on=True)
-    graph.sequence.command(Command.RESET)
-    graph.until(State.IDLE)
-    graph.sequence.command(Command.START, 1)
-    graph.until(State.EXECUTE)
+    graph.begin()
     graph.seen = replace(graph.seen, amplifier_on=False, fresh=False, faults={"driver": "tripped"})
     for _ in range(100):
         graph.until(State.EXECUTE)
