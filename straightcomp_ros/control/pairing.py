@@ -65,6 +65,11 @@ class Pairing:
             references.clear()  # the machine's clock was set back
         references.append((stamp_ns, reference))
 
+    @property
+    def waits(self) -> bool:
+        """Whether a sample has no reference yet."""
+        return bool(self._samples)
+
     def short(self, ahead_ns: int) -> bool:
         """Whether a sample ``ahead_ns`` after the last one would get an older reference than that of ``lead_ns``."""
         return not self._references or self._references[-1][0] < self._last_ns + ahead_ns - self._lead_ns

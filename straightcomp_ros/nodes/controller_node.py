@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 from std_srvs.srv import SetBool
@@ -24,11 +24,10 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import tripper
-from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch
 from straightcomp_ros.timing.delays import StampGaps
-from straightcomp_ros.timing.node_timing import EXCITATION, EXCITING, FINISHED, LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import EXCITATION, EXCITING, FINISHED, LOST, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _PAUSE_S = 0.001
@@ -72,29 +71,24 @@ class ControllerComponent:
         self._error_watch = ErrorWatch(parameters.error_limit)
         self._excitation = ExcitationService(node, self._servo, self._made_injection, self._left_travel)
         self._silent, self._seen = 0, 0
-        self.loop: Loop | None = None
-        if lockstep:
-            subscribe(node, ENCODER, self._on_sample)
-            subscribe(node, REFERENCE, self._on_reference)
-        else:
-            self._samples = streams.queue(ENCODER)
-            self._references = streams.batches(REFERENCE)
-            period_ns = parameters.stage.period_ns
-            self._spare_ns = _SPARE_REFERENCES * period_ns
-            self._apart_ns = period_ns // 2
-            if parameters.trigger == "timer":
-                self.loop = PeriodicLoop(period_ns, self._on_timer)
-            else:
-                self.loop = LockedLoop(period_ns, self._wait, self._cycle)
+        self._samples, self._references = streams.queue(ENCODER), streams.batches(REFERENCE)
+        period_ns = parameters.stage.period_ns
+        self._spare_ns = _SPARE_REFERENCES * period_ns
+        self._apart_ns = period_ns // 2
+        self.loop: Loop = (
+            PeriodicLoop(period_ns, self._on_timer)
+            if parameters.trigger == "timer"
+            else LockedLoop(period_ns, self._wait_in_lockstep if lockstep else self._wait, self._cycle)
+        )
+        if not lockstep:
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
         Diagnostics(node, self._counters, description=parameters.stage.identity)
 
     def activate(self) -> None:
         """Start with the samples that arrive from now on."""
-        if self.loop:
-            self._samples.fetch()
-            self._references.fetch()
+        self._samples.fetch()
+        self._references.fetch()
         self._pairing = self._new_pairing()
 
     def prepare(self, parameters: ControllerNodeParameters) -> Callable[[], None]:
@@ -144,7 +138,7 @@ class ControllerComponent:
 
     def _go_on(self) -> None:
         """Answer samples while a job runs in the worker thread."""
-        if self.loop is not None and self._node.active:
+        if self._node.active:
             self._wait(self._spare_ns)
             self._cycle()
         else:
@@ -157,20 +151,6 @@ class ControllerComponent:
         if self._learning is not None:
             self._learning.save()
 
-    def _add_sample(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        self._samples_seen += 1
-        self._gaps.see(stamp_ns)
-        self._pairing.add_sample(stamp_ns, numbers)
-
-    def _on_sample(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        if self._node.active:
-            self._add_sample(stamp_ns, numbers)
-            self._write(self._update())
-
-    def _on_reference(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        self._pairing.add_reference(stamp_ns, numbers)
-        self._write(self._update())
-
     def _on_timer(self, wake_ns: int) -> None:
         self._fetch_references()
         self._cycle()
@@ -179,6 +159,11 @@ class ControllerComponent:
         """Wait for a sample. Before, while no sample waits for its command, fetch references for later samples."""
         self._fetch_references()
         self._samples.wait(timeout_ns)
+
+    def _wait_in_lockstep(self, timeout_ns: int) -> None:
+        """Wait for a sample, or for the reference without which the last one has no command."""
+        (self._references if self._pairing.waits else self._samples).wait(timeout_ns)
+        self._fetch_references()
 
     def _cycle(self) -> tuple[int, int]:
         arrived = self._read()
@@ -191,8 +176,10 @@ class ControllerComponent:
         samples, fetched_ns = self._samples.fetch(), time.time_ns()
         if not samples:
             return 0, 0
+        self._samples_seen += len(samples)
         for stamp_ns, numbers, _ in samples:
-            self._add_sample(stamp_ns, numbers)
+            self._gaps.see(stamp_ns)
+            self._pairing.add_sample(stamp_ns, numbers)
         return sendings(self._samples.sent_ns, self._apart_ns), max(0, fetched_ns - samples[-1][2])
 
     def _fetch_references(self) -> None:
@@ -242,7 +229,7 @@ class ControllerComponent:
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
             EXCITATION: self._excitation.state,
-            **(self.loop.report() if self.loop else {OVERRUNS: 0}),
+            **self.loop.report(),
             **(self._learning.counters() if self._learning is not None else {}),
         }
 

@@ -4,7 +4,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 
 from trajectory_msgs.msg import JointTrajectory
 
@@ -30,11 +31,11 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import SafetyPanel
-from straightcomp_ros.runtime.streams import LOOK_AHEAD_S, publisher, subscribe
+from straightcomp_ros.runtime.streams import LOOK_AHEAD_S, publisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
-from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, SAMPLES
 
 _ANSWER_LOOK_NS = 100_000
 """Polling interval while the command for the newest sample is outstanding."""
@@ -86,17 +87,16 @@ class DriverComponent:
         self._stage_limits = stage_limits(parameters)
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
-        self.loop: Loop | None = None
         self._answer_within_ns = _ANSWER_SAMPLES * period_ns
+        self._queue = streams.queue(COMMAND)
+        self.loop: Loop
         if parameters.lockstep:
-            subscribe(node, COMMAND, self._on_lockstep_command)
             self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.stage.drive.delay, self._publish)
+            self.loop = LockedLoop(period_ns, self._queue.wait, partial(self._answer, self._lockstep))
+        elif self._hardware.newest_arrival_ns is None:
+            self.loop = PeriodicLoop(period_ns, self._cycle, punctual=True)
         else:
-            self._queue = streams.queue(COMMAND)
-            if self._hardware.newest_arrival_ns is None:
-                self.loop = PeriodicLoop(period_ns, self._cycle, punctual=True)
-            else:
-                self.loop = LockedLoop(period_ns, self._wait, self._follow)
+            self.loop = LockedLoop(period_ns, self._wait, self._follow)
         machine = parameters.hardware
         if machine == "can":
             machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
@@ -108,8 +108,7 @@ class DriverComponent:
         self._clock_watch.restart()
         self._sample_watch.restart()
         self._commands.restart()
-        if self.loop:
-            self._queue.fetch()
+        self._queue.fetch()
 
     def deactivate(self) -> None:
         """Switch the amplifier off and stop sampling. A fault stays latched."""
@@ -200,10 +199,14 @@ class DriverComponent:
         self._publish_state(sample.stamp_ns, latency, lateness, self._hardware.applied_current, on)
         self._samples += 1
 
-    def _on_lockstep_command(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        if self._lockstep and self._lockstep.awaits(stamp_ns) and self._commands.is_good(numbers[0]):
-            self._commands.count(self._lockstep.delay_ns)
-            self._lockstep.answer(stamp_ns, numbers[0])
+    def _answer(self, lockstep: Lockstep) -> tuple[int, int]:
+        """A cycle in lockstep, started by a command; returns as :meth:`_follow`."""
+        commands = self._queue.fetch()
+        for stamp_ns, (current,), _ in commands:
+            if lockstep.awaits(stamp_ns) and self._commands.is_good(current):
+                self._commands.count(lockstep.delay_ns)
+                lockstep.answer(stamp_ns, current)
+        return min(1, len(commands)), 0
 
     def _trip(self, fault: Fault, reason: str) -> None:
         self._safety.trip(fault, reason, now_ns())
@@ -259,7 +262,7 @@ class DriverComponent:
             LOST: self._hardware.lost_samples,
             "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
-            **(self.loop.report() if self.loop else {OVERRUNS: 0}),
+            **self.loop.report(),
             **self._commands.counters(),
             **self._hardware.counters(),
         }
