@@ -4,6 +4,9 @@
 class BagError(ValueError):
     """A bag cannot be written or read; the text names the file, what is wrong and what to do."""
 
+    damage = ""
+    """What is damaged, without the file and the advice."""
+
 
 PARAMETERS_ATTACHMENT = "parameters.yaml"
 """Name of a bag's attachment with the parameters of the recorded nodes, as a ROS 2 parameter file."""

@@ -113,7 +113,8 @@ def _register_type(bag: Path, messages: Messages) -> None:
     if name in store.fielddefs:
         return
     where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
-    text = str(messages.described.text) if messages.described else ""
+    text = messages.described.text if messages.described else ""
+    text = text if isinstance(text, str) else text.decode(errors="replace")
     if not text.strip():
         raise BagError(f"{where}; record again where the package of that type is installed")
     try:

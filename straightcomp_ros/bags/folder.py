@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Metadata
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY
@@ -57,6 +58,14 @@ class SqliteInput:
             while records := [self._record(*row) for row in islice(found, _AT_ONCE)]:
                 sizes = np.array([len(record) for record in records], np.int64)
                 yield Block(b"".join(records), {name: np.cumsum(sizes) - sizes})
+
+    def attachments(self) -> dict[str, bytes]:
+        """None: SQLite bags have no attachments."""
+        return {}
+
+    def metadata(self) -> Iterator[Metadata]:
+        """None: SQLite bags have no metadata records."""
+        return iter(())
 
     def _record(self, time_ns: object, data: object) -> bytes:
         if not isinstance(data, bytes) or not isinstance(time_ns, int) or time_ns < 0:

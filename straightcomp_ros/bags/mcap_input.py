@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -23,7 +24,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Schema, Statistics
+from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
@@ -39,10 +40,22 @@ HEAD = np.dtype({"names": _FIELDS, "formats": ["u1", "<u8", "<u2", "<u4", "<u8",
 """The same for NumPy."""
 MESSAGE_FIELDS = MESSAGE.size - FRAME.size
 """Bytes of a message record's content before the message itself."""
-_INDEX_FIELDS = 6
-"""Bytes of a message index's content before its entries (log time, offset)."""
-UNREADABLE = (McapError, ValueError, OverflowError, struct.error)
-"""What the ``mcap`` package raises on damaged records."""
+UNREADABLE = (McapError, ValueError, OverflowError, struct.error, RuntimeError, MemoryError, zstandard.ZstdError)
+"""What the ``mcap`` package and the decompressors raise on damaged records."""
+NO_RECORD = "no record starts here, or it is longer than the file"
+_DESCRIPTIONS: Mapping[int, type[McapRecord]] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.STATISTICS: Statistics,
+}
+_FOOTER_SIZE = FRAME.size + 20
+_PRIVATE = 0x80
+"""From here on opcodes are private to applications; those between MCAP's last and this are reserved."""
+_LARGEST_CHUNK = 1 << 31
+"""Bytes of a chunk, unpacked; writers make chunks of a megabyte or so. A damaged size must not fill the memory."""
+_LOOSE_SIZE = 1 << 20
+"""Bytes of messages outside chunks that make a block."""
+_RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
 
 
 class Block(NamedTuple):
@@ -50,6 +63,14 @@ class Block(NamedTuple):
 
     data: bytes
     places: Mapping[str, NDArray[np.int64]]
+
+
+class Record(NamedTuple):
+    """A record and its offset in the file."""
+
+    opcode: int
+    offset: int
+    content: bytes
 
 
 class _Fields(ReadDataStream):  # type: ignore[misc, unused-ignore]  # mcap may have no types
@@ -62,14 +83,9 @@ class _Fields(ReadDataStream):  # type: ignore[misc, unused-ignore]  # mcap may 
         return data
 
 
-def parsed(kind: type[McapRecord], content: bytes) -> Any:
-    """The record of class ``kind`` in ``content``; raises one of ``UNREADABLE``. Bytes behind its fields are of a later
-    version of MCAP."""
-    return measured(kind, content)[0]
-
-
 def measured(kind: type[McapRecord], content: bytes) -> tuple[Any, int]:
-    """As :func:`parsed`, and the number of bytes that its fields have."""
+    """The record of class ``kind`` in ``content``, and the number of bytes that its fields have; raises one of
+    ``UNREADABLE``. Bytes behind its fields are of a later version of MCAP."""
     stream = _Fields(BytesIO(content))
     return kind.read(stream), stream.count
 
@@ -86,11 +102,6 @@ def walked(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, position
 
 
-def frames(data: bytes, opcodes: Collection[int]) -> Iterator[tuple[int, bytes]]:
-    """(opcode, content) of the records in ``data`` with one of these opcodes; ValueError where one is cut off."""
-    return ((opcode, data[start:end]) for opcode, start, end in walked(data) if opcode in opcodes)
-
-
 @dataclass
 class Summary:
     """What a file says of itself: its schemas and channels by id, and its statistics."""
@@ -99,40 +110,34 @@ class Summary:
     channels: dict[int, Channel] = field(default_factory=dict)
     statistics: Statistics | None = None
 
-    def add(self, opcode: int, content: bytes) -> None:
-        """Add a schema, channel or statistics record; raises one of ``UNREADABLE``."""
-        if opcode == Opcode.SCHEMA:
-            schema = parsed(Schema, content)
-            self.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = parsed(Channel, content)
-            self.channels[channel.id] = channel
-        elif opcode == Opcode.STATISTICS:
-            self.statistics = parsed(Statistics, content)
-
-    def add_all(self, data: bytes) -> Summary:
-        """Add those among the records in ``data``; raises one of ``UNREADABLE``."""
-        for opcode, content in frames(data, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)):
-            self.add(opcode, content)
+    def add(self, data: bytes) -> Summary:
+        """Add the schemas, channels and statistics among the records in ``data``; raises one of ``UNREADABLE``."""
+        for opcode, start, end in walked(data):
+            if opcode in _DESCRIPTIONS:
+                record, _ = measured(_DESCRIPTIONS[opcode], data[start:end])
+                if opcode == Opcode.STATISTICS:
+                    self.statistics = record
+                else:
+                    (self.schemas if opcode == Opcode.SCHEMA else self.channels)[record.id] = record
         return self
 
     @property
     def complete(self) -> bool:
         """Whether the channels and their schemas are all here: a writer need not repeat them at the end of a file."""
         count = self.statistics.channel_count if self.statistics else len(self.channels)
-        described = all(channel.schema_id in (0, *self.schemas) for channel in self.channels.values())
-        return bool(self.channels) and described and count <= len(self.channels)
+        return bool(self.channels) and all(map(self.describes, self.channels.values())) and count <= len(self.channels)
 
-    def topics(self) -> dict[int, Topic]:
-        """The topic of each channel."""
-        topics = {}
-        for channel in self.channels.values():
-            schema = self.schemas.get(channel.schema_id) or Schema(0, b"", "", "")
-            described = Definition(schema.data.decode(errors="replace"), "", schema.encoding)
-            topics[channel.id] = Topic(
-                channel.topic, schema.name, described=described, encoding=channel.message_encoding
-            )
-        return topics
+    def describes(self, channel: Channel) -> bool:
+        """Whether the schema of a channel is here, or it has none."""
+        return channel.schema_id in (0, *self.schemas)
+
+    def topic(self, channel: Channel) -> Topic:
+        """The topic of a channel, with the shipped quality of service."""
+        schema = self.schemas.get(channel.schema_id) or Schema(0, b"", "", "")
+        is_text = schema.encoding.startswith("ros2")
+        text = schema.data.decode(errors="replace") if is_text else schema.data
+        described = Definition(text, channel.metadata.get("topic_type_hash", ""), schema.encoding)
+        return Topic(channel.topic, schema.name, described=described, encoding=channel.message_encoding)
 
 
 def rows(data: bytes, positions: NDArray[np.int64], dtype: np.dtype) -> NDArray[np.void]:
@@ -161,20 +166,17 @@ def message_places(data: bytes, indexes: Sequence[bytes]) -> Mapping[int, NDArra
 
 def _indexed(data: bytes, indexes: Sequence[bytes]) -> NDArray[np.int64] | None:
     """The offsets in the indexes, ascending; None unless messages start there and fill ``data`` up to its end."""
-    lengths = [int.from_bytes(content[2:_INDEX_FIELDS], "little") for content in indexes]
-    entries = [content[_INDEX_FIELDS:][:length] for content, length in zip(indexes, lengths, strict=True)]
-    if any(len(of_channel) % 16 for of_channel in entries):
-        return None
-    offsets = np.sort(np.frombuffer(b"".join(entries), "<u8")[1::2])
-    if not len(offsets) or offsets[-1] + HEAD.itemsize > len(data):
-        return None
-    starts = offsets.astype(np.int64)
-    heads = rows(data, starts, HEAD)
-    ends = starts + FRAME.size + heads["length"].astype(np.int64)
     try:
+        # Channel and length, then (log time, offset) of each message.
+        entries = b"".join(content[6:][: int.from_bytes(content[2:6], "little")] for content in indexes)
+        starts = np.sort(np.frombuffer(entries, "<i8")[1::2])
+        if not len(starts) or starts[0] < 0 or starts[-1] + HEAD.itemsize > len(data):
+            return None
         others = [opcode for opcode, _, _ in walked(data[: starts[0]])]
     except ValueError:
         return None
+    heads = rows(data, starts, HEAD)
+    ends = starts + FRAME.size + heads["length"].astype(np.int64)
     believed = (
         Opcode.MESSAGE not in others
         and (heads["opcode"] == Opcode.MESSAGE).all()
@@ -183,29 +185,6 @@ def _indexed(data: bytes, indexes: Sequence[bytes]) -> NDArray[np.int64] | None:
         and ends[-1] == len(data)
     )
     return starts if believed else None
-
-
-_FOOTER_SIZE = FRAME.size + 20
-_PRIVATE = 0x80
-"""From here on opcodes are private to applications; those between MCAP's last and this are reserved."""
-_LARGEST_CHUNK = 1 << 31
-"""Bytes of a chunk, unpacked; writers make chunks of a megabyte or so. A damaged size must not fill the memory."""
-_LOOSE_SIZE = 1 << 20
-"""Bytes of messages outside chunks that make a block."""
-_RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
-
-
-class Record(NamedTuple):
-    """A record and its offset in the file."""
-
-    opcode: int
-    offset: int
-    content: bytes
-
-
-def is_opcode(opcode: int) -> bool:
-    """Whether a record of the data section may have this opcode."""
-    return Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE
 
 
 class McapInput:
@@ -232,7 +211,28 @@ class McapInput:
 
     def damaged(self, offset: int, reason: str) -> BagError:
         """The error for damage at ``offset`` bytes."""
-        return BagError(f"bag {self.path} is damaged at byte {offset}: {reason}; {_RECOVER}")
+        error = BagError(f"bag {self.path} is damaged at byte {offset}: {reason}; {_RECOVER}")
+        error.damage = reason
+        return error
+
+    @contextmanager
+    def _reading(self, record: Record, what: str) -> Iterator[None]:
+        """Raise BagError for damage at ``record`` where the block finds it unreadable; ``what`` says what that means."""
+        try:
+            yield
+        except BagError:
+            raise
+        except UNREADABLE as error:
+            raise self.damaged(record.offset, f"{what} ({error})") from error
+
+    def frame(self, position: int) -> tuple[int, int] | None:
+        """Opcode and end of the record that starts at ``position``; None where none can, or the file ends before it."""
+        frame = self.read(position, FRAME.size)
+        opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
+        end = position + FRAME.size + length
+        # Those between MCAP's last opcode and the first private one are reserved.
+        possible = Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE
+        return (opcode, end) if possible and end <= self.size else None
 
     def records(self, *opcodes: Opcode) -> Iterator[Record]:
         """The records of the data section that have one of these opcodes, in the order of the file.
@@ -243,14 +243,14 @@ class McapInput:
         """
         position = len(MAGIC)
         while position < self.size:
-            frame = self.read(position, FRAME.size)
-            opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
-            if position + FRAME.size + length > self.size or not is_opcode(opcode):
+            found = self.frame(position)
+            if found is None:
                 if self.summary:
-                    raise self.damaged(position, "no record starts here, or it is longer than the file")
+                    raise self.damaged(position, NO_RECORD)
                 return
+            opcode, end = found
             if opcode in opcodes:
-                record = Record(opcode, position, self.read(position + FRAME.size, length))
+                record = Record(opcode, position, self.read(position + FRAME.size, end - position - FRAME.size))
                 if opcode == Opcode.CHUNK and not self.summary:
                     try:
                         self.chunk_data(record)
@@ -259,26 +259,19 @@ class McapInput:
                 yield record
             if opcode == Opcode.DATA_END:
                 return
-            position += FRAME.size + length
+            position = end
 
     @cached_property
     def topics(self) -> dict[int, Topic]:
         """Topics by the id of their channel: from the summary, from the data where it does not have all. Raises
         BagError when the file is damaged."""
-        if self.summary and self.summary.complete:
-            return self.summary.topics()
-        found = Summary()
-        for record in self.records(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
-            try:
-                if record.opcode == Opcode.CHUNK:
-                    found.add_all(self.chunk_data(record))
-                else:
-                    found.add(record.opcode, record.content)
-            except BagError:
-                raise
-            except UNREADABLE as error:
-                raise self.damaged(record.offset, f"a topic cannot be read ({error})") from error
-        return found.topics()
+        found = self.summary
+        if found is None or not found.complete:
+            found = Summary()
+            for record in self.records(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
+                with self._reading(record, "a topic cannot be read"):
+                    found.add(self.chunk_data(record) if record.opcode == Opcode.CHUNK else framed(record))
+        return {channel.id: found.topic(channel) for channel in found.channels.values()}
 
     def blocks(self, wanted: Collection[str]) -> Iterator[Block]:
         """All messages in the order of the file, also those of other topics than the ``wanted`` ones: chunk by chunk,
@@ -304,25 +297,24 @@ class McapInput:
 
     def _parts(self) -> Iterator[tuple[int, bytes, list[bytes]]]:
         """Offset, records and message indexes of each chunk; of messages outside chunks some thousand at a time."""
-        offset, indexes, loose = 0, list[bytes](), False
+        offset, indexes, loose, checked = 0, list[bytes](), False, True
         data: bytes | bytearray = b""
-        checked = True
         for record in self.records(Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE, Opcode.DATA_END):
-            if record.opcode == Opcode.DATA_END:
+            opcode = record.opcode
+            # Only a chunk has a checksum of its own, and not every writer computes it.
+            checked &= opcode != Opcode.MESSAGE and (opcode != Opcode.CHUNK or any(record.content[24:28]))
+            if opcode == Opcode.DATA_END:
                 if not checked:
                     self.check_data_section(record)
-                continue
-            # Only a chunk has a checksum of its own, and not every writer computes it.
-            checked &= record.opcode != Opcode.MESSAGE and (record.opcode != Opcode.CHUNK or any(record.content[24:28]))
-            if record.opcode == Opcode.MESSAGE_INDEX:
+            elif opcode == Opcode.MESSAGE_INDEX:
                 indexes.append(record.content)
-            elif record.opcode == Opcode.MESSAGE and loose and len(data) < _LOOSE_SIZE:
-                data += _framed(record)
+            elif opcode == Opcode.MESSAGE and loose and len(data) < _LOOSE_SIZE:
+                data += framed(record)
             else:
                 if data:
                     yield offset, bytes(data), indexes
-                loose = record.opcode == Opcode.MESSAGE
-                data = bytearray(_framed(record)) if loose else self.chunk_data(record)
+                loose = opcode == Opcode.MESSAGE
+                data = bytearray(framed(record)) if loose else self.chunk_data(record)
                 offset, indexes = record.offset, []
         if data:
             yield offset, bytes(data), indexes
@@ -330,11 +322,9 @@ class McapInput:
     def chunk_data(self, record: Record) -> bytes:
         """The decompressed records of a chunk. Raises BagError when the checksum differs, the data do not decompress,
         or the compression is unknown."""
-        try:
-            chunk = parsed(Chunk, record.content)
+        with self._reading(record, "a chunk cannot be unpacked"):
+            chunk, _ = measured(Chunk, record.content)
             data = _decompressed(chunk)
-        except (*UNREADABLE, RuntimeError, MemoryError, zstandard.ZstdError) as error:
-            raise self.damaged(record.offset, f"a chunk cannot be unpacked ({error})") from error
         if len(data) != chunk.uncompressed_size:
             raise self.damaged(record.offset, f"a chunk has {len(data)} bytes, not {chunk.uncompressed_size}")
         # rosbag2 writes 0 for «not computed».
@@ -345,14 +335,26 @@ class McapInput:
     def attachment(self, record: Record) -> Attachment:
         """The attachment in a record. Raises BagError when its checksum is wrong, or it cannot be read."""
         attachment: Attachment
-        try:
+        with self._reading(record, "an attachment cannot be read"):
             attachment, size = measured(Attachment, record.content)
-        except UNREADABLE as error:
-            raise self.damaged(record.offset, f"an attachment cannot be read ({error})") from error
         crc = int.from_bytes(record.content[size - 4 : size], "little")
         if crc and zlib.crc32(record.content[: size - 4]) != crc:
             raise self.damaged(record.offset, "the checksum of an attachment is wrong")
         return attachment
+
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name, of two with one name the later. Raises BagError when the file is damaged."""
+        found = map(self.attachment, self.records(Opcode.ATTACHMENT))
+        return {attachment.name: attachment.data for attachment in found}
+
+    def metadata(self) -> Iterator[Metadata]:
+        """The metadata records, which have no checksum of their own. Raises BagError when the file is damaged."""
+        for end in self.records(Opcode.DATA_END):
+            self.check_data_section(end)
+        for record in self.records(Opcode.METADATA):
+            with self._reading(record, "metadata cannot be read"):
+                metadata, _ = measured(Metadata, record.content)
+            yield metadata
 
     def check_data_section(self, end: Record) -> None:
         """Check the checksum over the whole data section, whose ``end`` has it, or 0. Raises BagError when it is
@@ -368,14 +370,14 @@ class McapInput:
         end = self.read(max(self.size - len(MAGIC) - _FOOTER_SIZE, 0), _FOOTER_SIZE + len(MAGIC))
         if not end.endswith(MAGIC) or end[: FRAME.size] != FRAME.pack(Opcode.FOOTER, 20):
             return None
-        footer = parsed(Footer, end[FRAME.size :])
+        footer = Footer.read(ReadDataStream(BytesIO(end[FRAME.size :])))
         length = self.size - len(MAGIC) - _FOOTER_SIZE - footer.summary_start
         if not footer.summary_start:
             return Summary()
         data = self.read(footer.summary_start, length) if length > 0 else b""
         crc = zlib.crc32(end[: _FOOTER_SIZE - 4], zlib.crc32(data))
         try:
-            return Summary().add_all(data) if length >= 0 and footer.summary_crc in (0, crc) else None
+            return Summary().add(data) if length >= 0 and footer.summary_crc in (0, crc) else None
         except UNREADABLE:
             return None
 
@@ -395,7 +397,8 @@ class McapInput:
         self._file.close()
 
 
-def _framed(record: Record) -> bytes:
+def framed(record: Record) -> bytes:
+    """A record as it is in the file."""
     return FRAME.pack(record.opcode, len(record.content)) + record.content
 
 

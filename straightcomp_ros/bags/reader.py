@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import BagInput, SqliteInput, compressed_messages, opened, topic_names
-from straightcomp_ros.bags.mcap_input import FRAME, HEAD, UNREADABLE, McapInput, parsed, rows
+from straightcomp_ros.bags.mcap_input import FRAME, HEAD, rows
 from straightcomp_ros.bags.topics import Definition, Topic, chosen_topics, resolved, typestore
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
 
@@ -40,8 +38,8 @@ class Messages:
     publish_time: list[int] = field(default_factory=list)
     data: list[bytes] = field(default_factory=list)
 
-    def describe(self, topic: Topic) -> None:
-        """Take type and definition of the first entry that has them."""
+    def describe(self, path: Path, topic: Topic) -> None:
+        """Take type and definition of the first entry in the bag's files that has them."""
         self.type_name = self.type_name or topic.type_name
         if topic.described and topic.described.text and not self.described:
             self.described = topic.described
@@ -76,16 +74,12 @@ def read_messages(bag: Path, topic: str) -> Messages:
 def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
     """All messages of the topic with this full name. Raises BagError when the bag is damaged."""
     found = Messages(topic)
-    for file in files:
-        ours = [entry for entry in file.topics.values() if entry.name == topic]
-        for entry in ours:
-            if found.type_name not in ("", entry.type_name):
-                kinds = f"'{found.type_name}' and '{entry.type_name}'"
-                raise BagError(f"bag {file.path}: topic '{topic}' has messages of types {kinds}; allowed is one type")
-            found.describe(entry)
-        for block, places in file.blocks([topic]) if ours else ():
-            if topic in places:
-                found.add(block, places[topic])
+    having = [file for file in files if any(one.name == topic for one in file.topics.values())]
+    kinds = sorted({one.type_name for file in having for one in file.topics.values() if one.name == topic})
+    if len(kinds) > 1:
+        words = "' and '".join(kinds)
+        raise BagError(f"bag {having[0].path}: topic '{topic}' has messages of types '{words}'; allowed is one type")
+    _gather(having, {topic: found})
     return found
 
 
@@ -133,6 +127,16 @@ class StreamDecoder:
         self._template = np.frombuffer(layout.pack(0, *(0.0 for _ in layout.columns)), np.uint8)
         self._constants = constant_places(layout)
         self._batches: list[tuple[NDArray[Any], ...]] = []
+
+    def describe(self, path: Path, topic: Topic) -> None:
+        """Raise BagError when the topic in the file ``path`` has messages of another type."""
+        # Some tools write the type without its namespace: sensor_msgs/JointState.
+        names, allowed = (topic.type_name, topic.type_name.replace("/", "/msg/", 1)), self._layout.type_name
+        if allowed not in names or topic.encoding != "cdr":
+            raise BagError(
+                f"bag {path}: topic '{topic.name}' has messages of type '{topic.type_name}' in encoding "
+                f"'{topic.encoding}'; allowed is {allowed} in encoding 'cdr'"
+            )
 
     def add(self, data: bytes, places: NDArray[np.int64]) -> None:
         """Decode the message records at ``places`` in ``data``. Raises BagError when a message is neither of the layout
@@ -223,9 +227,6 @@ def _text(message: bytes, layout: Layout) -> str:
         return repr(error)
 
 
-__all__ = ["StreamColumns", "read_attachments", "read_metadata", "read_streams"]
-
-
 def read_streams(
     bag: Path,
     layouts: Mapping[str, Layout],
@@ -266,20 +267,7 @@ def streams_of(
     wanted = chosen_topics(layouts, names, str(bag), remap or {})
     decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
     found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
-    count = 0
-    for file in files:
-        for topic in file.topics.values():
-            if topic.name in wanted:
-                _check_kind(file.path, topic, layouts[wanted[topic.name]])
-            elif topic.name in found:
-                found[topic.name].describe(topic)
-        for data, places in file.blocks([*wanted, *found]):
-            for name, starts in places.items():
-                count += len(starts)
-                if name in wanted:
-                    decoders[name].add(data, starts)
-                elif name in found:
-                    found[name].add(data, starts)
+    count = _gather(files, {**found, **decoders})
     finished = ((key, decoders[full].finished()) for full, key in wanted.items())
     streams = {key: columns for key, columns in finished if columns is not None}
     if not streams and any(isinstance(file, SqliteInput) for file in files):
@@ -287,6 +275,21 @@ def streams_of(
     if not count:
         raise BagError(f"bag {bag} has no messages; record again, and check that the topics are published")
     return streams
+
+
+def _gather(files: Iterable[BagInput], takers: Mapping[str, Messages | StreamDecoder]) -> int:
+    """Hand each of the takers the messages of the topic with its full name; returns the number of all messages."""
+    count = 0
+    for file in files:
+        for topic in file.topics.values():
+            if topic.name in takers:
+                takers[topic.name].describe(file.path, topic)
+        for data, places in file.blocks(takers):
+            for name, starts in places.items():
+                count += len(starts)
+                if name in takers:
+                    takers[name].add(data, starts)
+    return count
 
 
 def read_attachments(bag: Path) -> dict[str, bytes]:
@@ -298,12 +301,7 @@ def read_attachments(bag: Path) -> dict[str, bytes]:
 
 def attachments_of(files: Sequence[BagInput]) -> dict[str, bytes]:
     """As :func:`read_attachments`, from the open files of a bag."""
-    found: dict[str, bytes] = {}
-    for file in (file for file in files if isinstance(file, McapInput)):
-        for record in file.records(Opcode.ATTACHMENT):
-            attachment = file.attachment(record)
-            found[attachment.name] = attachment.data
-    return found
+    return {name: data for file in files for name, data in file.attachments().items()}
 
 
 def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
@@ -311,26 +309,9 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
     the bag is absent or damaged."""
     found: dict[str, dict[str, str]] = {}
     with opened(bag) as files:
-        for file in (file for file in files if isinstance(file, McapInput)):
-            # Metadata records have no checksum of their own.
-            for end in file.records(Opcode.DATA_END):
-                file.check_data_section(end)
-            for record in file.records(Opcode.METADATA):
-                try:
-                    metadata = parsed(Metadata, record.content)
-                except UNREADABLE as error:
-                    raise file.damaged(record.offset, f"metadata cannot be read ({error})") from error
-                found.setdefault(metadata.name, {}).update(metadata.metadata)
+        for record in (record for file in files for record in file.metadata()):
+            found.setdefault(record.name, {}).update(record.metadata)
     return found
-
-
-def _check_kind(path: Path, topic: Topic, layout: Layout) -> None:
-    # Some tools write the type without its namespace: sensor_msgs/JointState.
-    if layout.type_name not in (topic.type_name, topic.type_name.replace("/", "/msg/", 1)) or topic.encoding != "cdr":
-        raise BagError(
-            f"bag {path}: topic '{topic.name}' has messages of type '{topic.type_name}' in encoding "
-            f"'{topic.encoding}'; allowed is {layout.type_name} in encoding 'cdr'"
-        )
 
 
 def values_at(stream: StreamColumns | None, name: str, stamps: NDArray[np.int64]) -> NDArray[np.float64]:

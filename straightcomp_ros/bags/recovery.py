@@ -6,10 +6,7 @@ sound chunk, wherever it starts.
 """
 
 import shutil
-import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,23 +18,23 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import compressed_messages, found_files
 from straightcomp_ros.bags.mcap_input import (
     FRAME,
+    MESSAGE,
     MESSAGE_FIELDS,
+    NO_RECORD,
     UNREADABLE,
     McapInput,
     Record,
     Summary,
-    frames,
-    is_opcode,
+    framed,
     measured,
-    parsed,
+    walked,
 )
 from straightcomp_ros.bags.reader import COMPRESSIONS
-from straightcomp_ros.bags.topics import Definition, TopicQos
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 
 RECOVERY_METADATA = "recovery"
 """Metadata record of a recovered bag: what it was made from, and what was lost."""
-_MESSAGE = struct.Struct("<HIQQ")
 _PARSED = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -46,7 +43,6 @@ _PARSED = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHUNK: Chunk,
 }
-_COPIED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _SEARCH_SIZE = 1 << 20
 """Bytes that are searched for a chunk at once."""
 
@@ -91,30 +87,23 @@ def recover(bag: Path, output: Path) -> Recovery:
     with McapInput(paths[0]):  # refuses what is no MCAP file before a folder is made
         pass
     result = Recovery(output)
-    with _new_bag(result) as writer:
-        for path in paths:
-            with McapInput(path) as file:
-                _Copy(file, writer, result).run()
-        for name in missing_files:
-            result.gaps.append((name, 0, 0, "the file is missing"))
-            result.lost = None
-        missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
-        facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
-        writer.add_metadata(RECOVERY_METADATA, {**facts, "gaps": str(len(result.gaps))})
-    return result
-
-
-@contextmanager
-def _new_bag(result: Recovery) -> Iterator[BagWriter]:
-    """A new bag, which is removed again when the original is refused before anything was copied."""
-    writer = BagWriter(result.output)
+    writer = BagWriter(output)
     try:
         with writer:
-            yield writer
+            for path in paths:
+                with McapInput(path) as file:
+                    _Copy(file, writer, result).run()
+            for name in missing_files:
+                result.gaps.append((name, 0, 0, "the file is missing"))
+                result.lost = None
+            missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
+            facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
+            writer.add_metadata(RECOVERY_METADATA, {**facts, "gaps": str(len(result.gaps))})
     except BagError:
         if not result.saved:
-            shutil.rmtree(result.output)
+            shutil.rmtree(output)
         raise
+    return result
 
 
 class _Copy:
@@ -124,10 +113,10 @@ class _Copy:
         self._file, self._writer, self._result = file, writer, result
         self._saved: Counter[int] = Counter()
         self._topics: dict[int, str | None] = {}
-        # The end of a finished file names all topics, also those whose own records are damaged.
-        self._known = file.summary or Summary()
+        self._known = Summary()
         self._gaps_before = len(result.gaps)
-        self._add_new_topics()
+        # The end of a finished file names all topics, also those whose own records are damaged.
+        self._learn(file.summary or Summary())
 
     def run(self) -> None:
         file, position = self._file, len(MAGIC)
@@ -136,63 +125,64 @@ class _Copy:
                 record, end = _sound(file, position)
             except UNREADABLE as error:
                 end = _next_chunk(file, position + 1)
-                self._add_gap(position, end - position, _reason(error))
+                self._add_gap(position, end - position, getattr(error, "damage", "") or str(error))
             else:
-                if record.opcode == Opcode.DATA_END:
-                    self._check(record)
-                    break
                 self._add(record)
+                if record.opcode == Opcode.DATA_END:
+                    break
             position = end
         for channel_id in self._known.channels:
             self._topic(channel_id)
         self._count_lost()
 
-    def _check(self, end: Record) -> None:
-        """Where nothing is damaged by itself, whether the whole is as it was written."""
-        if len(self._result.gaps) == self._gaps_before:
-            try:
-                self._file.check_data_section(end)
-            except BagError as error:
-                self._add_gap(0, 0, f"{_reason(error)}: what is not in chunks may be altered")
+    @property
+    def _damaged(self) -> bool:
+        return len(self._result.gaps) > self._gaps_before
 
     def _add_gap(self, offset: int, length: int, reason: str) -> None:
         self._result.gaps.append((self._file.path.name, offset, length, reason))
 
     def _add(self, record: Record) -> None:
+        opcode, content = record.opcode, record.content
         # The writer makes metadata.yaml and the record rosbag2 anew.
-        if record.opcode == Opcode.ATTACHMENT:
-            attachment = parsed(Attachment, record.content)
+        if opcode == Opcode.ATTACHMENT:
+            attachment, _ = measured(Attachment, content)
             if attachment.name != "metadata.yaml":
                 self._writer.attach(attachment.name, attachment.media_type, attachment.data)
-        elif record.opcode == Opcode.METADATA:
-            metadata = parsed(Metadata, record.content)
+        elif opcode == Opcode.METADATA:
+            metadata, _ = measured(Metadata, content)
             if metadata.name != "rosbag2":
                 self._writer.add_metadata(metadata.name, metadata.metadata)
-        elif record.opcode == Opcode.CHUNK:
-            self._add_records(frames(record.content, _COPIED), record, "the rest of a chunk")
-        elif record.opcode in _COPIED:
-            self._add_records([(record.opcode, record.content)], record, "a record")
+        elif opcode == Opcode.CHUNK:
+            self._add_records(content, record, "the rest of a chunk")
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            self._add_records(framed(record), record, "a record")
+        elif opcode == Opcode.DATA_END and not self._damaged:
+            # Where nothing is damaged by itself, the whole may be.
+            try:
+                self._file.check_data_section(record)
+            except BagError as error:
+                self._add_gap(0, 0, f"{error.damage}: what is not in chunks may be altered")
 
-    def _add_records(self, records: Iterable[tuple[int, bytes]], origin: Record, what: str) -> None:
+    def _add_records(self, data: bytes, origin: Record, what: str) -> None:
         try:
-            for opcode, content in records:
+            for opcode, start, end in walked(data):
                 if opcode == Opcode.MESSAGE:
-                    self._add_message(content)
-                else:
-                    new = Summary()
-                    new.add(opcode, content)
-                    # The end of the file has a checksum, and counts before these.
-                    self._known.schemas = new.schemas | self._known.schemas
-                    self._known.channels = new.channels | self._known.channels
-                    self._add_new_topics()
+                    self._add_message(data[start - FRAME.size : end])
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._learn(Summary().add(data[start - FRAME.size : end]))
         except BagError:
             raise  # the new bag cannot be written, or the whole bag is of no use
         except UNREADABLE as error:
             self._add_gap(origin.offset, len(origin.content), f"{what} cannot be read ({error})")
 
-    def _add_new_topics(self) -> None:
-        for channel in list(self._known.channels.values()):
-            if channel.schema_id in (0, *self._known.schemas):
+    def _learn(self, new: Summary) -> None:
+        """Add the topics that are known now. The end of the file, learned first, has a checksum, and counts."""
+        known = self._known
+        known.schemas = new.schemas | known.schemas
+        known.channels = new.channels | known.channels
+        for channel in known.channels.values():
+            if known.describes(channel):
                 self._topic(channel.id)
 
     def _topic(self, channel_id: int) -> str | None:
@@ -202,26 +192,23 @@ class _Copy:
         channel = self._known.channels.get(channel_id)
         if channel is None:
             raise ValueError(f"a message of channel {channel_id}, which the file does not describe")
-        schema = self._known.schemas.get(channel.schema_id) or Schema(0, b"", "", "")
-        topic = self._writer.topics.get(channel.topic)
+        own = self._known.topic(channel)
+        topic = self._writer.topics.get(own.name)
         if topic is None:
-            is_text = schema.encoding.startswith("ros2")
-            text = schema.data.decode(errors="replace") if is_text else schema.data
-            described = Definition(text, channel.metadata.get("topic_type_hash", ""), schema.encoding)
             qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
-            self._writer.add_topic(channel.topic, schema.name, qos, described, channel.message_encoding)
-        same = topic is None or (topic.type_name, topic.encoding) == (schema.name, channel.message_encoding)
-        if not same and channel.topic not in self._result.not_copied:
-            self._result.not_copied.append(channel.topic)
-        self._topics[channel_id] = channel.topic if same else None
+            self._writer.add_topic(own.name, own.type_name, qos, own.described, own.encoding)
+        same = topic is None or (topic.type_name, topic.encoding) == (own.type_name, own.encoding)
+        if not same and own.name not in self._result.not_copied:
+            self._result.not_copied.append(own.name)
+        self._topics[channel_id] = own.name if same else None
         return self._topics[channel_id]
 
-    def _add_message(self, content: bytes) -> None:
-        channel_id, _, log_time, publish_time = _MESSAGE.unpack_from(content)
+    def _add_message(self, record: bytes) -> None:
+        _, _, channel_id, _, log_time, publish_time = MESSAGE.unpack_from(record)
         topic = self._topic(channel_id)
         if topic is None:
             return
-        data = content[_MESSAGE.size :]
+        data = record[MESSAGE.size :]
         if not self._saved[channel_id] and (compression := COMPRESSIONS.get(data[:4])):
             raise BagError(f"bag {self._file.path}: topic '{topic}': {compressed_messages(compression)}")
         self._writer.write(topic, data, log_time, publish_time)
@@ -232,13 +219,11 @@ class _Copy:
         result.last_ns = log_time if result.last_ns is None else max(result.last_ns, log_time)
 
     def _count_lost(self) -> None:
-        result, summary = self._result, self._file.summary
-        name = self._file.path.name
+        result, summary, name = self._result, self._file.summary, self._file.path.name
+        statistics = summary.statistics if summary else None
         if summary is None:
             result.unfinished.append(name)
-        statistics = summary.statistics if summary else None
-        damaged = len(result.gaps) > self._gaps_before
-        if summary is None or (statistics is None and damaged):
+        if summary is None or (statistics is None and self._damaged):
             result.lost = None
         if statistics is None or result.lost is None:
             return
@@ -261,52 +246,29 @@ def default_output(bag: Path) -> Path:
 
 
 def _sound(file: McapInput, position: int) -> tuple[Record, int]:
-    """The record that starts here, and its end; raises one of ``UNREADABLE`` when none does that is sound."""
-    frame = file.read(position, FRAME.size)
-    if len(frame) < FRAME.size:
-        raise ValueError("the file is cut off")
-    opcode, length = FRAME.unpack(frame)
-    end = position + FRAME.size + length
-    if not is_opcode(opcode):
-        raise ValueError("no record starts here")
-    if end > file.size:
-        raise ValueError("the file is cut off, or a length is wrong")
-    record = Record(opcode, position, file.read(position + FRAME.size, length))
-    content, size = _checked(file, record)
-    if size < length and not _starts_record(file, end):
-        raise ValueError("a record's length is wrong")
-    return record._replace(content=content), end
-
-
-def _starts_record(file: McapInput, position: int) -> bool:
-    """Whether the file ends here, or what looks like a record starts."""
-    frame = file.read(position, FRAME.size)
-    if len(frame) < FRAME.size:
-        return True
-    opcode, length = FRAME.unpack(frame)
-    return is_opcode(opcode) and position + FRAME.size + length <= file.size
-
-
-def _checked(file: McapInput, record: Record) -> tuple[bytes, int]:
-    """The content of a record, of a chunk its unpacked records, and the bytes of the record's fields; raises one of
-    ``UNREADABLE`` when it is not sound."""
-    opcode, content = record.opcode, record.content
-    size = len(content)
+    """The record that starts here, of a chunk with its unpacked records, and its end; raises one of ``UNREADABLE`` when
+    none does that is sound."""
+    found = file.frame(position)
+    if found is None:
+        raise ValueError(NO_RECORD)
+    opcode, end = found
+    content = file.read(position + FRAME.size, end - position - FRAME.size)
+    record, size = Record(opcode, position, content), len(content)
     if opcode in _PARSED:
         _, size = measured(_PARSED[Opcode(opcode)], content)
-    if opcode == Opcode.CHUNK:
-        content = file.chunk_data(record)
-    elif opcode == Opcode.ATTACHMENT:
-        file.attachment(record)
     elif opcode == Opcode.MESSAGE_INDEX:
         size = 6 + int.from_bytes(content[2:6], "little")
-    elif opcode == Opcode.MESSAGE and size < MESSAGE_FIELDS:
-        raise ValueError("a message is too short")
-    elif opcode == Opcode.DATA_END:
-        size = 4
-    if size > len(record.content):
+    elif opcode in (Opcode.MESSAGE, Opcode.DATA_END):
+        size = max(size, MESSAGE_FIELDS) if opcode == Opcode.MESSAGE else 4
+    if size > len(content):
         raise ValueError("a record is shorter than its fields")
-    return content, size
+    if opcode == Opcode.CHUNK:
+        record = record._replace(content=file.chunk_data(record))
+    elif opcode == Opcode.ATTACHMENT:
+        file.attachment(record)
+    if size < len(content) and end + FRAME.size <= file.size and file.frame(end) is None:
+        raise ValueError("a record's length is wrong")
+    return record, end
 
 
 def _next_chunk(file: McapInput, position: int) -> int:
@@ -325,9 +287,3 @@ def _next_chunk(file: McapInput, position: int) -> int:
                     pass
             place = block.find(Opcode.CHUNK, place + 1)
     return file.size
-
-
-def _reason(error: Exception) -> str:
-    """The middle of a BagError: what is wrong, without the file before and the advice behind."""
-    text = str(error)
-    return text.split(": ", 1)[1].rsplit(";", 1)[0] if isinstance(error, BagError) and ": " in text else text

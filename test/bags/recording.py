@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
@@ -66,6 +68,16 @@ def records(content: bytes, opcode: int) -> list[int]:
         found += [position] * (content[position] == opcode)
         position += 9 + int.from_bytes(content[position + 1 : position + 9], "little")
     return found
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def mcap_of(*content: tuple[int, bytes]) -> bytes:
+    """A file with these records of the data section."""
+    parts = [(Opcode.HEADER, bytes(8)), *content, (Opcode.DATA_END, bytes(4)), (Opcode.FOOTER, bytes(20))]
+    return MAGIC + b"".join(record(*one) for one in parts) + MAGIC
 
 
 def add_streams(bag: BagWriter, namespace: str = "") -> None:

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from recording import LAYOUTS, add_streams, messages, records, write
+from recording import LAYOUTS, add_streams, mcap_of, messages, records, write
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.mcap_input import McapInput, Record
+from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
-from straightcomp_ros.bags.recovery import _checked, recover
+from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import STREAMS
 
@@ -172,7 +172,7 @@ def test_a_killed_recording_loses_the_open_chunk_at_most(tmp_path):
 import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-from recording import add_streams, messages, write
+from recording import add_streams, mcap_of, messages, write
 from straightcomp_ros.bags.writer import BagWriter
 bag = BagWriter(Path({str(tmp_path / "bag")!r}), chunk_size={chunk_size})
 add_streams(bag)
@@ -340,9 +340,11 @@ def test_a_file_is_closed_when_it_is_refused(tmp_path):
         McapInput(tmp_path / "nowhere.mcap")
 
 
-def test_the_shortest_message_is_one_without_data():
+@pytest.mark.parametrize(("length", "saved"), [(21, 0), (22, 1), (23, 1)])
+def test_the_shortest_message_is_one_without_data(tmp_path, length, saved):
     # Channel, number and two times make 22 bytes.
-    for length in (22, 23):
-        assert _checked(None, Record(Opcode.MESSAGE, 0, bytes(length))) == (bytes(length), length)
-    with pytest.raises(ValueError, match="too short"):
-        _checked(None, Record(Opcode.MESSAGE, 0, bytes(21)))
+    channel = struct.pack("<HHI2sI3sI", 1, 0, 2, b"/x", 3, b"cdr", 0)
+    path = tmp_path / "one.mcap"
+    path.write_bytes(mcap_of((Opcode.CHANNEL, channel), (Opcode.MESSAGE, b"\1\0" + bytes(length - 2))))
+    result = recover(path, tmp_path / "new")
+    assert (result.saved.total(), len(result.gaps)) == (saved, 1 - saved)

@@ -7,19 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from recording import record
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files, split_number
-from straightcomp_ros.bags.mcap_input import frames, message_places
+from straightcomp_ros.bags.mcap_input import message_places, walked
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters, unpacked_map
 from straightcomp_ros.bags.topics import TopicQos, chosen_topics, definition, resolved
 from straightcomp_ros.contract import STREAMS
 
 MESSAGE, OTHER = 5, 4
-
-
-def record(opcode, content):
-    return struct.pack("<BQ", opcode, len(content)) + content
 
 
 def message(channel, size):
@@ -79,13 +76,12 @@ def test_indexes_are_believed_only_where_they_fill_the_chunk():
         assert found(data, *wrong) == truth
 
 
-def test_records_in_a_summary_are_given_by_kind_and_a_cut_is_told():
+def test_records_follow_each_other_and_a_cut_is_an_error():
     data = record(1, b"a") + record(2, b"") + record(1, b"bc")
-    assert list(frames(data, (1,))) == [(1, b"a"), (1, b"bc")]
-    assert list(frames(data, (2,))) == [(2, b"")]
+    assert [(opcode, data[start:end]) for opcode, start, end in walked(data)] == [(1, b"a"), (2, b""), (1, b"bc")]
     for cut in (1, 3, len(record(1, b"bc")) - 1):
         with pytest.raises(ValueError):
-            list(frames(data[:-cut], ()))
+            list(walked(data[:-cut]))
 
 
 def touched(folder: Path, *names: str, listed: Sequence[str] = (), key: str = "relative_file_paths") -> Path:

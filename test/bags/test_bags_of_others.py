@@ -15,7 +15,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from recording import LAYOUTS, messages, records
+from recording import LAYOUTS, mcap_of, messages, records
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as SqliteWriter
 from rosbags.typesys import Stores, get_typestore
@@ -393,13 +393,6 @@ def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, ca
 
 
 # Sizes that records declare
-
-
-def mcap_of(*content: tuple[int, bytes]) -> bytes:
-    """A file with these records of the data section."""
-    parts = [(Opcode.HEADER, bytes(8)), *content, (Opcode.DATA_END, bytes(4)), (Opcode.FOOTER, bytes(20))]
-    magic = b"\x89MCAP0\r\n"
-    return magic + b"".join(struct.pack("<BQ", opcode, len(one)) + one for opcode, one in parts) + magic
 
 
 def chunk_of(compression: bytes, data: bytes, size: int) -> tuple[int, bytes]:
