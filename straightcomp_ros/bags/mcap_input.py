@@ -217,7 +217,7 @@ class McapInput:
 
     @contextmanager
     def _reading(self, record: Record, what: str) -> Iterator[None]:
-        """Raise BagError for damage at ``record`` where the block finds it unreadable; ``what`` says what that means."""
+        """Turn an error of the block into BagError for damage at ``record``; ``what`` says what cannot be read."""
         try:
             yield
         except BagError:

@@ -2,10 +2,9 @@
 
 import shutil
 import threading
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -31,22 +30,23 @@ class Intake:
 
     Attributes:
         queue: messages for the disk, oldest first.
-        received, dropped, passed_over: messages that came, had no room in the queue, came while paused.
+        paused: while true, messages are ignored.
+        received, dropped: messages that came, and those that had no room in the queue.
     """
 
     def __init__(self, limit: int, snapshot_s: float = 0.0) -> None:
         self.queue: deque[Message] = deque()
-        self.received = self.dropped = self.passed_over = 0
-        self._paused = False
+        self.received = self.dropped = 0
+        self.paused = False
         self._limit, self._keep_ns = limit, round(snapshot_s * 1e9)
         self._memory: deque[Message] = deque()
 
     def add(self, topic: str, data: bytes, received_ns: int, source_ns: int) -> None:
         """A message came."""
         self.received += 1
-        if self._paused:
-            self.passed_over += 1
-        elif self._keep_ns:
+        if self.paused:
+            return
+        if self._keep_ns:
             memory = self._memory
             memory.append((topic, data, received_ns, source_ns))
             while received_ns - memory[0][2] > self._keep_ns:
@@ -65,16 +65,10 @@ class Intake:
         self.queue += [BREAK, *kept]
         return len(kept)
 
-    @property
-    def paused(self) -> bool:
-        """While true, messages are ignored and counted."""
-        return self._paused
-
-    @paused.setter
-    def paused(self, value: bool) -> None:
-        if value and not self._paused:
-            self.queue.append(BREAK)
-        self._paused = value
+    def pause(self) -> None:
+        """Ignore messages from now on, and count none of them as lost."""
+        self.queue.append(BREAK)
+        self.paused = True
 
 
 _STAMP = slice(4, 12)
@@ -115,7 +109,6 @@ class Losses:
 
 
 _WRITE_INTERVAL_S = 0.05
-_DISK_CHECK_INTERVAL_S = 0.5
 _BATCH = 500
 """Messages that are written in one call: a small share of a chunk."""
 
@@ -140,25 +133,12 @@ class RecorderOptions:
     min_free: int = 0
 
 
-class DiskGuard:
-    """Fails when fewer than ``min_free`` bytes are free on the disk of ``folder``."""
-
-    def __init__(self, folder: Path, min_free: int) -> None:
-        self._folder, self._min_free = folder, min_free
-        self._next = 0.0
-
-    def check(self) -> None:
-        """Call it often: it looks twice a second. Raises BagError when too little is free."""
-        now = time.monotonic()
-        if now < self._next:
-            return
-        self._next = now + _DISK_CHECK_INTERVAL_S
-        free = shutil.disk_usage(self._folder).free
-        if free < self._min_free:
-            allowed = f"allowed: >= {self._min_free} (min_free_bytes)"
-            raise BagError(
-                f"bag {self._folder}: {free} bytes are free on its disk; {allowed}; all that came before is saved"
-            )
+def check_disk(folder: Path, min_free: int) -> None:
+    """Raise BagError when fewer than ``min_free`` bytes are free on the disk of ``folder``."""
+    free = shutil.disk_usage(folder).free
+    if free < min_free:
+        allowed = f"allowed: >= {min_free} (min_free_bytes)"
+        raise BagError(f"bag {folder}: {free} bytes are free on its disk; {allowed}; all that came before is saved")
 
 
 class Recorder:
@@ -182,6 +162,7 @@ class Recorder:
         self, options: RecorderOptions, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
     ) -> None:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
+        self._min_free = options.min_free
         self._topics: list[Topic] = []
         self._new_topics: deque[Topic] = deque()
         self._expected: list[Topic] = []
@@ -226,8 +207,7 @@ class Recorder:
             raise
         self._count += 1
         self.folder, self.failure, self.written = folder, None, 0
-        self._losses, self._disk = Losses(), DiskGuard(folder, options.min_free)
-        self._bag, self._described = bag, False
+        self._losses, self._bag, self._described = Losses(), bag, False
         self.intake = Intake(options.queue_limit, options.snapshot_s)
         self._stopping.clear()
         self._splitting.clear()
@@ -235,14 +215,9 @@ class Recorder:
         self._thread.start()
         return folder
 
-    def other_min_free(self, min_free: int) -> Callable[[], None]:
-        """Prepare to keep ``min_free`` bytes of the disk free; the function returned applies it, to this bag too."""
-        options, disk = replace(self._options, min_free=min_free), DiskGuard(self.folder, min_free)
-
-        def apply() -> None:
-            self._options, self._disk = options, disk
-
-        return apply
+    def keep_free(self, min_free: int) -> None:
+        """Keep ``min_free`` bytes of the disk free from now on, for this bag too."""
+        self._min_free = min_free
 
     def split(self) -> None:
         """Have the writing thread continue the bag in a new file."""
@@ -282,7 +257,7 @@ class Recorder:
         try:
             while not self._stopping.wait(_WRITE_INTERVAL_S):
                 self._write(intake)
-                self._disk.check()
+                check_disk(self.folder, self._min_free)
                 if not self._described:
                     # Now, not at the end: a bag whose recording is killed needs its description too.
                     self._described = self._describe(self._bag, False)

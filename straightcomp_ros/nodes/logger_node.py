@@ -74,7 +74,7 @@ class LoggerComponent:
 
     def prepare(self, parameters: LoggerNodeParameters) -> Callable[[], None]:
         """Prepare another limit of free disk space."""
-        return self._recorder.other_min_free(parameters.min_free_bytes)
+        return partial(self._recorder.keep_free, parameters.min_free_bytes)
 
     def _record(self, topic: str, type_name: str, qos: QoSProfile, stream: Stream | None = None) -> None:
         if not self._chosen.fullmatch(topic.lstrip("/")):
@@ -102,7 +102,7 @@ class LoggerComponent:
 
         def pause() -> str:
             """Leave later messages out of the bag."""
-            recorder.intake.paused = True
+            recorder.intake.pause()
             return "paused: messages are not recorded until ~/resume"
 
         def resume() -> str:

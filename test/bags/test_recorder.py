@@ -1,18 +1,16 @@
 """What a recording keeps, passes over, counts as lost, and when it stops."""
 
 import re
-import shutil
 import subprocess
-import types
 
 import pytest
 from recording import LAYOUTS, information
 
-from straightcomp_ros.bags import BagError, recorder
+from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags import information as origin_module
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.reader import read_metadata, read_streams
-from straightcomp_ros.bags.recorder import BREAK, DiskGuard, Intake, Losses, Recorder, RecorderOptions
+from straightcomp_ros.bags.recorder import BREAK, Intake, Losses, Recorder, RecorderOptions, check_disk
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.contract import ENCODER
 
@@ -21,24 +19,30 @@ def message(number: int) -> tuple[str, bytes, int, int]:
     return "/encoder", bytes([number % 256]), number * 1_000_000, 0
 
 
-def test_messages_wait_in_their_order_those_of_a_pause_are_passed_over_and_those_beyond_the_limit_dropped():
+def test_messages_wait_in_their_order_those_of_a_pause_are_ignored_and_those_beyond_the_limit_dropped():
     intake = Intake(limit=7)
     for number in range(10):
+        if number == 2:
+            intake.pause()
         intake.paused = 2 <= number < 4
         intake.add(*message(number))
     assert list(intake.queue) == [message(0), message(1), BREAK, *map(message, range(4, 8))]
-    assert (intake.passed_over, intake.dropped) == (2, 2)
+    assert (intake.received, intake.dropped) == (10, 2)
 
 
-def test_a_snapshot_has_the_last_seconds_only_and_memory_stays_bounded():
-    intake = Intake(limit=10_000, snapshot_s=0.5)
+def test_a_snapshot_has_the_last_seconds_only_and_of_them_the_newest_for_which_there_is_room():
+    intake = Intake(limit=510, snapshot_s=0.5)
     for number in range(3000):
         intake.add(*message(number))
-    assert not intake.queue
-    assert intake.snapshot() == 501
+    assert not intake.queue and intake.snapshot() == 501
     assert list(intake.queue) == [BREAK, *(message(number) for number in range(2499, 3000))]
-    intake.queue.clear()
-    assert intake.snapshot() == 0
+    for number in range(3000, 3010):
+        intake.add(*message(number))
+    assert (intake.snapshot(), intake.dropped) == (8, 2)
+    assert list(intake.queue)[502:] == [BREAK, *(message(number) for number in range(3002, 3010))]
+    intake.add(*message(3010))
+    # The queue is full: all is dropped, and counted.
+    assert (intake.snapshot(), intake.dropped, intake.received) == (0, 3, 3011)
 
 
 def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, monkeypatch):
@@ -80,35 +84,6 @@ def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruptio
     assert losses.by_topic()["/d"] == 1
 
 
-def test_a_snapshot_takes_the_newest_where_the_queue_has_room_for_some():
-    intake = Intake(limit=5, snapshot_s=1.0)
-    for number in range(8):
-        intake.add("/a", bytes([number]), number, 0)
-    assert intake.snapshot() == 5
-    assert [data for _, data, *_ in intake.queue] == [b"", *(bytes([number]) for number in range(3, 8))]
-    assert (intake.received, intake.dropped) == (8, 3)
-    intake.add("/a", b"x", 9, 0)
-    intake.add("/a", b"y", 9, 0)
-    # The queue is full: all is dropped, and counted.
-    assert intake.snapshot() == 0 and intake.dropped == 5
-
-
-def test_the_free_space_is_looked_at_twice_a_second(monkeypatch, tmp_path):
-    clock, looks = [100.0], []
-    usage = types.SimpleNamespace(free=300)
-    monkeypatch.setattr(recorder, "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: looks.append(path) or usage)
-    guard = DiskGuard(tmp_path, 300)
-    for _ in range(100):
-        guard.check()
-        clock[0] += 0.01
-    assert looks == [tmp_path] * 2
-    usage.free = 200
-    clock[0] += 0.5
-    with pytest.raises(BagError, match="200 bytes are free on its disk; allowed: >= 300"):
-        guard.check()
-
-
 def announced(recorder: Recorder) -> None:
     recorder.announce(Topic("/encoder", ENCODER.layout.type_name, TopicQos()))
 
@@ -129,6 +104,8 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
     with pytest.raises(BagError, match="being recorded already"):
         recorder.start()
     for number in range(100):
+        if number == 20:
+            recorder.intake.pause()
         recorder.intake.paused = 20 <= number < 60
         if number != 80:
             recorder.intake.add(*sample(number))
@@ -174,11 +151,12 @@ def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_
 
 
 def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
-    recorder = Recorder(RecorderOptions(str(tmp_path / "run"), min_free=10**18), [], lambda bag, at_end: True)
+    check_disk(tmp_path, 1)
+    recorder = Recorder(RecorderOptions(str(tmp_path / "run")), [], lambda bag, at_end: True)
     announced(recorder)
     recorder.start()
+    recorder.keep_free(10**18)
     recorder._thread.join(30)
-    assert "min_free_bytes" in str(recorder.failure)
+    assert re.search(r"\d+ bytes are free on its disk; allowed: >= 10{18} \(min_free_bytes\)", str(recorder.failure))
     recorder.stop()
     assert (tmp_path / "run" / "metadata.yaml").exists()
-    shutil.rmtree(tmp_path / "run")
