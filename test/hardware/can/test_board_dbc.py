@@ -20,6 +20,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command,
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.yaml_text import load_yaml
 from trials.can_servo import run_servo_trial
 
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
@@ -99,74 +100,66 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
     assert not plain.sample.unpack(bytes(payload)).good
 
 
-@pytest.mark.parametrize(
-    ("file", "parameter", "changes", "words"),
-    [
-        (FOREIGN_FILE, "dbc", "nowhere.dbc", "'nowhere.dbc': No such file"),
-        (FOREIGN_FILE, "dbc", str(FOREIGN_FILE), "is no valid DBC file"),
-        (FOREIGN_FILE, "wire.x.message", "DSP_MESA", "'DSP_MESA' is not a message of .*did you mean 'DSP_MEAS'"),
-        (FOREIGN_FILE, "wire.y.signal", "POSY", "'POSY' is not a signal of message 'DSP_MEAS' of .*'POS_Y'"),
-        (FOREIGN_FILE, "wire.x.signal", "", "'' is not allowed; the driver needs this signal"),
-        (
-            FOREIGN_FILE,
-            "wire.y.signal",
-            {"wire/y/message": "DSP_STATUS", "wire/y/signal": "SUPPLY"},
-            "not in all frames",
-        ),
-        (FOREIGN_FILE, "wire.current.signal", "POS_X", "of message 'DSP_MEAS' is in 'mm'; allowed: A, mA"),
-        (FOREIGN_FILE, "wire.x.factor", 0.0, "0.0 is not allowed"),
-        (
-            FOREIGN_FILE,
-            "wire.enable.message",
-            {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
-            "'DSP_STATUS' is a message of the board already",
-        ),
-        (FOREIGN_FILE, "wire.counter.signal", {"wire/counter/message": "DSP_STATUS"}, "'' is not allowed with message"),
-        (FOREIGN_FILE, "wire.amplifier.fault_value", -1, "-1 needs"),
-        (FOREIGN_FILE, "wire.amplifier.on_value", 8, "8 does not fit signal 'AMP_STATE'.*allowed: 0 to 3"),
-        (FOREIGN_FILE, "wire.enable.yes_value", 2, "2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1"),
-        (FOREIGN_FILE, "wire.echo.signal", "SET_CURRENT", "of message 'PC_SET' is signed or a float"),
-        (FOREIGN_FILE, "wire.counter.signal", "POS_X", "of message 'DSP_MEAS' is signed or a float"),
-        (
-            FOREIGN_FILE,
-            "wire.protection.status.crc",
-            "ERROR_CODE",
-            "'DSP_STATUS' is multiplexed; allowed: a signal that",
-        ),
-        (FOREIGN_FILE, "wire.protection.sample.crc", "", "'' is not a signal"),
-        (
-            FOREIGN_FILE,
-            "wire.protection.sample.crc",
-            {"wire/protection/sample/profile": "e2e_1"},
-            "allowed with profile e2e_1",
-        ),
-        (FOREIGN_FILE, "wire.protection.status.profile", "none", "'none' is not allowed with"),
-        (FOREIGN_FILE, "wire.protection.current", {"wire/protection/current/alive": "MEAS_CNT"}, "is given, but"),
-        (FOREIGN_FILE, "wire.protection.sample.data_id", "x", "'x' is not allowed"),
-        (FOREIGN_FILE, "wire.x.message", {"fd": False}, "'DSP_MEAS' of .* is a message of CAN FD.*'can.fd' is false"),
-        (FOREIGN_FILE, "wire.x.message", {"dbc": ""}, "'DSP_MEAS' is not allowed without a file in 'can.dbc'"),
-        (SPLIT_FILE, "wire.reset.signal", {"wire/reset/message": "DSP_Y"}, "not a signal of message 'DSP_Y'"),
-        (
-            SPLIT_FILE,
-            "wire.reset.message",
-            {"wire/reset/message": "DSP_Y", "wire/reset/signal": "Y_OK"},
-            "'DSP_Y' is a message of the board already",
-        ),
-        (
-            SPLIT_FILE,
-            "wire.protection.good",
-            {"wire/protection/good/alive": "Y_CNT"},
-            "is given, but the signals are in",
-        ),
-        (SPLIT_FILE, "wire.protection.enable.alive", "SW", "'SW' is not a signal of"),
-    ],
-)
-def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_allowed(
-    file, parameter, changes, words
-):
-    changes = changes if isinstance(changes, dict) else {parameter.replace(".", "/"): changes}
+REFUSED = r"""
+foreign | dbc | dbc=nowhere.dbc | 'nowhere.dbc': No such file
+foreign | dbc | dbc=YAML | is no valid DBC file
+foreign | wire.x.message | wire/x/message=DSP_MESA | 'DSP_MESA' is not a message of .*did you mean 'DSP_MEAS'
+foreign | wire.y.signal | wire/y/signal=POSY | 'POSY' is not a signal of message 'DSP_MEAS' of .*'POS_Y'
+foreign | wire.x.signal | wire/x/signal= | '' is not allowed; the driver needs this signal
+foreign | wire.y.signal | wire/y/message=DSP_STATUS wire/y/signal=SUPPLY | not in all frames
+foreign | wire.current.signal | wire/current/signal=POS_X | of message 'DSP_MEAS' is in 'mm'; allowed: A, mA
+foreign | wire.x.factor | wire/x/factor=0.0 | 0.0 is not allowed
+foreign | wire.enable.message | wire/enable/message=DSP_STATUS wire/enable/signal=SUPPLY | message of the board already
+foreign | wire.counter.signal | wire/counter/message=DSP_STATUS | '' is not allowed with message
+foreign | wire.amplifier.fault_value | wire/amplifier/fault_value=-1 | -1 needs
+foreign | wire.amplifier.on_value | wire/amplifier/on_value=8 | 8 does not fit signal 'AMP_STATE'.*allowed: 0 to 3
+foreign | wire.enable.yes_value | wire/enable/yes_value=2 | 2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1
+foreign | wire.echo.signal | wire/echo/signal=SET_CURRENT | of message 'PC_SET' is signed or a float
+foreign | wire.counter.signal | wire/counter/signal=POS_X | of message 'DSP_MEAS' is signed or a float
+foreign | wire.protection.status.crc | wire/protection/status/crc=ERROR_CODE | 'DSP_STATUS' is multiplexed; allowed: a
+foreign | wire.protection.sample.crc | wire/protection/sample/crc= | '' is not a signal
+foreign | wire.protection.sample.crc | wire/protection/sample/profile=e2e_1 | allowed with profile e2e_1
+foreign | wire.protection.status.profile | wire/protection/status/profile=none | 'none' is not allowed with
+foreign | wire.protection.current | wire/protection/current/alive=MEAS_CNT | is given, but
+foreign | wire.protection.sample.data_id | wire/protection/sample/data_id=x | 'x' is not allowed
+foreign | wire.x.message | fd=false | 'DSP_MEAS' of .* is a message of CAN FD.*'can.fd' is false
+foreign | wire.x.message | dbc= | 'DSP_MEAS' is not allowed without a file in 'can.dbc'
+foreign | wire.echo.signal | SAMPLE wire/protection/sample/alive= | needs a count of the samples
+split | wire.reset.signal | wire/reset/message=DSP_Y | not a signal of message 'DSP_Y'
+split | wire.reset.message | wire/reset/message=DSP_Y wire/reset/signal=Y_OK | 'DSP_Y' is a message of the board already
+split | wire.protection.good | wire/protection/good/alive=Y_CNT | is given, but the signals are in
+split | wire.protection.enable.alive | wire/protection/enable/alive=SW | 'SW' is not a signal of
+"""
+UNPROTECTED = " ".join(f"wire/protection/sample/{name}" for name in ("profile=none", "crc=", "data_id="))
+
+
+@pytest.mark.parametrize("case", REFUSED.strip().splitlines())
+def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_allowed(case):
+    file, parameter, changes, words = (cell.strip() for cell in case.split(" | "))
+    changes = changes.replace("YAML", str(FOREIGN_FILE)).replace("SAMPLE", UNPROTECTED)
+    values = {
+        name: load_yaml(text) if text else "" for name, _, text in (one.partition("=") for one in changes.split())
+    }
     with pytest.raises(ParameterError, match=rf"'can\.{parameter}': .*{words}"):
-        board_of(file, **changes)
+        board_of(FOREIGN_FILE if file == "foreign" else SPLIT_FILE, **values)
+
+
+LIMIT = r"'stage.actuator.current_limit': .* is too large for CAN; allowed: <= 0.5 A"
+NODE = r"'can.node': 127 moves message 'DSP_STATUS' .* to 0x826; allowed: <= 0x7ff"
+UNPROTECTED_Y = {"wire/protection/y/profile": "none", "wire/protection/y/crc": ""}
+COUNTS = r"'can.wire.protection.y.alive': .* 'DSP_X' to 15 and 'DSP_Y' to 16 .*allowed: moduli with"
+EDITED = [
+    (FOREIGN_FILE, '[-2|2] "A" DSP', '[-0.5|0.6] "A" DSP', {}, LIMIT),
+    (FOREIGN_FILE, "DSP_MEAS: 16", "DSP_MEAS: 17", {}, r"message 'DSP_MEAS' of .* has 17 bytes; allowed: 0, 1, 2"),
+    (FOREIGN_FILE, " 801 ", " 1960 ", {"node": 127}, NODE),
+    (SPLIT_FILE, "35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", UNPROTECTED_Y, COUNTS),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "changes", "words"), EDITED)
+def test_a_file_that_does_not_fit_the_stage_the_node_or_itself_is_refused(edited, file, old, new, changes, words):
+    with pytest.raises(ParameterError, match=words):
+        board_of(file, dbc=edited(old, new, file), **changes)
 
 
 def unprotected(group, **changes):
@@ -202,32 +195,6 @@ def test_the_sample_is_numbered_by_the_message_that_has_a_count():
     assert wire.part_modulus == 0
 
 
-def test_counts_of_frames_that_belong_together_need_a_common_divisor(edited):
-    sixteen = edited("Y_CNT : 35|4@0+ (1,0) [0|14]", "Y_CNT : 35|4@0+ (1,0) [0|15]", SPLIT_FILE)
-    with pytest.raises(
-        ParameterError,
-        match=r"'can.wire.protection.y.alive': .* 'DSP_X' to 15 and 'DSP_Y' to 16 .*allowed: moduli with",
-    ):
-        split(dbc=sixteen, **unprotected("y", crc=""))
-
-
-def test_a_current_limit_beyond_the_command_signal_is_refused(edited):
-    dbc = edited('[-2|2] "A" DSP', '[-0.5|0.6] "A" DSP')
-    with pytest.raises(
-        ParameterError, match=r"'stage.actuator.current_limit': .* is too large for CAN; allowed: <= 0.5 A"
-    ):
-        driver(dbc=dbc)
-
-
-def test_a_message_that_fits_no_frame_and_a_node_that_no_identifier_has_are_refused(edited):
-    with pytest.raises(ParameterError, match=r"message 'DSP_MEAS' of .* has 17 bytes; allowed: 0, 1, 2"):
-        driver(dbc=edited("DSP_MEAS: 16", "DSP_MEAS: 17"))
-    with pytest.raises(
-        ParameterError, match=r"'can.node': 127 moves message 'DSP_STATUS' .* to 0x826; allowed: <= 0x7ff"
-    ):
-        driver(dbc=edited(" 801 ", " 1960 "), node=127)
-
-
 def test_a_frame_with_an_identifier_of_the_emulators_is_refused_where_a_stage_is_simulated(edited):
     wire = foreign(dbc=edited(" 801 ", " 1153 "))
     with pytest.raises(ParameterError, match=r"'can.simulated_stage': .* frame 0x481 .* emulator's 'StageMotion'"):
@@ -237,11 +204,6 @@ def test_a_frame_with_an_identifier_of_the_emulators_is_refused_where_a_stage_is
 def test_a_file_that_was_edited_is_read_again(edited):
     assert foreign(dbc=edited(" 801 ", " 802 ")).status.identifier == 802
     assert foreign(dbc=edited(" 801 ", " 803 ")).status.identifier == 803
-
-
-def test_an_echo_needs_a_count_of_the_samples():
-    with pytest.raises(ParameterError, match=r"'can.wire.echo.signal': needs a count of the samples"):
-        driver(**unprotected("sample", crc="", alive="", data_id=""))
 
 
 def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
@@ -258,55 +220,56 @@ def without_counts(can):
     return replace(can, wire=wire)
 
 
-def test_what_the_frames_of_a_board_lack_is_reported_and_the_packages_own_leave_nothing_open():
-    assert gaps(CanParameters(fd=False).make_wire()) == gaps(CanParameters(fd=True).make_wire()) == []
-    for wire, lacking in (
-        (foreign(), ["DSP_MEAS counts to 256 only"]),
-        (split(), ["DSP_X counts to 15 only", "DSP_I has no CRC"]),
-    ):
-        assert [text.split(":")[0] for text in gaps(wire)] == [*lacking, "there is no heartbeat"]
-
-
-@pytest.mark.parametrize(
-    ("board", "lacking"),
-    [
-        (BARE, [f"{message} has no {what}" for message in ("SAMPLE", "SET") for what in ("CRC", "counter")]),
-        (
-            BARE,
-            [
-                "SET has no echo",
-                "SET has no reset",
-                "no heartbeat",
-                "whether the readings are good",
-                "the commanded one",
-            ],
-        ),
-        (without_counts(SPLIT), ["DSP_Y has no CRC: a damaged sample", "PC_SWITCH has no CRC: the board would act"]),
-        (
-            without_counts(SPLIT),
-            ["DSP_X and DSP_Y have no counter in each", "DSP_X and DSP_Y have no counter: repeated"],
-        ),
-        (
-            without_counts(SPLIT),
-            ["frames that come within half a period", "PC_SWITCH and PC_CURRENT have no counter in each"],
-        ),
-    ],
-)
-def test_each_check_that_a_boards_messages_do_not_allow_is_reported(board, lacking):
-    found = " ".join(gaps(board.make_wire()))
-    assert all(words in found for words in lacking)
-
-
-def test_what_a_message_between_the_samples_says_without_a_crc_is_reported():
-    found = gaps(foreign(**unprotected("status", crc="")))
-    assert "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed" in found
-    assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(split())
+def classic(**protection):
+    """The board of the package's own file on a classic bus with other groups of protection."""
     wire = shipped_wire(fd=False)
-    bare = replace(wire, protection=replace(wire.protection, current=ProtectionParameters()))
-    classic = CanParameters(dbc=str(share_path(SHIPPED_DBC)), wire=bare, fd=False)
-    assert gaps(classic.make_wire()) == [
-        "CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"
-    ]
+    wire = replace(wire, protection=replace(wire.protection, **protection))
+    return CanParameters(dbc=str(share_path(SHIPPED_DBC)), wire=wire, fd=False)
+
+
+LACKING = {
+    "own, classic": (classic(), []),
+    "own, FD": (CanParameters(fd=True), []),
+    "own without a CRC of the slow frames": (
+        classic(current=ProtectionParameters()),
+        ["CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"],
+    ),
+    "foreign": (board_of(FOREIGN_FILE), ["DSP_MEAS counts to 256 only", "there is no heartbeat"]),
+    "foreign without a CRC of the state": (
+        board_of(FOREIGN_FILE, **unprotected("status", crc="")),
+        [
+            *("DSP_MEAS counts to 256 only", "there is no heartbeat"),
+            "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed",
+        ],
+    ),
+    "split": (SPLIT, ["DSP_X counts to 15 only", "DSP_I has no CRC: a damaged measured", "there is no heartbeat"]),
+    "bare": (
+        BARE,
+        [
+            *(f"{message} has no {what}" for message in ("SAMPLE", "SET") for what in ("CRC", "counter")),
+            *("SET has no echo", "SET has no reset", "there is no heartbeat"),
+            *("no signal says whether the readings are good", "no signal has the measured current"),
+        ],
+    ),
+    "split without counts": (
+        without_counts(SPLIT),
+        [
+            *(f"{message} has no CRC: a damaged sample" for message in ("DSP_X", "DSP_Y")),
+            *(f"{message} has no CRC: the board would act" for message in ("PC_SWITCH", "PC_CURRENT")),
+            *(f"{message} has no counter: the board" for message in ("PC_SWITCH", "PC_CURRENT")),
+            *("DSP_X and DSP_Y have no counter in each: frames that come within half a period",),
+            *("DSP_X and DSP_Y have no counter: repeated", "PC_SWITCH and PC_CURRENT have no counter in each"),
+            *("PC_SWITCH and PC_CURRENT have no echo", "DSP_I has no CRC: a damaged measured", "there is no heartbeat"),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize(("board", "lacking"), LACKING.values(), ids=LACKING)
+def test_each_check_that_the_frames_of_a_board_do_not_allow_is_reported_once_and_nothing_else(board, lacking):
+    found = gaps(board.make_wire())
+    assert len(found) == len(lacking)
+    assert all(sum(text.startswith(words) for text in found) == 1 for words in lacking), found
 
 
 @pytest.mark.parametrize("board", [BARE, without_counts(SPLIT)], ids=["bare", "put together by time"])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from can_boards import BARE_FILE, FOREIGN_FILE, GUIDE, SPLIT_FILE, STAGE, START, board_of
-from drawn_board import drawn_board
+from drawn_dbc import drawn_board
 from forgery import forged
 from hypothesis import given, settings
 from hypothesis import strategies as st
