@@ -173,44 +173,36 @@ MULTIPLEXED = with_line("AMP : 56|2@1+", "AMP M : 56|2@1+").replace("POS_Y : 32|
 MULTIPLEXED = MULTIPLEXED.replace("POS_X : 0|32", "POS_X : 0|16").replace(
     " SG_ OK", ' SG_ I m1 : 32|16@1- (1,0) [0|0] "mA" X\n SG_ CODE m2 : 32|8@1+ (1,0) [0|0] "" X\n SG_ OK'
 )
+COUNT, TWICE = "CNT : 48|8@1+ (1,0) [", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'
+AGAIN = '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n'
 REFUSED = {
     "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), "x.signal", "-714748"),
     "limits below the bits": (with_line("(0.05,0) [0|0]", "(0.05,0) [-9000|-2000]"), "y.signal", "-1638.4"),
-    "limits of a count beyond its bits": (
-        with_line("CNT : 48|8@1+ (1,0) [0|255]", "CNT : 48|8@1+ (1,0) [300|400]"),
-        "",
-        "",
-    ),
+    "limits of a count beyond its bits": (with_line(f"{COUNT}0|255]", f"{COUNT}300|400]"), "", ""),
     "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
     "a factor of 0": (with_line("(0.05,0)", "(0,0)"), "y.signal", "POS_Y"),
     "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), "y.signal", "inf"),
     "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", "x.message", "0x120 and 0x12c"),
-    "a name of a signal twice": (with_line("SG_ OK", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'), "x.signal", "2"),
+    "a name of a signal twice": (with_line("SG_ OK", TWICE), "x.signal", "2"),
     "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), "x.signal", "POS_Y"),
     "a signal beyond its message": (with_line("SET_CNT : 24|8", "SET_CNT : 26|8"), "protection.command.alive", "4"),
     "a float of 24 bits": (with_line("X : 0|32", "X : 0|24") + "SIG_VALTYPE_ 288 POS_X : 1;\n", "x.signal", "24"),
-    "a state that chooses the current's page": (MULTIPLEXED, "x.signal", "'AMP'"),
-    "a state that chooses the code's page": (MULTIPLEXED, "x.signal", "'AMP'"),
+    "a state that chooses the current's page": (MULTIPLEXED, "x.signal", "'AMP'", {"current.signal": "I"}),
+    "a state that chooses the code's page": (MULTIPLEXED, "x.signal", "'AMP'", {"fault.signal": "CODE"}),
     "an identifier of two messages": (
-        BOARD + '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n',
-        "",
-        "'MEAS' and 'AGAIN'",
+        *(BOARD + AGAIN, "", "'MEAS' and 'AGAIN'"),
+        {"y.message": "AGAIN", "y.signal": "Y"},
     ),
     "no list of messages": ("NS_ :\n    NS_DESC_\n    CM_\n", "", "within NS_"),
     "a file without messages": ('VERSION ""\n', "", "no message"),
-}
-CHANGES = {
-    "a state that chooses the current's page": {"current.signal": "I"},
-    "a state that chooses the code's page": {"fault.signal": "CODE"},
-    "an identifier of two messages": {"y.message": "AGAIN", "y.signal": "Y"},
 }
 
 
 @pytest.mark.parametrize("fault", REFUSED)
 def test_what_the_wire_uses_and_cannot_be_right_is_refused(board, fault):
-    text, parameter, words = REFUSED[fault]
+    text, parameter, words, *changes = REFUSED[fault]
     with pytest.raises(RefusedParameter, match=words or None) as refused:
-        board(text, CHANGES.get(fault, {}))
+        board(text, *changes)
     assert f"'wire.{parameter}" in str(refused.value) or not parameter or "dbc" in str(refused.value)
 
 
@@ -304,64 +296,43 @@ def described(message):
     return message.frame_id, message.is_extended_frame, message.length, message.cycle_time, message.is_fd, signals
 
 
-def read(dbc, name):
-    with contextlib.suppress(DbcError):
-        return dbc.message(name)
-    return None
-
-
-def names_in(file):
+def identifiers_in(file):
+    """Identifier and name of each message of a real file."""
     words = [line.split() for line in file.read_text(errors="replace").splitlines() if line.startswith("BO_ ")]
-    return [line[2].rstrip(":") for line in words if line[2] != "VECTOR__INDEPENDENT_SIG_MSG:"]
+    return [(int(line[1]), name) for line in words if (name := line[2].rstrip(":")) != "VECTOR__INDEPENDENT_SIG_MSG"]
 
 
 @pytest.mark.parametrize("file", REAL, ids=lambda file: file.stem)
 def test_a_message_of_a_real_file_is_what_cantools_reads(file):
-    dbc, names = Dbc(str(file)), names_in(file)
+    dbc = Dbc(str(file))
     with contextlib.redirect_stderr(io.StringIO()):
         try:
             whole = cantools.database.load_file(file, strict=False)
         except (cantools.Error, ValueError):
             # For a fault in some message. Each of the others is read here; an identifier must have its number of bits.
-            lines = [line.split() for line in file.read_text(errors="replace").splitlines() if line.startswith("BO_ ")]
-            sound = {line[2].rstrip(":") for line in lines if not 0x7FF < int(line[1]) < 1 << 31}
-            assert all(read(dbc, name) for name in names if name in sound)
+            assert all(dbc.message(name) for number, name in identifiers_in(file) if not 0x7FF < number < 1 << 31)
             return
-    for name in set(names):
+    for _, name in identifiers_in(file):
         assert described(dbc.message(name)) == described(whole.get_message_by_name(name))
 
 
 @pytest.mark.parametrize("file", REAL, ids=lambda file: file.stem)
 def test_the_frames_of_a_board_that_speaks_a_real_files_messages_compile(board, compiled, file):
-    text = file.read_text(encoding="cp1252", errors="replace")
-    can = board(
-        (text + "\n" + BOARD.split("BU_: BOARD HOST")[1].replace("288", "1999").replace("289", "1998")).encode(
-            "cp1252", "replace"
-        )
-    )
+    own = BOARD.split("BU_: BOARD HOST")[1].replace("288", "1999").replace("289", "1998")
+    text = file.read_bytes() + own.encode()
+    can = board(text)
     compiled(can)
-    dbc = Dbc(can.dbc)
-    usable = []
-    for name in names_in(file):
-        message = read(dbc, name)
-        plain = (
-            [one.name for one in message.signals if not one.multiplexer_signal and one.length > 1] if message else []
-        )
-        if len(plain) >= 2:
-            usable.append((name, plain))
-    tried = 0
-    for (name, signals), (asked, sent) in zip(usable[::2], usable[1::2], strict=False):
-        changes = {"x.message": name, "x.signal": signals[0], "x.unit": "mm", "y.signal": signals[1], "y.unit": "um"}
+    dbc, usable, tried = Dbc(can.dbc), [], 0
+    for _, name in identifiers_in(file):
+        with contextlib.suppress(DbcError):
+            signals = [one for one in dbc.message(name).signals if not one.multiplexer_signal and one.length > 1]
+            usable += [(name, *(one.name for one in signals[:2]))] if len(signals) > 1 else []
+    for (name, x, y), (asked, current, enable) in zip(usable[::2], usable[1::2], strict=False):
+        changes = {"x.message": name, "x.signal": x, "x.unit": "mm", "y.signal": y, "y.unit": "um"}
         changes |= {"amplifier.message": "MEAS", "good.message": "MEAS", "counter.signal": ""}
-        changes |= {"command.message": asked, "command.signal": sent[0], "command.unit": "mA"}
-        changes |= {"enable.signal": sent[1], "protection.command.alive": ""}
+        changes |= {"command.message": asked, "command.signal": current, "command.unit": "mA"}
         with contextlib.suppress(RefusedParameter):
-            compiled(
-                board(
-                    (file.parent / file.name).read_bytes() + BOARD.split("HOST", 1)[1].replace("288", "1999").encode(),
-                    changes,
-                )
-            )
+            compiled(board(text, {**changes, "enable.signal": enable, "protection.command.alive": ""}))
             tried += 1
         if tried >= 3:
             break
