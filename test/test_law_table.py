@@ -21,7 +21,7 @@ SHORT = {
 }
 
 
-def figures(pp: float) -> LawFigures:
+def figures(pp):
     around = Spread(pp, 0.9 * pp, 1.1 * pp)
     return LawFigures(around, Spread(5e-8, 4.99e-8, 5.01e-8), spread([50.0]), spread([0.004]), step_time=2e-6)
 

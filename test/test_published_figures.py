@@ -23,22 +23,22 @@ OTHER_PROCESSOR = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
 
 
-def cells(line: str) -> list[str]:
+def cells(line):
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def spread_of(cell: str) -> Spread:
+def spread_of(cell):
     """Of ``0.47 (0.45 to 0.49)``, or of ``0.024`` alone."""
     median, *around = (float(number) for number in re.findall(r"[\d.]+", cell))
     return Spread(median, *(around or (median, median)))
 
 
-def lies_within(found: float, published: Spread, digits: int) -> bool:
+def lies_within(found, published, digits):
     margin = OTHER_PROCESSOR * published.median + 10.0**-digits
     return published.min - margin <= found <= published.max + margin
 
 
-def line_of(page: str, start: str) -> str:
+def line_of(page, start):
     (line,) = (line for line in page.splitlines() if line.startswith(f"| {start} |"))
     return line
 

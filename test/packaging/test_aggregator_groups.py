@@ -20,7 +20,7 @@ GROUPS = {
 NODES = [Path(straightcomp_ros.__file__).parent / folder for folder in ("nodes", "tuning/graph")]
 
 
-def reporting() -> list[str]:
+def reporting():
     """Names of the nodes that publish diagnostics, from the calls in their modules."""
     found = []
     for module in sorted(path for folder in NODES for path in folder.glob("*.py")):
@@ -32,12 +32,12 @@ def reporting() -> list[str]:
     return sorted(found)
 
 
-def matching(status: str) -> list[str]:
+def matching(status):
     """Groups that take a status, as GenericAnalyzer::match of diagnostic_aggregator does it."""
     return [name for name, group in GROUPS.items() if any(re.fullmatch(one, status) for one in group["regex"])]
 
 
-def test_all_our_nodes_are_known_here_and_each_group_is_of_the_kind_that_matching_reads() -> None:
+def test_all_our_nodes_are_known_here_and_each_group_is_of_the_kind_that_matching_reads():
     for group in GROUPS.values():
         assert group["type"] == "diagnostic_aggregator/GenericAnalyzer"
         assert set(group) == {"type", "path", "regex"}
@@ -45,7 +45,7 @@ def test_all_our_nodes_are_known_here_and_each_group_is_of_the_kind_that_matchin
 
 
 @pytest.mark.parametrize("namespace", ["", "line_3/", "hall/line_3/"])
-def test_each_status_of_ours_falls_into_one_group_and_no_other_status_into_any(namespace: str) -> None:
+def test_each_status_of_ours_falls_into_one_group_and_no_other_status_into_any(namespace):
     for node in reporting():
         assert len(matching(namespace + node)) == 1, node
     for status in ("controller_manager: Controllers Activity", f"{namespace}camera_driver", "driver/laser"):

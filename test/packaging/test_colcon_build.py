@@ -23,7 +23,7 @@ if importlib.util.find_spec("colcon_core") is None:
     )
 
 
-def colcon(workspace: Path, *arguments: str) -> str:
+def colcon(workspace, *arguments):
     command = [sys.executable, "-m", "colcon", "--log-base", "log", *arguments]
     done = subprocess.run(command, cwd=workspace, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -31,7 +31,7 @@ def colcon(workspace: Path, *arguments: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prefix(tmp_path_factory):
     """Where the package is installed that is built in a workspace with a copy of this repository in src/."""
     workspace = tmp_path_factory.mktemp("workspace")
     shutil.copytree(REPOSITORY, workspace / "src" / "straightcomp_ros", ignore=shutil.ignore_patterns(*NOT_SOURCES))
@@ -42,7 +42,7 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def environment(prefix: Path) -> dict[str, str]:
+def environment(prefix):
     """What a shell has after `source install/setup.bash`."""
     command = ["bash", "-c", f"source '{prefix.parent}/setup.bash' && env -0"]
     printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
@@ -56,15 +56,15 @@ def environment(prefix: Path) -> dict[str, str]:
     return {**variables, **apart}
 
 
-def executable(prefix: Path, name: str) -> str:
+def executable(prefix, name):
     return str(prefix / "lib" / "straightcomp_ros" / name)
 
 
-def run(command: list[str], environment: dict[str, str], folder: Path) -> subprocess.CompletedProcess[str]:
+def run(command, environment, folder):
     return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=START_S)
 
 
-def test_executables_configuration_launch_files_and_index_marker_are_where_ros2_looks(prefix: Path) -> None:
+def test_executables_configuration_launch_files_and_index_marker_are_where_ros2_looks(prefix):
     nodes = (f"{node}_node" for node in (*NODES, "player", "opcua", "commissioning"))
     assert all(os.access(executable(prefix, name), os.X_OK) for name in (*nodes, "straightcomp"))
     share = prefix / "share"
@@ -75,9 +75,7 @@ def test_executables_configuration_launch_files_and_index_marker_are_where_ros2_
         assert sources <= {path.name for path in (share / "straightcomp_ros" / folder).iterdir()}
 
 
-def test_the_sourced_workspace_shadows_the_checkout_and_finds_its_own_files(
-    prefix: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_the_sourced_workspace_shadows_the_checkout_and_finds_its_own_files(prefix, environment, tmp_path):
     # PyPI has no `launch`: a stand-in for it.
     program = """
 import runpy, sys
@@ -107,8 +105,8 @@ print(sys.modules["straightcomp_ros.runtime.launch_files"].__file__, share.__fil
     ],
 )
 def test_an_installed_executable_has_the_verbs_of_all_wings_and_refuses_an_unknown_parameter(
-    words: str, code: int, printed: set[str], prefix: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
+    words, code, printed, prefix, environment, tmp_path
+):
     name, *options = words.split()
     done = run([executable(prefix, name), *options], environment, tmp_path)
     assert done.returncode == code and printed <= set((done.stdout + done.stderr).split()), done.stderr
@@ -116,9 +114,7 @@ def test_an_installed_executable_has_the_verbs_of_all_wings_and_refuses_an_unkno
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_sigint_ends_an_installed_node_with_exit_code_0(
-    node: str, prefix: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_sigint_ends_an_installed_node_with_exit_code_0(node, prefix, environment, tmp_path):
     command = [executable(prefix, f"{node}_node")]
     with subprocess.Popen(
         command, env=environment, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True

@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 from importlib.metadata import distribution
-from pathlib import Path
 from unittest.mock import Mock
 from xml.etree import ElementTree
 
@@ -148,7 +147,7 @@ def test_every_option_is_explained_and_has_one_name_everywhere_and_every_verb_wi
     assert without - families == {"completion", "dsp", "opcua user", "stage new"}
 
 
-def completed(script: Path, *words: str) -> set[str]:
+def completed(script, *words):
     """What bash offers after the words, the last of which is being typed."""
     quoted = " ".join(f"'{word}'" for word in ("straightcomp", *words))
     ask = f"COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; _shtab_straightcomp"

@@ -1,22 +1,20 @@
 """What is imported, setup.py and package.xml name the same dependencies, by the names in dependencies.yaml."""
 
-import ast
 import re
 import runpy
 import sys
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 import setuptools
 import yaml
+from test_imports_point_inward import belongs_to_ros, imported
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = "straightcomp_ros"
-LISTED: dict[str, Any] = yaml.safe_load((Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8"))
+LISTED = yaml.safe_load((Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8"))
 LISTED |= {name: {"rosdep": f"python3-{name}"} for name in LISTED.pop("python3-NAME")}
 LISTED |= {name: {"no_key": "no key"} for name in LISTED.pop("no key")}
 MANIFEST = (REPOSITORY / "package.xml").read_text(encoding="utf-8")
@@ -24,8 +22,6 @@ OURS = {PACKAGE, "scripts", "trials", "benchmarks", *(path.stem for path in (REP
 """Tests import their neighbours by their bare names."""
 NOT_NEEDED = {"mcap_ros2", "pandas"}
 """What a bench measures next to our reader where it is installed; pandas also reads a store in a test."""
-ROS_MODULES = ("rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py")
-ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 NO_WHEELS = {"launch", "launch_ros"}
 """Components of ROS that PyPI has not: the launch files need an installed Jazzy."""
 WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}
@@ -35,20 +31,15 @@ ONLY_ON_ROS = {"ros2launch"}
 
 
 @cache
-def foreign_imports(*folders: str) -> frozenset[str]:
+def foreign_imports(*folders):
     """Top names that the Python files below import, apart from the standard library and files of ours."""
-    found: set[str] = set()
-    for path in (path for folder in folders for path in (REPOSITORY / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                found |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.split(".")[0])
+    texts = (path.read_text(encoding="utf-8") for folder in folders for path in (REPOSITORY / folder).rglob("*.py"))
+    found = {name.partition(".")[0] for text in texts for name in imported(text, (PACKAGE,))}
     return frozenset(found - OURS - sys.stdlib_module_names - NOT_NEEDED)
 
 
-def of_ros(names: Iterable[str]) -> set[str]:
-    return {name for name in names if name in ROS_MODULES or name.endswith(ROS_ENDINGS)}
+def of_ros(names):
+    return set(filter(belongs_to_ros, names))
 
 
 BY_PACKAGE = foreign_imports(PACKAGE, "launch")
@@ -57,9 +48,9 @@ FROM_PYPI, TESTS_FROM_PYPI = BY_PACKAGE - of_ros(BY_PACKAGE), BY_TESTS - of_ros(
 
 
 @pytest.fixture(scope="module")
-def setup_arguments() -> dict[str, Any]:
+def setup_arguments():
     """What setup.py hands to setuptools."""
-    given: dict[str, Any] = {}
+    given = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(REPOSITORY)
         patch.setattr(setuptools, "setup", lambda **arguments: given.update(arguments))
@@ -67,27 +58,27 @@ def setup_arguments() -> dict[str, Any]:
     return given
 
 
-def names_of(requirements: Iterable[str]) -> set[str]:
+def names_of(requirements):
     """Without versions: `dask[distributed]` of `dask[distributed]>=1`."""
     return {re.split(r"[<>=!~; ]", requirement)[0].lower() for requirement in requirements}
 
 
-def pip_names(names: Iterable[str]) -> set[str]:
+def pip_names(names):
     return {LISTED[name].get("pip", name) for name in names}
 
 
-def depends(*kinds: str) -> set[str]:
+def depends(*kinds):
     root = ElementTree.fromstring(MANIFEST)
     return {str(child.text) for child in root if child.tag in (*(f"{kind}_depend" for kind in kinds), "depend")}
 
 
-def test_everything_that_is_imported_is_listed_with_a_key_or_the_reason_why_not() -> None:
+def test_everything_that_is_imported_is_listed_with_a_key_or_the_reason_why_not():
     assert set(LISTED) >= FROM_PYPI | TESTS_FROM_PYPI
     assert set(LISTED) <= FROM_PYPI | TESTS_FROM_PYPI | {"psutil"}, "psutil: in the text of a test's process"
     assert [name for name, entry in LISTED.items() if ("rosdep" in entry) == ("no_key" in entry)] == []
 
 
-def test_setup_requires_what_the_package_imports_and_nothing_else(setup_arguments: dict[str, Any]) -> None:
+def test_setup_requires_what_the_package_imports_and_nothing_else(setup_arguments):
     optional = {name for name in LISTED if "extra" in LISTED[name]}
     required, extras = setup_arguments["install_requires"], setup_arguments["extras_require"]
     assert pip_names(FROM_PYPI - optional) == names_of(required)
@@ -99,12 +90,12 @@ def test_setup_requires_what_the_package_imports_and_nothing_else(setup_argument
 
 
 @pytest.mark.parametrize("extra", ["tuning", "fleet"])
-def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(extra: str) -> None:
+def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(extra):
     servo = set(foreign_imports(*(str(path) for path in (REPOSITORY / PACKAGE).iterdir() if path.name != extra)))
     assert servo & {name for name, entry in LISTED.items() if entry.get("extra") == extra} == set()
 
 
-def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line() -> None:
+def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line():
     by_key = {name for name in LISTED if "rosdep" in LISTED[name]}
     assert of_ros(BY_PACKAGE) | {LISTED[name]["rosdep"] for name in FROM_PYPI & by_key} <= depends("exec")
     assert of_ros(BY_TESTS) | {LISTED[name]["rosdep"] for name in TESTS_FROM_PYPI & by_key} <= depends("exec", "test")

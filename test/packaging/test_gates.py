@@ -12,7 +12,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
-def _run(module: str, *arguments: str) -> None:
+def _run(module, *arguments):
     if importlib.util.find_spec(module) is None:
         pytest.skip(f"NOT TESTED: {module} is not installed. Remedy: pip install -e '.[test]'")
     done = subprocess.run(
@@ -21,7 +21,7 @@ def _run(module: str, *arguments: str) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_core_passes_mypys_strict_rules() -> None:
+def test_the_core_passes_mypys_strict_rules():
     judged = (REPOSITORY / "pyproject.toml").read_text(encoding="utf-8").partition("[tool.mypy]")[2]
     core = "model control straightness analysis timing hardware messages stage contract.py parameters/declaration.py"
     assert all(f'"straightcomp_ros/{one}",' in judged for one in core.split())
@@ -29,11 +29,11 @@ def test_the_core_passes_mypys_strict_rules() -> None:
 
 
 @pytest.mark.parametrize("words", ["check", "format --check"])
-def test_ruff_finds_nothing(words: str) -> None:
+def test_ruff_finds_nothing(words):
     _run("ruff", *words.split(), "--no-cache", ".")
 
 
-def test_the_manifest_is_one_that_ros_accepts_without_a_warning_and_in_the_order_of_its_schema() -> None:
+def test_the_manifest_is_one_that_ros_accepts_without_a_warning_and_in_the_order_of_its_schema():
     """What ament_xmllint would say of it, without the network that its schema is fetched from."""
     root = ElementTree.parse(REPOSITORY / "package.xml").getroot()
     order = ["name", "version", "description", "maintainer", "license", "url", "author"]
@@ -45,7 +45,7 @@ def test_the_manifest_is_one_that_ros_accepts_without_a_warning_and_in_the_order
     assert (REPOSITORY / str(root.find("license").get("file"))).is_file()  # type: ignore[union-attr]
     reason = "NOT TESTED: what ROS says of the manifest; catkin_pkg is not installed"
     catkin_pkg = pytest.importorskip("catkin_pkg.package", reason=reason)
-    warnings: list[str] = []
+    warnings = []
     package = catkin_pkg.parse_package(str(REPOSITORY / "package.xml"), warnings=warnings)
     package.validate(warnings=warnings)
     assert not warnings and package.package_format == 3 and re.fullmatch(r"\d+\.\d+\.\d+", package.version)

@@ -3,11 +3,8 @@
 import ast
 import itertools
 import re
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-
-import pytest
 
 from straightcomp_ros import contract
 
@@ -23,9 +20,9 @@ ROS_MODULES = ("rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_ru
 ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 
 
-def imported(source: str, package: tuple[str, ...], *, only_at_start: bool = False) -> Iterator[str]:
+def imported(source, package, *, only_at_start=False):
     """Absolute names that a module of ``package`` imports; ``only_at_start`` leaves out those inside functions."""
-    pending: list[ast.AST] = [ast.parse(source)]
+    pending = [ast.parse(source)]
     while pending:
         node = pending.pop()
         if isinstance(node, ast.Import):
@@ -38,12 +35,12 @@ def imported(source: str, package: tuple[str, ...], *, only_at_start: bool = Fal
             pending.extend(ast.iter_child_nodes(node))
 
 
-def belongs_to_ros(name: str) -> bool:
+def belongs_to_ros(name):
     top = name.split(".")[0]
     return top in ROS_MODULES or top.endswith(ROS_ENDINGS)
 
 
-def part(name: str) -> str:
+def part(name):
     """The room of ours that an imported name lies in, or an empty text."""
     pieces = [*name.split("."), "", ""]
     if pieces[0] != PACKAGE:
@@ -51,44 +48,44 @@ def part(name: str) -> str:
     return COLLECTED[0] if pieces[1] == "parameters" and pieces[2] in COLLECTED else pieces[1]
 
 
-def room_of(path: Path) -> str:
+def room_of(path):
     return part(".".join([PACKAGE, *path.relative_to(SOURCE).with_suffix("").parts]))
 
 
-def modules() -> list[Path]:
+def modules():
     return sorted(set(SOURCE.rglob("*.py")) - {SOURCE / "__init__.py"})
 
 
-def name_of(path: Path) -> str:
+def name_of(path):
     return path.relative_to(SOURCE).as_posix()
 
 
 @cache
-def imports_of(path: Path, *, only_at_start: bool = False) -> tuple[str, ...]:
+def imports_of(path, *, only_at_start=False):
     package = (PACKAGE, *path.relative_to(SOURCE).parent.parts)
     return tuple(imported(path.read_text(encoding="utf-8"), package, only_at_start=only_at_start))
 
 
 @cache
-def rows() -> list[list[str]]:
+def rows():
     """Names in each row of the picture, from the top."""
     drawn = ROOMS.partition("## Rooms")[2].split("```")[1].removeprefix("text\n")
     return [re.findall(r"\w+", row) for row in re.split(r"\n *│ *\n", drawn)]
 
 
-def test_the_picture_and_the_table_name_every_room_once() -> None:
+def test_the_picture_and_the_table_name_every_room_once():
     drawn = list(itertools.chain(*rows()))
     described = re.findall(r"^\| `(\w+)/?` \|", ROOMS, re.MULTILINE)
     assert len(drawn) == len(set(drawn)) and len(described) == len(set(described))
     assert set(drawn) == set(described) == {room_of(path) for path in modules()}
 
 
-def modules_in(text: str) -> list[str]:
+def modules_in(text):
     """Modules of ours that a text names by room and file."""
     return re.findall(rf"(?<![\w/])((?:{'|'.join(itertools.chain(*rows()))})/[\w/]+\.py)\b", text)
 
 
-def loaded_by(path: Path) -> set[str]:
+def loaded_by(path):
     """A module and all that it imports from this package, directly or not; the parameters know every node."""
     found, pending = set(), [path]
     while pending:
@@ -103,20 +100,20 @@ def loaded_by(path: Path) -> set[str]:
     return found
 
 
-def test_every_module_that_the_page_names_exists() -> None:
+def test_every_module_that_the_page_names_exists():
     named = modules_in(ARCHITECTURE)
     assert len(named) > 30
     assert [name for name in named if not (SOURCE / name).is_file()] == []
 
 
-def test_each_step_of_a_sample_is_done_by_modules_of_its_process() -> None:
+def test_each_step_of_a_sample_is_done_by_modules_of_its_process():
     steps = re.findall(r"^\| \d+ \| (\w+) \| (.*)", PATH_OF_A_SAMPLE, re.MULTILINE)
     loaded = {node: loaded_by(SOURCE / "nodes" / f"{node}_node.py") for node, _ in steps}
     strangers = [(node, name) for node, text in steps for name in modules_in(text) if name not in loaded[node]]
     assert len(steps) == 10 and strangers == []
 
 
-def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order() -> None:
+def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order():
     streams = [stream.topic for stream in contract.STREAMS]
     assert re.findall(r"^\| `(\w+)` \| \w+(?:,[^|]*)? \| [\w, ]+ \| ", PATH_OF_A_SAMPLE, re.MULTILINE) == streams
     drawn = re.findall(r"── (\w+) ──", PATH_OF_A_SAMPLE.split("```")[1])
@@ -128,19 +125,19 @@ def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order() -> None
     ]
 
 
-def test_imports_point_downward_or_to_the_same_row() -> None:
+def test_imports_point_downward_or_to_the_same_row():
     height = {name: -number for number, row in enumerate(rows()) for name in row}
     pairs = [(path, name) for path in modules() for name in imports_of(path) if part(name)]
     assert len(pairs) > 1000
     assert [(name_of(path), name) for path, name in pairs if height[part(name)] > height[room_of(path)]] == []
 
 
-def test_only_the_outer_rooms_know_ros() -> None:
+def test_only_the_outer_rooms_know_ros():
     core = [path for path in modules() if not name_of(path).startswith(WITH_ROS)]
     assert [(name_of(path), name) for path in core for name in imports_of(path) if belongs_to_ros(name)] == []
 
 
-def test_the_servo_imports_no_wing_a_wing_no_other_and_nothing_the_trials() -> None:
+def test_the_servo_imports_no_wing_a_wing_no_other_and_nothing_the_trials():
     assert any(room_of(path) in WINGS for path in modules())
     allowed = {wing: {wing} for wing in WINGS}
     found = [
@@ -152,26 +149,7 @@ def test_the_servo_imports_no_wing_a_wing_no_other_and_nothing_the_trials() -> N
     assert found == []
 
 
-def test_the_command_line_starts_without_ros() -> None:
+def test_the_command_line_starts_without_ros():
     verbs = [path for path in modules() if "verbs" in path.parts or room_of(path) == "cli"]
     started = [(name_of(path), name) for path in verbs for name in imports_of(path, only_at_start=True)]
     assert [one for one in started if belongs_to_ros(one[1]) or part(one[1]) in ("nodes", "runtime")] == []
-
-
-@pytest.mark.parametrize(
-    "source, names",
-    [
-        ("import rclpy.node", ["rclpy.node"]),
-        ("from ..nodes import clock", ["straightcomp_ros.nodes.clock"]),
-        ("from . import plant", ["straightcomp_ros.model.plant"]),
-        ("from straightcomp_ros import bags", ["straightcomp_ros.bags"]),
-        ("def f():\n    import rclpy", ["rclpy"]),
-    ],
-)
-def test_each_form_of_import_is_seen(source: str, names: list[str]) -> None:
-    assert list(imported(source, (PACKAGE, "model"))) == names
-
-
-def test_imports_inside_functions_are_told_apart() -> None:
-    source = "import json\ndef f():\n    import rclpy\nif True:\n    import csv"
-    assert sorted(imported(source, (PACKAGE, "cli"), only_at_start=True)) == ["csv", "json"]

@@ -8,9 +8,7 @@ import re
 import runpy
 import sys
 import types
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -40,16 +38,16 @@ NODE_KEYWORDS = {"package", "executable", "name", "namespace", "parameters", "ou
 class Recorded:
     """Remembers what it was made of; stands for every class of launch."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    def __init__(self, *args, **kwargs):
         self.args, self.kwargs = args, kwargs
 
-    def perform(self, context: dict[str, str]) -> str:
+    def perform(self, context):
         """What LaunchConfiguration does: the value of the launch argument that it names."""
         return context[self.args[0]]
 
 
 @pytest.fixture(autouse=True)
-def launch(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def launch(monkeypatch):
     for name, attributes in KNOWN.items():
         module = types.ModuleType(name)
         for attribute in attributes.split():
@@ -60,18 +58,18 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     sys.modules.pop("straightcomp_ros.runtime.launch_files", None)
 
 
-def kind(entity: Any) -> str:
+def kind(entity):
     return type(entity).__name__
 
 
-def entities(path: Path, arguments: dict[str, str] | None = None) -> list[Any]:
+def entities(path, arguments=None):
     """All that a launch file starts, with what it includes and what its functions return."""
     [described] = runpy.run_path(str(path))["generate_launch_description"]().args
     arguments_of = [entity for entity in described if kind(entity) == "DeclareLaunchArgument"]
     defaults = {entity.args[0]: entity.kwargs["default_value"] for entity in arguments_of}
     # A place in the package is found by launch alone.
     context = {name: value if isinstance(value, str) else "" for name, value in defaults.items()} | (arguments or {})
-    found: list[Any] = []
+    found = []
     for entity in described:
         found.append(entity)
         if kind(entity) == "OpaqueFunction":
@@ -83,15 +81,15 @@ def entities(path: Path, arguments: dict[str, str] | None = None) -> list[Any]:
     return found
 
 
-def of_kind(wanted: str, path: Path, **arguments: str) -> list[Any]:
+def of_kind(wanted, path, **arguments):
     return [entity for entity in entities(path, arguments) if kind(entity) == wanted]
 
 
-def declared(path: Path) -> set[str]:
+def declared(path):
     return {argument.args[0] for argument in of_kind("DeclareLaunchArgument", path)}
 
 
-def configurations(value: Any) -> set[str]:
+def configurations(value):
     """Names of the launch arguments that something made for launch refers to."""
     if isinstance(value, Recorded):
         return {value.args[0]} if kind(value) == "LaunchConfiguration" else configurations([value.args, value.kwargs])
@@ -100,12 +98,12 @@ def configurations(value: Any) -> set[str]:
     return set().union(*map(configurations, value)) if isinstance(value, list | tuple) else set()
 
 
-def named(nodes: list[Any]) -> list[str]:
+def named(nodes):
     return [node.kwargs["name"] for node in nodes]
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on_this_computer(path: Path) -> None:
+def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on_this_computer(path):
     arguments, found = declared(path), entities(path)
     assert configurations(found) <= arguments
     assert arguments >= {"namespace", "params_file"}
@@ -128,7 +126,7 @@ def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on
     assert (kind(value), value.args, value.kwargs) == ("EnvironmentVariable", (name,), {"default_value": "LOCALHOST"})
 
 
-def test_the_cell_takes_all_that_its_nodes_take() -> None:
+def test_the_cell_takes_all_that_its_nodes_take():
     nodes = set().union(*(declared(path) for path in LAUNCH_FILES if path != CELL))
     assert declared(CELL) == nodes
     common = {"namespace", "record", "rt_priority", "params_file", "stage", "output"}
@@ -137,7 +135,7 @@ def test_the_cell_takes_all_that_its_nodes_take() -> None:
 
 @pytest.mark.parametrize("record", ["true", "false"])
 @pytest.mark.parametrize("opcua", ["true", "false"])
-def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_there(opcua: str, record: str) -> None:
+def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_there(opcua, record):
     others = ["driver", "feedforward", "controller", *(["logger"] if record == "true" else [])]
     found = entities(CELL, {"use_opcua": opcua, "record": record, "rt_priority": "20"})
     nodes = [entity for entity in found if kind(entity) == "Node"]
@@ -166,10 +164,10 @@ opcua opcua_users opcua.users"""
 
 
 @pytest.mark.parametrize("case", OVERRIDES.splitlines())
-def test_an_argument_overrides_its_parameter_only_when_it_is_given(case: str) -> None:
+def test_an_argument_overrides_its_parameter_only_when_it_is_given(case):
     node, argument, parameter = case.split()
 
-    def overrides(**arguments: str) -> list[Any]:
+    def overrides(**arguments):
         nodes = of_kind("Node", CELL, use_opcua="true" if node == "opcua" else "false", **arguments)
         return nodes[named(nodes).index(node)].kwargs["parameters"][2:]
 
@@ -180,7 +178,7 @@ def test_an_argument_overrides_its_parameter_only_when_it_is_given(case: str) ->
     assert parameter in {declaration.name for declaration in declarations(NODE_PARAMETERS[node])}
 
 
-def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(tmp_path: Path) -> None:
+def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(tmp_path):
     stage = tmp_path / "stage.yaml"
     (tmp_path / "guide.csv").touch()
     stage.write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")

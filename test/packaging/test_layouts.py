@@ -18,17 +18,17 @@ TOPICS = {f"/{stream.topic}": stream for stream in (*STREAMS, DISPLACEMENT)}
 
 
 @pytest.fixture(scope="module")
-def foxglove() -> dict:
+def foxglove():
     return json.loads((ROOT / "config" / "foxglove.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
-def plotjuggler() -> ElementTree.Element:
+def plotjuggler():
     return ElementTree.parse(ROOT / "config" / "plotjuggler.xml").getroot()
 
 
 @pytest.fixture(scope="module")
-def messages() -> dict[str, object]:
+def messages():
     """One message of each topic, as others decode it, from the sample bags."""
     found = {}
     for name in ("smc", "survey"):
@@ -41,16 +41,16 @@ def messages() -> dict[str, object]:
     return found
 
 
-def plots(layout: dict) -> list[dict]:
+def plots(layout):
     return [panel for name, panel in layout["configById"].items() if name.startswith("Plot!")]
 
 
-def message_paths(layout: dict) -> list[str]:
+def message_paths(layout):
     over = [panel["xAxisPath"]["value"] for panel in plots(layout) if "xAxisPath" in panel]
     return over + [path["value"] for panel in plots(layout) for path in panel["paths"]]
 
 
-def followed(message: object, path: str) -> object:
+def followed(message, path):
     for name, place in re.findall(r"[./](\w+)(?:\[(\d+)\])?", path):
         message = getattr(message, name)
         if place:
@@ -80,7 +80,7 @@ def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_co
 
 
 def test_every_panel_of_foxglove_is_placed_once_and_configured(foxglove):
-    def placed(layout: object) -> list[str]:
+    def placed(layout):
         return [layout] if isinstance(layout, str) else placed(layout["first"]) + placed(layout["second"])
 
     tabs = foxglove["configById"][foxglove["layout"]]["tabs"]

@@ -1,10 +1,7 @@
 """What the pages say of topics, parameters and commands is what the code has."""
 
-import argparse
 import re
 import shlex
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from test_imports_point_inward import SOURCE
@@ -23,7 +20,7 @@ PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in S
 OF_ANY_NODE = set().union(*PARAMETERS.values())
 
 
-def test_every_topic_of_the_contract_stands_in_the_design() -> None:
+def test_every_topic_of_the_contract_stands_in_the_design():
     table = DESIGN.partition("## Topics")[2].partition("\n## ")[0]
     streams = [one.topic for one in vars(contract).values() if isinstance(one, contract.Stream)]
     slow = [contract.STAGE_TRAJECTORY, contract.DIAGNOSTICS, contract.SAFETY_STATE, contract.TRIP, contract.HEARTBEAT]
@@ -31,7 +28,7 @@ def test_every_topic_of_the_contract_stands_in_the_design() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_parameter_that_is_named_exists(page: Path) -> None:
+def test_every_parameter_that_is_named_exists(page):
     groups = {name.partition(".")[0] for name in OF_ANY_NODE if "." in name}
     for named in re.findall(r"`([a-z_]+(?:\.[a-z_0-9]+)+)[`=: ]", page.read_text(encoding="utf-8")):
         node, _, name = named.partition(".")
@@ -41,7 +38,7 @@ def test_every_parameter_that_is_named_exists(page: Path) -> None:
             assert named in OF_ANY_NODE or any(one.startswith(f"{named}.") for one in OF_ANY_NODE), named
 
 
-def commands(page: Path) -> Iterator[str]:
+def commands(page):
     """Commands of `straightcomp` on a page: lines in blocks, and code in a sentence."""
     text = page.read_text(encoding="utf-8")
     blocks = re.findall(r"```(?:console|sh|text)\n(.*?)```", text, re.DOTALL)
@@ -53,14 +50,12 @@ def commands(page: Path) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def parser() -> argparse.ArgumentParser:
+def parser():
     return make_parser()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_is_one_that_the_program_takes(
-    page: Path, parser: argparse.ArgumentParser, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_is_one_that_the_program_takes(page, parser, capsys):
     for command in commands(page):
         # What stands in brackets may be left out; a word in capitals stands for a law or a number.
         words = shlex.split(re.sub(r"\b(N|SAMPLES)\b", "1", re.sub(r"[\[\]…]", "", command).replace("LAW", "smc")))[1:]
@@ -73,7 +68,7 @@ def test_every_command_is_one_that_the_program_takes(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_parameter_that_a_command_sets_exists(page: Path) -> None:
+def test_every_parameter_that_a_command_sets_exists(page):
     for named in re.findall(r"--set[ =]([a-z_.0-9]+)=", page.read_text(encoding="utf-8")):
         node, _, name = named.partition(".")
         assert name in PARAMETERS[node], named

@@ -10,7 +10,7 @@ from scripts import processors
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="NOT TESTED: other processors are simulated on x86-64 only")
-def test_numpy_knows_every_instruction_that_it_is_to_do_without() -> None:
+def test_numpy_knows_every_instruction_that_it_is_to_do_without():
     # Of a name that it does not know NumPy only warns, and uses its newest instructions.
     program = (
         "import numpy as np; umath = getattr(np, '_core', None) or np.core; umath = umath._multiarray_umath\n"
@@ -30,5 +30,5 @@ def test_numpy_knows_every_instruction_that_it_is_to_do_without() -> None:
         ("2 errors in 0.10s", {"error": 2}),
     ],
 )
-def test_the_table_has_the_counts_of_the_last_line(line: str, found: dict[str, int]) -> None:
+def test_the_table_has_the_counts_of_the_last_line(line, found):
     assert processors.counts(f"FAILED test_one.py - 3 passed\n{line}\n") == found

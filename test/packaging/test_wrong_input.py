@@ -61,7 +61,7 @@ CASES = [
 
 
 @pytest.fixture(autouse=True)
-def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def folder_of_wrong_files(tmp_path, monkeypatch):
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
@@ -70,7 +70,7 @@ def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.chdir(tmp_path)
 
 
-def refusal(words: str, capsys: pytest.CaptureFixture[str]) -> str:
+def refusal(words, capsys):
     """The only line that a refused command prints."""
     try:
         code = main(words.split())
@@ -83,13 +83,11 @@ def refusal(words: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize(("words", "expected"), CASES, ids=[words.replace(BAG, "BAG")[:90] for words, _ in CASES])
-def test_what_is_wrong_is_said_in_one_sentence(words: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_wrong_is_said_in_one_sentence(words, expected, capsys):
     assert expected in refusal(words, capsys)
 
 
 @pytest.mark.parametrize("words", ["view", "demo", "bench graph", f"replay {BAG} --graph"])
-def test_without_rclpy_every_verb_that_needs_it_says_the_same(
-    words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_rclpy_every_verb_that_needs_it_says_the_same(words, capsys, monkeypatch):
     monkeypatch.setattr("straightcomp_ros.cell.launcher.ros_available", lambda: False)
     assert "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install" in refusal(words, capsys)

@@ -1,7 +1,8 @@
-"""`straightcomp stage`: a description is written, checked, and shown with what follows from it."""
+"""`straightcomp stage`: a description is written, checked, shown with what follows from it, and run by `simulate`."""
 
 import json
 
+import numpy as np
 import pytest
 import yaml
 
@@ -13,11 +14,37 @@ from straightcomp_ros.stage.description import StageParameters
 SHORT = ["--set", "motion.speed=0.1", "--set", "motion.acceleration=0.5"]
 
 
+def bend(x):
+    """Deviation of the user's guide in µm at x in mm."""
+    return 10.0 * np.sin(2.0 * np.pi * x / 1500.0)
+
+
 @pytest.fixture
 def survey(tmp_path):
-    path = tmp_path / "measured.csv"
-    path.write_text("x_mm,deviation_um\n" + "\n".join(f"{x},{(x / 100) ** 2 / 4}" for x in range(100, 701, 20)))
-    return path
+    """``survey(start, stop)`` is the file of a survey of that guide; with ``back`` forth and back in one column."""
+
+    def surveyed(start, stop, *, back=False):
+        x = np.arange(start, stop + 1e-9, 10.0)
+        x = np.concatenate([x, x[::-1]]) if back else x
+        read = bend(x) + 0.02 * np.random.default_rng(4).standard_normal(x.size)
+        file = tmp_path / "measured.csv"
+        np.savetxt(file, np.column_stack([x, read]), "%.4f", ",", header="x_mm,deviation_um", comments="")
+        return file
+
+    return surveyed
+
+
+@pytest.fixture
+def printed(capsys):
+    """Exit code, figures and standard error of a verb with ``--json``."""
+
+    def run(*words):
+        capsys.readouterr()
+        code = main([*map(str, words), "--json"])
+        found = capsys.readouterr()
+        return code, json.loads(found.out), found.err
+
+    return run
 
 
 def new(folder, *options):
@@ -25,13 +52,13 @@ def new(folder, *options):
 
 
 def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, survey):
-    folder = tmp_path / "gantry"
-    assert new(folder, "--survey", survey, "--set", "platform.mass=8", "--set", "friction.bristle_stiffness=2e6") == 0
+    folder, file = tmp_path / "gantry", survey(100, 700)
+    assert new(folder, "--survey", file, "--set", "platform.mass=8", "--set", "friction.bristle_stiffness=2e6") == 0
     stage = from_mapping(StageParameters, read_stage_file(folder / "stage.yaml")["stage"])
     assert (stage.name, stage.platform.mass, stage.friction.bristle_stiffness) == ("gantry", 8.0, 2e6)
     assert (stage.motion.start, stage.motion.stroke) == pytest.approx((0.1, 0.6))
     assert stage.guide.file == str(folder / "survey.csv")
-    assert (folder / "survey.csv").read_bytes() == survey.read_bytes()
+    assert (folder / "survey.csv").read_bytes() == file.read_bytes()
 
 
 def test_a_new_description_has_each_fact_once_with_its_meaning_and_is_kept_unless_it_is_forced(tmp_path, capsys):
@@ -92,11 +119,9 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
         ("bus", "warn", {"rate": 8000}, "at 8000 Hz"),
     ],
 )
-def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, capsys, name, state, given, words):
+def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, printed, name, state, given, words):
     assert new(tmp_path / "one", *(f"--set={key}={value}" for key, value in given.items())) == 0
-    capsys.readouterr()
-    code = main(["stage", "check", str(tmp_path / "one" / "stage.yaml"), "--json"])
-    found = json.loads(capsys.readouterr().out)
+    code, found, _ = printed("stage", "check", tmp_path / "one" / "stage.yaml")
     assert code == (1 if found["fail"] else 0)
     checks = {check["name"]: check for check in found["checks"]}
     assert checks[name]["state"] == state and words in checks[name]["detail"]
@@ -104,13 +129,11 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, capsys, nam
     assert given or {check["state"] for check in checks.values()} == {"ok"}
 
 
-def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, capsys):
+def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, printed, capsys):
     assert new(tmp_path / "one") == 0
-    capsys.readouterr()
-    assert main(["stage", "show", str(tmp_path / "one" / "stage.yaml"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    code, found, _ = printed("stage", "show", tmp_path / "one" / "stage.yaml")
     # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/plant.md.
-    assert found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
+    assert code == 0 and found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
     assert found["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
     assert found["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
     assert found["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
@@ -119,16 +142,35 @@ def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, capsys):
     assert "dead time" in capsys.readouterr().out
 
 
-def test_a_verb_takes_the_stage_and_finds_its_survey_beside_it(tmp_path, survey, capsys, monkeypatch):
-    folder = tmp_path / "gantry"
-    assert new(folder, "--survey", survey, *SHORT) == 0
-    capsys.readouterr()
+@pytest.mark.parametrize("back", [False, True])
+def test_a_simulation_finds_the_survey_beside_the_stage_and_its_guide_is_the_surveyed_one(
+    tmp_path, survey, printed, monkeypatch, back
+):
+    assert new(tmp_path / "mine", "--survey", survey(100, 700, back=back), *SHORT) == 0
     monkeypatch.chdir("/")
-    assert main(["simulate", "--stage", str(folder / "stage.yaml"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
-    # In a simulation of one's own stage the guide is the surveyed one, not that of the shipped stage.
-    assert found["residual_pp_um"] < 0.5 < found["uncompensated_pp_um"]
+    code, found, _ = printed("simulate", "--stage", tmp_path / "mine" / "stage.yaml")
+    assert code == 0 and found["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
+    x = np.arange(100.0, 700.0)
+    straight = np.polyval(np.polyfit(x, bend(x), 1), x)
+    assert found["uncompensated_pp_um"] == pytest.approx(np.ptp(bend(x) - straight), rel=0.02)
+    assert found["residual_pp_um"] < 0.5 and found["true_pp_um"] < 0.5
+
+
+@pytest.mark.parametrize(
+    ("given", "most_um"),
+    [("platform.mass=8", 0.3), ("motion.speed=1.0 motion.acceleration=5.0 motion.highest_speed=2.5", 0.35)],
+)
+def test_a_stage_of_another_mass_or_speed_is_compensated_as_the_shipped_one(printed, given, most_um):
+    code, found, said = printed("simulate", *(f"--set=stage.{one}" for one in given.split()))
+    assert (code, found["verdict"], said) == (0, "in_order", "") and found["true_pp_um"] < most_um
+    assert found["missing_margin"] is None
+
+
+def test_half_the_rate_is_refused_by_the_controller_and_the_simulation_says_so(printed):
+    code, found, said = printed("simulate", "--set", "stage.rate=1000")
+    assert code == 0 and found["verdict"] == "in_order"
+    assert "at 1000 Hz" in found["missing_margin"] and "straightcomp design" in found["missing_margin"]
+    assert found["missing_margin"] in " ".join(said.split())
 
 
 def test_the_identity_differs_between_machines_and_not_with_their_strokes():
