@@ -42,38 +42,28 @@ EMULATOR = EmulatorFrames(1, FD)
 BUSES = pytest.mark.parametrize("wire", [CLASSIC, FD], ids=["classic", "fd"])
 COUNTER_MODULUS = 15 * 2**28
 
+
+def multiples(bits, step):
+    """Numbers of ``step`` that a signed signal of so many bits has."""
+    return st.integers(-(2 ** (bits - 1)) + 1, 2 ** (bits - 1) - 1).map(lambda count: count * step)
+
+
 wires = st.sampled_from([CLASSIC, FD])
 counts = st.one_of(st.sampled_from([0, COUNTER_MODULUS - 1]), st.integers(0, COUNTER_MODULUS - 1))
 reports = st.builds(
     Report,
-    st.integers(0, 14),
-    counts,
-    st.integers(-(2**25) + 1, 2**25 - 1).map(lambda count: count * 1e-7),
-    st.integers(-(2**19) + 1, 2**19 - 1).map(lambda count: count * 1e-7),
-    st.integers(-(2**15) + 1, 2**15 - 1).map(lambda count: count * 1e-4),
-    st.sampled_from(Amplifier),
-    st.sampled_from(BoardFault).map(int),
-    st.booleans(),
+    *(st.integers(0, 14), counts, multiples(26, 1e-7), multiples(20, 1e-7), multiples(16, 1e-4)),
+    *(st.sampled_from(Amplifier), st.sampled_from(BoardFault).map(int), st.booleans()),
 )
-commands = st.builds(
-    Command,
-    st.integers(0, 14),
-    st.booleans(),
-    st.booleans(),
-    st.integers(-(2**15) + 1, 2**15 - 1).map(lambda count: count * 1e-4),
-    counts,
-)
-NAMES = {
-    "alive": ("EncoderAlive", "CoilCurrentAlive", "CommandAlive"),
-    "counter": ("SampleCounter",),
-    "x": ("StageX",),
-    "y": ("PlatformY",),
-    "current": ("MeasuredCurrent", "ControlCurrent"),
-    "amplifier": ("Amplifier",),
-    "fault": ("BoardFault",),
-    "good": ("EncodersValid",),
-    "echo": ("EchoedCounter",),
+commands = st.builds(Command, st.integers(0, 14), st.booleans(), st.booleans(), multiples(16, 1e-4), counts)
+REPORT = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
+FIELDS = {
+    **dict.fromkeys(("EncoderAlive", "CoilCurrentAlive", "CommandAlive"), "alive"),
+    **dict.fromkeys(("MeasuredCurrent", "ControlCurrent"), "current"),
+    **{"SampleCounter": "counter", "StageX": "x", "PlatformY": "y", "Amplifier": "amplifier", "BoardFault": "fault"},
+    **{"EncodersValid": "good", "EchoedCounter": "echo"},
 }
+"""By the signal's name the field of a report or command."""
 
 
 def decoded(name, payload):
@@ -82,13 +72,10 @@ def decoded(name, payload):
 
 def shown(decoded_values, values):
     """Assert that signals have the values of their fields; returns the fields that are there."""
-    found = set()
-    for field, names in NAMES.items():
-        for name in names:
-            if name in decoded_values:
-                assert decoded_values[name] == pytest.approx(float(getattr(values, field)), rel=1e-12)
-                found.add(field)
-    return found
+    found = {FIELDS[name]: value for name, value in decoded_values.items() if name in FIELDS}
+    for field, value in found.items():
+        assert value == pytest.approx(float(getattr(values, field)), rel=1e-12)
+    return set(found)
 
 
 @given(reports, wires)
@@ -116,8 +103,7 @@ def test_a_command_is_what_the_dbc_says_and_comes_back(command, wire):
 
 
 def test_an_fd_sample_begins_as_the_classic_one():
-    report = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
-    assert FD.sample.pack(report, 0)[1:8] == CLASSIC.sample.pack(report, 0)[1:8]
+    assert FD.sample.pack(REPORT, 0)[1:8] == CLASSIC.sample.pack(REPORT, 0)[1:8]
 
 
 @BUSES
@@ -136,9 +122,8 @@ def test_what_does_not_fit_its_frame_is_refused_by_name(wire, sign):
 @BUSES
 def test_a_frame_of_another_length_or_identifier_is_refused(wire):
     other = CanParameters(fd=wire is FD, node=2).make_wire()
-    report = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
     for frames, payload, twin in (
-        (wire.sample, wire.sample.pack(report, 0), other.sample),
+        (wire.sample, wire.sample.pack(REPORT, 0), other.sample),
         (wire.command, wire.command.pack(Command(3, True, False, 0.1, 7)), other.command),
     ):
         frames.unpack(payload)
@@ -152,27 +137,22 @@ def test_a_frame_of_another_length_or_identifier_is_refused(wire):
 
 @BUSES
 def test_counters_that_are_none_and_states_that_are_none_are_refused(wire):
-    report = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
-    payload = wire.sample.pack(report, 0)
+    payload = wire.sample.pack(REPORT, 0)
     assert wire.sample.unpack(forged(wire.sample, payload, EncoderAlive=14)).alive == 14
-    for raw, reason in (({"EncoderAlive": 15}, "alive"), ({"Amplifier": 0}, "state")):
-        with pytest.raises(FrameError, match=reason):
-            wire.sample.unpack(forged(wire.sample, payload, **raw))
-    command = wire.command.pack(Command(3, True, False, 0.1, 7))
-    for signal, raw, reason in (
-        *[("CommandAlive", 15, "alive"), ("Enable", 3, "pattern")],
-        *[("Enable", 0, "pattern"), ("ResetFault", 3, "pattern")],
+    for frames, signal, raws, reason in (
+        *((wire.sample, "EncoderAlive", [15], "alive"), (wire.sample, "Amplifier", [0], "state")),
+        *((wire.command, "CommandAlive", [15], "alive"), (wire.command, "Enable", [0, 3], "pattern")),
+        (wire.command, "ResetFault", [3], "pattern"),
+        (wire.counting, "SampleCounter", [COUNTER_MODULUS, 2**32 - 1], "alive"),
     ):
-        with pytest.raises(FrameError, match=reason):
-            wire.command.unpack(forged(wire.command, command, **{signal: raw}))
-    counting = wire.counting
-    for counter in (COUNTER_MODULUS, 2**32 - 1):
-        with pytest.raises(FrameError, match="alive"):
-            counting.unpack(forged(counting, counting.pack(report, 0), SampleCounter=counter))
+        payload = frames.pack(Command(3, True, False, 0.1, 7) if frames is wire.command else REPORT)
+        for raw in raws:
+            with pytest.raises(FrameError, match=reason):
+                frames.unpack(forged(frames, payload, **{signal: raw}))
 
 
 def test_a_reading_beyond_the_limits_of_the_dbc_is_not_good():
-    payload = FD.sample.pack(Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True), 0)
+    payload = FD.sample.pack(REPORT, 0)
     assert FD.sample.unpack(payload).good
     # In two's complement the count below all allowed ones.
     assert not FD.sample.unpack(forged(FD.sample, payload, StageX=2**25)).good
