@@ -12,6 +12,8 @@ import setuptools
 import yaml
 from test_imports_point_inward import belongs_to_ros, imported
 
+from straightcomp_ros.contract import STREAMS
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = "straightcomp_ros"
 LISTED = yaml.safe_load((Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8"))
@@ -42,7 +44,8 @@ def of_ros(names):
     return set(filter(belongs_to_ros, names))
 
 
-BY_PACKAGE = foreign_imports(PACKAGE, "launch")
+# The class of a stream's messages is imported by its name.
+BY_PACKAGE = foreign_imports(PACKAGE, "launch") | {one.layout.type_name.partition("/")[0] for one in STREAMS}
 BY_TESTS = foreign_imports("test", "benchmarks", "trials")
 FROM_PYPI, TESTS_FROM_PYPI = BY_PACKAGE - of_ros(BY_PACKAGE), BY_TESTS - of_ros(BY_TESTS)
 
