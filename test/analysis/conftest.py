@@ -1,11 +1,14 @@
 """A made-up machine for the tests of the analysis: guide, map and records whose figures are known."""
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.assessment import Assessment, assess
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.record import StrokeRecord
@@ -42,13 +45,12 @@ def cosine_map() -> StraightnessMap:
 
 
 @pytest.fixture(scope="session")
-def evaluation_of() -> Callable[..., BagEvaluation]:
-    """A function that makes the evaluation of a bag of this record without losses, with other values where named."""
+def assessed() -> Callable[..., Assessment]:
+    """A function that assesses a bag of this record without losses, with other values of its evaluation where named."""
 
-    def made(record: StrokeRecord, **changes: object) -> BagEvaluation:
+    def made(record: StrokeRecord, bag: str = "bag", warnings: tuple[str, ...] = (), **changes: Any) -> Assessment:
         every = np.round(record.time * 1e9).astype(np.int64)
         values = {
-            "record": record,
             "lost_references": 0,
             "lost_commands": 0,
             "latency": np.full(100, 250e-6),
@@ -57,9 +59,9 @@ def evaluation_of() -> Callable[..., BagEvaluation]:
             "amplifier_on": np.ones(len(every), bool),
             "parameters": {"controller": {"stage.actuator.current_limit": 0.5}},
         } | changes
-        x = record.x[np.isin(every, values["stamps"])]
-        run = encoder_run(values["stamps"], x, values["amplifier_on"], int(values["stamps"][-1]))
-        return BagEvaluation(**values, encoder=run)
+        stamps = values["stamps"]
+        run = encoder_run(stamps, record.x[np.isin(every, stamps)], values["amplifier_on"], int(stamps[-1]))
+        return assess(Path(bag), BagEvaluation(record, **values, encoder=run), warnings)
 
     return made
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.assessment import LimitsError, assess, checked_limits
+from straightcomp_ros.analysis.assessment import LimitsError, checked_limits
 from straightcomp_ros.analysis.error_detail import error_spectrum
 from straightcomp_ros.analysis.html_report import report_html
 from straightcomp_ros.analysis.metrics import evaluate
@@ -23,7 +23,7 @@ def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine
         assert value == pytest.approx(of_map[name], abs=1e-4), name
 
 
-def test_gaps_saturation_and_switch_off_are_told_with_time_and_count(make_record, evaluation_of):
+def test_gaps_saturation_and_switch_off_are_reported_with_time_and_count(make_record, assessed):
     record = make_record()
     current = record.current.copy()
     current[5000:5011] = 0.5
@@ -33,40 +33,35 @@ def test_gaps_saturation_and_switch_off_are_told_with_time_and_count(make_record
     stamps = np.round(record.time * 1e9).astype(np.int64)
     kept = np.ones(len(stamps), bool)
     kept[9000:9004] = False
-    evaluation = evaluation_of(replace(record, current=current), stamps=stamps[kept], amplifier_on=on[kept])
-    found = assess(Path("bag"), evaluation)
-    (gap,) = found.gaps
+    found = assessed(replace(record, current=current), stamps=stamps[kept], amplifier_on=on[kept])
     # From the last sample before the gap to the first one after it.
-    assert (gap.samples, gap.start, gap.end) == (4, pytest.approx(4.4995), pytest.approx(4.502))
-    (part,) = found.saturated
-    assert (part.samples, part.start, part.end) == (11, pytest.approx(2.5), pytest.approx(2.505))
+    assert found.gaps == [pytest.approx((4.4995, 4.502, 4))]
+    assert found.saturated == [pytest.approx((2.5, 2.505, 11))]
     # Switched off at the end, when the stage stands, is no fault.
-    assert [(part.samples, part.start) for part in found.amplifier_off] == [(20, pytest.approx(3.5))]
+    assert found.amplifier_off == [pytest.approx((3.5, 3.5095, 20))]
     figures = found.figures()
     assert (figures["gaps"], figures["saturations"], figures["amplifier_off_in_motion"]) == (1, 1, 1)
     assert (figures["longest_gap_s"], figures["saturated_samples"]) == (pytest.approx(2.5e-3), 11)
     assert json.loads(json.dumps(found.as_json()))["gap_intervals"][0]["samples"] == 4
     # An amplifier that was never on is no fault either.
-    assert assess(Path("bag"), evaluation_of(record, amplifier_on=on & False)).amplifier_off == []
+    assert assessed(record, amplifier_on=on & False).amplifier_off == []
 
 
-def test_the_figures_are_those_of_the_worst_stroke_of_each_direction(make_record, evaluation_of):
-    found = assess(Path("bag"), evaluation_of(make_record()))
+def test_the_figures_are_those_of_the_worst_stroke_of_each_direction(make_record, assessed):
+    found = assessed(make_record())
     forward, backward = found.strokes
-    worse = replace(forward, before_end_points=1.0, after_least_squares=3.0)
-    better = replace(forward, before_end_points=0.5, after_least_squares=4.0)
-    figures = replace(found, strokes=[worse, backward, better]).figures()
-    assert figures["straightness_before_end_points_forward_um"] == 1e6
-    assert figures["straightness_after_least_squares_forward_um"] == 4e6
-    assert figures["straightness_before_end_points_backward_um"] == backward.before_end_points * 1e6
-    assert figures["straightness_after_end_points_backward_um"] == backward.after_end_points * 1e6
-    figures = replace(found, strokes=[backward]).figures()
-    assert figures["straightness_before_end_points_forward_um"] is None
+    one = replace(forward, before_end_points=1.0, after_least_squares=3.0)
+    two = replace(forward, before_end_points=0.5, after_least_squares=4.0)
+    figures = replace(found, strokes=[one, backward, two]).figures()
+    for name, forwards in (("before_end_points", 1e6), ("after_least_squares", 4e6)):
+        assert figures[f"straightness_{name}_forward_um"] == forwards
+        assert figures[f"straightness_{name}_backward_um"] == getattr(backward, name) * 1e6
+        assert replace(found, strokes=[backward]).figures()[f"straightness_{name}_forward_um"] is None
 
 
-def test_a_sine_in_the_error_shows_in_the_figure_of_its_band_in_micrometres(make_record, motion_profile, evaluation_of):
+def test_a_sine_in_the_error_shows_in_the_figure_of_its_band_in_micrometres(make_record, motion_profile, assessed):
     record = make_record(1e-6 * np.sin(2 * np.pi * 40 * motion_profile[0]), quantum=1e-9)
-    found = assess(Path("bag"), evaluation_of(record))
+    found = assessed(record)
     figures = found.figures()
     assert figures["error_rms_10_100_Hz_um"] == pytest.approx(1 / math.sqrt(2), rel=0.01)
     assert figures["error_rms_0_10_Hz_um"] < 0.02 and figures["error_rms_100_1000_Hz_um"] < 0.02
@@ -76,14 +71,13 @@ def test_a_sine_in_the_error_shows_in_the_figure_of_its_band_in_micrometres(make
     assert peak["amplitude_density_um_per_sqrt_Hz"] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
 
 
-def test_latency_is_told_by_percentiles_and_spread_in_microseconds(make_record, evaluation_of):
+def test_latency_is_shown_by_percentiles_and_spread_in_microseconds(make_record, assessed):
     latency = np.arange(101) * 1e-6
-    figures = assess(Path("bag"), evaluation_of(make_record(), latency=latency, lateness=3.0 * latency)).figures()
-    names = ("p50", "p90", "p99", "max")
-    assert [figures[f"latency_{name}_us"] for name in names] == pytest.approx([50.0, 90.0, 99.0, 100.0])
-    assert [figures[f"lateness_{name}_us"] for name in names] == pytest.approx([150.0, 270.0, 297.0, 300.0])
+    figures = assessed(make_record(), latency=latency, lateness=3.0 * latency).figures()
+    for name, value in (("p50", 50.0), ("p90", 90.0), ("p99", 99.0), ("max", 100.0)):
+        assert (figures[f"latency_{name}_us"], figures[f"lateness_{name}_us"]) == pytest.approx((value, 3.0 * value))
     assert figures["latency_jitter_us"] == pytest.approx(np.std(np.arange(101)))
-    without = assess(Path("bag"), evaluation_of(make_record(), latency=np.empty(0))).figures()
+    without = assessed(make_record(), latency=np.empty(0)).figures()
     assert math.isnan(without["latency_p50_us"]) and math.isnan(without["latency_jitter_us"])
 
 
@@ -151,11 +145,9 @@ def test_limits_that_cannot_be_meant_are_refused(tmp_path, text, reason):
         checked_limits(limits(tmp_path, text), FIGURES)
 
 
-def test_the_report_needs_no_network_and_has_all_plots(make_record, tmp_path, evaluation_of):
-    record = make_record()
-    found = assess(Path("bag <1>"), evaluation_of(record), warnings=("not finished",))
-    verdicts = checked_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures())
-    text = report_html(found, found, verdicts)
+def test_the_report_needs_no_network_and_has_all_plots(make_record, tmp_path, assessed):
+    found = assessed(make_record(), "bag <1>", warnings=("not finished",))
+    text = report_html(found, found, checked_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures()))
     assert text.count('class="plotly-graph-div"') == 6
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
     assert "bag &lt;1&gt;" in text and "bag <1>" not in text

@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import pictures as plot
-from straightcomp_ros.analysis.assessment import Interval, assess
+from straightcomp_ros.analysis.assessment import Interval
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.html_page import blocks
 from straightcomp_ros.analysis.html_report import (
@@ -82,7 +82,7 @@ def test_a_shift_of_less_than_a_millimetre_is_no_stroke_and_a_longer_one_is():
         assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.2), abs=0.003)
 
 
-def test_a_stick_is_told_with_the_place_and_time_at_which_it_began_either_way():
+def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
     time = np.arange(3000) * 1e-3
     for way in (1.0, -1.0):
         r = way * 10e-6 * time
@@ -246,9 +246,9 @@ def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count)
     assert np.median(np.abs(thinned)) < 5.0
 
 
-def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, evaluation_of):
+def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, assessed):
     record = make_record(1e-6 * np.sin(2 * np.pi * 50 * motion_profile[0]), quantum=1e-9)
-    found = assess(Path("bag"), evaluation_of(record))
+    found = assessed(record)
     before, forward, backward = _straightness(found).data
     assert max(forward.x) == pytest.approx(1760.0, abs=1.0) and len(_straightness(found, before=False).data) == 2
     assert np.ptp(before.y) == pytest.approx(found.metrics.uncompensated_pp * 1e6)
@@ -265,10 +265,10 @@ def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, 
     assert min(spectrum.x) > 0.0
 
 
-def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record, evaluation_of):
+def test_another_run_is_shown_with_it_from_the_same_beginning(make_record, assessed):
     record = make_record(0.2e-6)
     late = replace(record, time=record.time + 100.0)
-    found, other = (assess(Path(name), evaluation_of(one)) for name, one in (("a", record), ("b", late)))
+    found, other = assessed(record), assessed(late, "b")
     for pages, compared in ((1, None), (2, other)):
         figures = report_html(found, compared).partition("<h2>Figures</h2>")[2]
         assert figures.count('<td class="n">') == pages * len(found.figures())
@@ -277,11 +277,10 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record, eva
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
 
 
-def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record, evaluation_of):
+def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record, assessed):
     record = make_record(0.2e-6)
     latency, lateness = np.array([100e-6, 130e-6, 131e-6, 900e-6]), np.array([20e-6] * 5)
-    evaluation = replace(evaluation_of(record), latency=latency, lateness=lateness)
-    bars = _timing(assess(Path("a"), evaluation)).data
+    bars = _timing(assessed(record, latency=latency, lateness=lateness)).data
     assert [bar.name for bar in bars] == ["sample to command", "sample to publication"]
     # From 20 to 900 µs.
     assert [bar.width for bar in bars] == pytest.approx([880.0 / _BINS] * 2)
@@ -289,7 +288,7 @@ def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record, evaluation
         assert len(bar.x) == len(bar.y) and sum(bar.y) == len(values)
         for value in values * 1e6:
             assert min(abs(x - value) for x, count in zip(bar.x, bar.y, strict=True) if count) <= bar.width / 2 + 1e-9
-    assert _timing(assess(Path("a"), replace(evaluation, latency=latency[:0], lateness=lateness[:0]))) is None
+    assert _timing(assessed(record, latency=latency[:0], lateness=lateness[:0])) is None
 
 
 def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():
