@@ -17,6 +17,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures
 from straightcomp_ros.analysis.record import Array, RecordedReference, StrokeRecord, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
 
@@ -140,10 +141,6 @@ def _intervals(time: Array, mask: NDArray[np.bool_]) -> list[Interval]:
     return [Interval(float(time[a]), float(time[b - 1]), b - a) for a, b in runs_of(mask).tolist()]
 
 
-class LimitsError(ValueError):
-    """A file of limits is refused; the message names the file, the figure and what is allowed."""
-
-
 class LimitCheck(NamedTuple):
     """The smallest and the largest value that is allowed for a figure, and its value; None if it was not recorded."""
 
@@ -173,17 +170,18 @@ def checked_limits(path: str | Path, figures: Mapping[str, Any]) -> list[LimitCh
         latency_p99_us: {max: 400}
 
     Raises:
-        LimitsError: the file cannot be read, is no mapping, names an unknown figure or sets no number.
+        ParameterError: the file cannot be read, is no mapping, names an unknown figure or sets no number.
     """
     where = f"limits {path}"
     try:
         tree = load_yaml(Path(path))
     except OSError as error:
-        raise LimitsError(f"{where}: cannot be read: {error.strerror}") from error
+        raise ParameterError(f"{where}: cannot be read: {error.strerror}") from error
     except YamlError as error:
-        raise LimitsError(f"{where}: {error}") from error
+        raise ParameterError(f"{where}: {error}") from error
     if not isinstance(tree, Mapping) or not tree:
-        raise LimitsError(f"{where}: sets no limit; allowed: lines 'FIGURE: MAXIMUM' or 'FIGURE: {{min: …, max: …}}'")
+        allowed = "lines 'FIGURE: MAXIMUM' or 'FIGURE: {min: …, max: …}'"
+        raise ParameterError(f"{where}: sets no limit; allowed: {allowed}")
     return [_check(where, str(name), limit, figures) for name, limit in tree.items()]
 
 
@@ -191,14 +189,14 @@ def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any]) -> Lim
     if name not in figures:
         near = difflib.get_close_matches(name, figures, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(figures)}"
-        raise LimitsError(f"{where}: figure '{name}' is unknown; {hint}")
+        raise ParameterError(f"{where}: figure '{name}' is unknown; {hint}")
     given = limit if isinstance(limit, Mapping) else {"max": limit}
     bounds = {key: _number(one) for key, one in given.items()}
     if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
-        raise LimitsError(f"{where}: {name}: {limit!r}; allowed: a number, or {{min: number, max: number}}")
+        raise ParameterError(f"{where}: {name}: {limit!r}; allowed: a number, or {{min: number, max: number}}")
     minimum, maximum, value = bounds.get("min", -math.inf), bounds.get("max", math.inf), figures[name]
     if minimum > maximum:
-        raise LimitsError(f"{where}: {name}: min {minimum:g} is above max {maximum:g}")
+        raise ParameterError(f"{where}: {name}: min {minimum:g} is above max {maximum:g}")
     return LimitCheck(name, minimum, maximum, value if value is not None and math.isfinite(value) else None)
 
 

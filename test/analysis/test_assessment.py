@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.assessment import LimitsError, checked_limits
+from straightcomp_ros.analysis.assessment import checked_limits
 from straightcomp_ros.analysis.error_detail import error_spectrum
 from straightcomp_ros.analysis.html_report import report_html
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import RecordedReference
+from straightcomp_ros.parameters.declaration import ParameterError
 
 
 def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine_map, motion_profile):
@@ -141,7 +142,7 @@ def test_limits_judge_figures_and_what_was_not_recorded_fails(tmp_path, text, fa
     ],
 )
 def test_limits_that_cannot_be_meant_are_refused(tmp_path, text, reason):
-    with pytest.raises(LimitsError, match=re.escape(reason)):
+    with pytest.raises(ParameterError, match=re.escape(reason)):
         checked_limits(limits(tmp_path, text), FIGURES)
 
 

@@ -2,7 +2,6 @@
 
 import math
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval
@@ -135,60 +133,47 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
     plot.plot_run(record, cosine_map, metrics, Path("run.png"), "title")
     both, after, error, current = drawn[0].axes
     window, moving = motion.window, motion.samples()
-    (seconds, milliamperes), *_ = lines(current)
+    ((seconds, milliamperes),) = lines(current)
     assert seconds == pytest.approx(record.time[window]) and milliamperes == pytest.approx(record.current[window] * 1e3)
-    shown = lines(error)
-    assert shown[0][1] == pytest.approx((record.r - record.y)[window] * 1e6)
-    assert len(shown) == (2 if truth else 1)
-    if truth:
-        assert shown[1][1] == pytest.approx(0.4, abs=1e-6)
+    (_, shown), *of_truth = lines(error)
+    assert shown == pytest.approx((record.r - record.y)[window] * 1e6)
+    assert [values for _, values in of_truth] == ([pytest.approx(0.4, abs=1e-6)] if truth else [])
     (x_mm, before), (_, compensated) = lines(both)
     assert x_mm == pytest.approx((record.true_x if truth else record.x)[moving] * 1e3)
     assert np.ptp(before) == pytest.approx(metrics.uncompensated_pp * 1e6)
     assert np.ptp(compensated) == pytest.approx(metrics.residual_pp * 1e6)
-    forward, _, backward, _ = lines(after)
-    assert len(forward[0]) == motion.samples("forward").size and len(backward[0]) == motion.samples("backward").size
     # Means over a few millimetres lie within the values that they are of.
-    for (x, values), (centres, means) in (lines(after)[:2], lines(after)[2:]):
-        assert centres.min() >= x.min() and centres.max() <= x.max() and np.all(np.diff(centres) > 0.0)
+    for way, (x, values), (centres, means) in zip(
+        ("forward", "backward"), lines(after)[::2], lines(after)[1::2], strict=True
+    ):
+        assert len(x) == motion.samples(way).size and np.all(np.diff(centres) > 0.0)
+        assert centres.min() >= x.min() and centres.max() <= x.max()
         assert values.min() <= means.min() and means.max() <= values.max()
-    # Strokes are shaded from their first sample to their last.
-    shades = [patch.get_facecolor() for patch in error.patches]
-    for shade, stroke in zip(shades, motion.strokes, strict=True):
-        # Blue is forward and red is backward, as in all pictures.
-        assert (shade[2] > shade[0]) == (stroke.direction == "forward")
-    spans = [patch.get_extents().transformed(error.transData.inverted()) for patch in error.patches]
-    for span, stroke in zip(spans, motion.strokes, strict=True):
+    # Strokes are shaded from their first sample to their last; blue is forward and red backward, as in all pictures.
+    for patch, stroke in zip(error.patches, motion.strokes, strict=True):
+        red, _, blue, _ = patch.get_facecolor()
+        assert (blue > red) == (stroke.direction == "forward")
+        span = patch.get_extents().transformed(error.transData.inverted())
         assert (span.x0, span.x1) == pytest.approx((record.time[stroke.start], record.time[stroke.stop - 1]))
-
-
-def test_a_picture_is_whole_and_one_that_cannot_be_finished_leaves_the_former_one(
-    make_record, cosine_map, motion_profile, tmp_path, monkeypatch
-):
-    record = make_record(0.1e-6 * np.random.default_rng(4).standard_normal(motion_profile[0].size))
-    metrics, path = evaluate(record, cosine_map), tmp_path / "run.png"
-    figures, save = [], Figure.savefig
-    monkeypatch.setattr(
-        Figure, "savefig", lambda figure, *of, **how: (figures.append(figure), save(figure, *of, **how))
-    )
-    plot.plot_run(record, cosine_map, metrics, path, "A stroke")
-    assert path.read_bytes().startswith(b"\x89PNG") and "matplotlib.pyplot" not in sys.modules
-    legends = [text.get_text() for axes in figures[0].axes for text in axes.get_legend().get_texts()]
-    for value in (metrics.encoder_pp, metrics.true_pp, metrics.residual_pp, metrics.uncompensated_pp):
-        assert any(f"{value * 1e6:.2f} µm p-p" in legend for legend in legends)
-    for axes in figures[0].axes:
+    legends = " ".join(text.get_text() for axes in drawn[0].axes for text in axes.get_legend().get_texts())
+    for value in (metrics.encoder_pp, metrics.true_pp or 0.0, metrics.residual_pp, metrics.uncompensated_pp):
+        assert not value or f"{value * 1e6:.2f} µm p-p" in legends
+    for axes in drawn[0].axes:
         assert "/" in axes.get_xlabel() and "/" in axes.get_ylabel()
         low, high = axes.get_ylim()
         assert all(low <= values.min() and values.max() <= high for _, values in lines(axes))
 
-    def interrupted(figure, file, **_):
-        file.write(b"half a picture")
-        raise KeyboardInterrupt
 
+def test_a_picture_that_cannot_be_finished_leaves_the_former_one(tmp_path):
+    class Interrupted:
+        def savefig(self, file, **_):
+            file.write(b"half a picture")
+            raise KeyboardInterrupt
+
+    path = tmp_path / "run.png"
     path.write_bytes(b"former")
-    monkeypatch.setattr(Figure, "savefig", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        plot.plot_run(record, cosine_map, metrics, path, "A stroke")
+        plot.save_whole(Interrupted(), path)
     assert path.read_bytes() == b"former" and list(tmp_path.iterdir()) == [path]
 
 
@@ -202,20 +187,18 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
     plot.plot_map(built, Path("map.png"))
     upper, lower = drawn[0].axes
     *shown, mean = lines(upper)
-    for (x_mm, um), run in zip(shown, built.survey.runs, strict=True):
-        assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
     assert mean[1] == pytest.approx(built.mean * 1e6)
+    # In the lower picture forward lies 0.15 µm below the mean of both directions, backward as much above.
+    *points, forward, backward = [values for at, values in lines(lower) if len(at) == 41]
+    assert forward == pytest.approx(-0.15) and backward == pytest.approx(0.15)
+    for (x_mm, um), difference, run in zip(shown, points, built.survey.runs, strict=True):
+        assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
+        assert difference == pytest.approx((run.deviation - built.mean) * 1e6)
     for axes in (upper, lower):
         assert axes.get_axisbelow() is True
         for line, run in zip(axes.get_lines(), built.survey.runs, strict=False):
             red, _, blue = to_rgb(line.get_color())
             assert (blue > red) == (run.direction == "forward")
-    points = [values for at, values in lines(lower) if len(at) == 41][:-2]
-    for run, values in zip(built.survey.runs, points, strict=True):
-        assert values == pytest.approx((run.deviation - built.mean) * 1e6)
-    # Forward lies 0.15 µm below the mean of both directions, backward as much above.
-    means = [values for at, values in lines(lower) if len(at) == 41][-2:]
-    assert means[0] == pytest.approx(-0.15) and means[1] == pytest.approx(0.15)
     # A single run has no standard deviation: the band is that of the two forward ones, s = 0.1 √2 µm.
     (band,) = lower.collections
     low, high = band.get_paths()[0].get_extents().intervaly
