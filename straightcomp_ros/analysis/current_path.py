@@ -187,7 +187,11 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
         rate, deviation, usual, asked = 2.0 * math.pi * drive.bandwidth, 0.0, 0, converted
     before, after, switch, late, missed = _arrivals(recording.current, asked, rate, period, usual)
     if float(missed.std()) > _EXPLAINED * float(np.diff(recording.current).std()):
-        return _interpolated(recording)
+        # Linear from sample to sample, in two steps.
+        current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
+        before, after = 0.75 * current + 0.25 * following, 0.25 * current + 0.75 * following
+        halves = np.full(len(current), recording.period_ns // 2)
+        return CurrentPath(_INSTANT, before, after, halves, math.nan, False, 0.0, (math.nan, math.nan))
     # Small changes say little of their time.
     telling = np.abs(after - before) > 0.5 * np.abs(after - before).mean()
     soonest, delay, latest = math.nan, math.nan, math.nan
@@ -195,14 +199,6 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
         soonest, delay, latest = np.percentile((switch + late * period)[telling], _PERCENTILES).tolist()
     switch_ns = np.round(switch * 1e9).astype(np.int64)
     return CurrentPath(rate, before, after, switch_ns, delay, rate_found, deviation, (soonest, latest))
-
-
-def _interpolated(recording: Recording) -> CurrentPath:
-    """Linear from sample to sample, in two steps."""
-    current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
-    before, after = 0.75 * current + 0.25 * following, 0.25 * current + 0.75 * following
-    halves = np.full(len(current), recording.period_ns // 2)
-    return CurrentPath(_INSTANT, before, after, halves, math.nan, False, 0.0, (math.nan, math.nan))
 
 
 def _regression(current: Array, asked: Array, period: float) -> tuple[float, float, float, int]:

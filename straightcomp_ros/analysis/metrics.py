@@ -95,6 +95,10 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         of_way = _errors(record, straightness, samples) if samples.size else {}
         errors |= {f"{name}_{way}": of_way.get(name) for name in ("encoder_pp", "true_pp")}
     steps = np.diff(record.current[window])
+    resting = []
+    for before, after in itertools.pairwise(motion.strokes):
+        begin = np.searchsorted(record.time, record.time[before.stop - 1] + RESTING)
+        resting += np.diff(record.current[begin : after.start]).tolist()
     known = record.best_known(straightness)
     of_encoder = straightness.deviations(record.x) + record.y
     return Metrics(
@@ -104,7 +108,7 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         uncompensated_pp=peak_to_peak(residual_over(known.x, known.guide, record)),
         control_activity=float(np.abs(steps).sum()),
         control_rms_step=_rms(steps),
-        resting_rms_step=_resting_rms_step(record),
+        resting_rms_step=_rms(np.array(resting)) if resting else None,
         samples=window.stop - window.start,
         duration=float(record.time[window.stop - 1] - record.time[window.start]),
     )
@@ -153,14 +157,6 @@ def residual_over(x: Array, deviation: Array, record: StrokeRecord) -> Array:
     moving = record.motion.samples()
     speed = np.abs(np.gradient(x, record.time))
     return least_squares_residual(x[moving], deviation[moving], speed[moving])
-
-
-def _resting_rms_step(record: StrokeRecord) -> float | None:
-    steps = np.zeros(0)
-    for before, after in itertools.pairwise(record.motion.strokes):
-        begin = np.searchsorted(record.time, record.time[before.stop - 1] + RESTING)
-        steps = np.append(steps, np.diff(record.current[begin : after.start]))
-    return _rms(steps) if steps.size else None
 
 
 def _rms(values: Array) -> float:

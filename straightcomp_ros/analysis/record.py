@@ -182,21 +182,12 @@ def motion_of(time: Array, x: Array) -> Motion:
 
 def strokes_and_jumps(time: Array, x: Array) -> tuple[tuple[Stroke, ...], NDArray[np.intp]]:
     """The strokes in a motion of at least three samples, ``time`` (n,) in s rising and ``x`` (n,) in m finite, and the
-    samples (m,) at which x jumps.
+    samples (m,) at which x jumps: it is not where a stage can have gone since the sample before, because an encoder
+    failed, a driver was started again, or there are two drivers. Samples next to a gap of ``time`` are no jump.
 
     Speed is taken over :data:`SPEED_SPAN`, which hides the quantisation of x, but makes a stroke seem longer at both
     ends. The ends are then moved in to where x leaves its resting value by :data:`ARRIVED`. At 0.2 m/s² that is 3 ms
     after the stage began to move.
-    """
-    half = max(1, round(0.5 * SPEED_SPAN / float(np.median(np.diff(time)))))
-    jumps = _jumps(time, x)
-    pieces = itertools.pairwise([0, *jumps.tolist(), time.size])
-    return tuple(stroke for start, stop in pieces for stroke in _strokes(time, x, start, stop, half)), jumps
-
-
-def _jumps(time: Array, x: Array) -> NDArray[np.intp]:
-    """The samples (m,) at which ``x`` (n,) in m is not where a stage can have gone since the sample before: an encoder
-    that failed, a driver that was started again, or two drivers. Samples next to a gap of ``time`` (n,) are not judged.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -206,7 +197,10 @@ def _jumps(time: Array, x: Array) -> NDArray[np.intp]:
     change = np.abs(np.diff(moves)) > allowed
     # A jump changes the move twice: into it, and out of it.
     sudden = np.append(change, False) | np.append(False, change)
-    return np.flatnonzero(sudden & regular & (np.abs(moves) > allowed)) + 1
+    jumps = np.flatnonzero(sudden & regular & (np.abs(moves) > allowed)) + 1
+    pieces = itertools.pairwise([0, *jumps.tolist(), time.size])
+    half = max(1, round(0.5 * SPEED_SPAN / period))
+    return tuple(stroke for start, stop in pieces for stroke in _strokes(time, x, start, stop, half)), jumps
 
 
 def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator[Stroke]:

@@ -83,8 +83,17 @@ class StageMovements:
         self._under_way = False
 
     def next(self, seen: Observation, now: float) -> Sequence[Waypoint]:
-        """Waypoints of the next movement, which begins at ``now`` (clock, s)."""
-        waypoints = cycles(self._motion, self.strokes) if self.as_one else self._one(seen.x)
+        """Waypoints of the next movement, which begins at ``now`` (clock, s).
+
+        One by one they are a rest and a move, forward and back in turn; only the rest if the stage is at its goal.
+        """
+        if self.as_one:
+            waypoints = cycles(self._motion, self.strokes)
+        else:
+            rest = self._motion.pause if self._number else self._motion.settle
+            goal = self._motion.start + (0.0 if self._number % 2 else self._motion.stroke)
+            waypoints = [Waypoint(0, seen.x, 0.0), Waypoint(round(rest * _NS), seen.x, 0.0)]
+            waypoints += trapezoid(waypoints[-1], goal, self._motion.speed, self._motion.acceleration)
         self._duration_ns, self._goal, _ = waypoints[-1]
         self._begin_ns, self._latest = seen.stamp_ns, now + self._duration_ns / _NS + _ARRIVE_WITHIN_S
         self._under_way = True
@@ -103,7 +112,7 @@ class StageMovements:
         WorkFailed: the stage stands elsewhere 5 s after the end of the movement.
         """
         there = self.as_one or (seen.still and abs(seen.x - self._goal) < _ARRIVED_M)
-        if self._under_way and there and self.progress(seen) > _ARRIVED_SHARE:
+        if there and self.progress(seen) > _ARRIVED_SHARE:
             self.forget()
             self._number += 1
             self.strokes_done = self.strokes if self.as_one else self._number // 2
@@ -111,13 +120,6 @@ class StageMovements:
             self.forget()
             raise WorkFailed(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m")
         return not self._under_way
-
-    def _one(self, here: float) -> list[Waypoint]:
-        """A rest and a move from ``here`` (m), forward and back in turn; only the rest if the stage is at its goal."""
-        rest = self._motion.pause if self._number else self._motion.settle
-        goal = self._motion.start + (0.0 if self._number % 2 else self._motion.stroke)
-        points = [Waypoint(0, here, 0.0), Waypoint(round(rest * _NS), here, 0.0)]
-        return [*points, *trapezoid(points[-1], goal, self._motion.speed, self._motion.acceleration)]
 
 
 class CellSequence:
@@ -171,9 +173,7 @@ class CellSequence:
 
     def command(self, command: Command, strokes: int = 0) -> str:
         """Execute a command, with the number of ``strokes`` for Start; returns the reason for a refusal, or ``""``."""
-        reason = refusal(command, self.state)
-        if not reason and command in _BEGINNING:
-            reason = self.seen.occupied
+        reason = refusal(command, self.state) or (self.seen.occupied if command in _BEGINNING else "")
         to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
         if not reason and not 0 <= to_be_run <= MOST_STROKES:
             reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
