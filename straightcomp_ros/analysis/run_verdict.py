@@ -32,39 +32,29 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 
 
-class Bounds(NamedTuple):
-    """Bounds of a run; infinite where they are unknown."""
-
-    current: float = math.inf  # largest |i_c| in A that the law may command and the D/A converter can
-    stop: float = math.inf  # the platform's mechanical stop at ± this position, m
-    # x in m from which and up to which the map has a reference that follows the guide or runs out.
-    first: float = -math.inf
-    last: float = math.inf
-
-    def within(self, straightness: StraightnessMap, runout: float) -> Bounds:
-        """These bounds, with those of x from a map that runs out over ``runout`` in m."""
-        first, last = straightness.span
-        return self._replace(first=first - runout, last=last + runout)
-
-
-def bounds_of(parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None = None) -> Bounds:
-    """Bounds from parameters of each node alone, by dotted name, as a bag has them.
+def bounds_of(
+    parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None = None
+) -> dict[str, Any]:
+    """The bounds of a :class:`JudgedMotion` by name, from parameters of each node alone, by dotted name, as a bag has
+    them, and from the map.
 
     A node that is there has its defaults for what is not named; of one that is not, nothing is known. A board on CAN
     reports neither its stop nor its converter, unless it is the emulator.
     """
-    bounds, shipped = Bounds(), StageParameters()
+    bounds: dict[str, Any] = {}
+    shipped, limits = StageParameters(), []
     if "controller" in parameters:
-        limit = parameters["controller"].get("stage.actuator.current_limit", shipped.actuator.current_limit)
-        bounds = Bounds(current=float(limit))
+        limits.append(parameters["controller"].get("stage.actuator.current_limit", shipped.actuator.current_limit))
     driver = parameters.get("driver", {"hardware": "unknown"})
     if driver.get("hardware", "simulated") == "simulated" or driver.get("can.simulated_stage", False):
-        stop = float(driver.get("stage.platform.stop", shipped.platform.stop))
-        bounds = bounds._replace(stop=stop, current=min(bounds.current, recorded_drive(driver).largest_current))
-    if straightness is None:
-        return bounds
-    runout = parameters.get("feedforward", {}).get("stage.guide.runout", shipped.guide.runout)
-    return bounds.within(straightness, float(runout))
+        bounds["stop"] = float(driver.get("stage.platform.stop", shipped.platform.stop))
+        limits.append(recorded_drive(driver).largest_current)
+    if limits:
+        bounds["current_limit"] = float(min(limits))
+    if straightness is not None:
+        runout = float(parameters.get("feedforward", {}).get("stage.guide.runout", shipped.guide.runout))
+        bounds["span"] = (straightness.span[0] - runout, straightness.span[1] + runout)
+    return bounds
 
 
 def recorded_drive(driver: Mapping[str, Any]) -> DriveParameters:
@@ -120,7 +110,7 @@ class GuideFit(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class JudgedMotion:
     """The motion of a run, from its first to its last sample, pauses included; arrays (n,), in s, m and A. Positions
-    and error are the true ones if they are known, otherwise as the encoders see them."""
+    and error are the true ones if they are known, otherwise as the encoders see them. Unknown bounds are infinite."""
 
     time: Array
     x: Array
@@ -131,7 +121,9 @@ class JudgedMotion:
     count: float  # one count of the encoder of y
     fit: GuideFit | None = None  # of guide and map; None where the guide is not known
     stalls: Sequence[Stall] = ()  # of the host within the motion
-    bounds: Bounds = Bounds()
+    current_limit: float = math.inf  # largest |i_c| that the law may command and the D/A converter can
+    stop: float = math.inf  # the platform's mechanical stop at ± this position
+    span: tuple[float, float] = (-math.inf, math.inf)  # of x in which the map's reference follows the guide or runs out
 
     @cached_property
     def period(self) -> float:
@@ -214,7 +206,7 @@ def judged_run(
             count=encoder_count(record.y[window]),
             fit=_guide_fit(record, reference),
             stalls=tuple(stall for stall in stalls if stall.end >= time[0] and stall.start <= time[-1]),
-            bounds=bounds_of(parameters, straightness),
+            **bounds_of(parameters, straightness),
         )
     )
 
@@ -265,29 +257,28 @@ def _starved(motion: JudgedMotion, later: Verdict | None) -> str:
 
 
 def _at_stop(motion: JudgedMotion) -> str:
-    farthest, stop = float(np.abs(motion.y).max()), motion.bounds.stop
+    farthest = float(np.abs(motion.y).max())
     # The encoder rounds, and samples only see where the platform was at their own moments.
-    if farthest < stop - motion.count:
+    if farthest < motion.stop - motion.count:
         return ""
     return (
-        f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(stop)}; check where the platform "
-        "starts, the current limit, and by straightcomp robustness whether the law is stable on this machine"
+        f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(motion.stop)}; check where the "
+        "platform starts, the current limit, and by straightcomp robustness whether the law is stable on this machine"
     )
 
 
 def _left_map(motion: JudgedMotion) -> str:
-    low, high, bounds = float(motion.x.min()), float(motion.x.max()), motion.bounds
-    if low >= bounds.first and high <= bounds.last:
+    low, high, (first, last) = float(motion.x.min()), float(motion.x.max()), motion.span
+    if low >= first and high <= last:
         return ""
     return (
-        f"the stage moved from {_mm(low)} to {_mm(high)}; allowed: {_mm(bounds.first)} to {_mm(bounds.last)}, the "
+        f"the stage moved from {_mm(low)} to {_mm(high)}; allowed: {_mm(first)} to {_mm(last)}, the "
         "survey and its run-out; shorten the motion, or survey the whole guide"
     )
 
 
 def _saturated(motion: JudgedMotion) -> str:
-    largest = motion.bounds.current
-    limited = np.sign(motion.current) * (np.abs(motion.current) >= AT_LIMIT * largest)
+    limited = np.sign(motion.current) * (np.abs(motion.current) >= AT_LIMIT * motion.current_limit)
     if not limited.any():
         return ""
     span = min(motion.recovery, limited.size)
@@ -297,7 +288,7 @@ def _saturated(motion: JudgedMotion) -> str:
     if share <= _LACKS and not motion.harmed(motion.disturbed(times)):
         return ""
     return (
-        f"the current stayed at its limit of {largest:.4g} A for {share:.1%} of the motion, error "
+        f"the current stayed at its limit of {motion.current_limit:.4g} A for {share:.1%} of the motion, error "
         f"{_um(motion.pp)} p-p; allowed: {_LACKS:.0%}, without effect on the error; raise "
         "stage.actuator.current_limit or the range of the D/A converter, or look for a load on the platform"
     )

@@ -1,6 +1,5 @@
-"""Each verdict on a made-up run, and beside it the nearest run that is in order."""
+"""Each verdict on a made-up run, and the nearest run that is in order."""
 
-import math
 import re
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
-from straightcomp_ros.analysis.run_verdict import Bounds, GuideFit, JudgedMotion, bounds_of, encoder_count, verdict_of
+from straightcomp_ros.analysis.run_verdict import GuideFit, JudgedMotion, bounds_of, encoder_count, verdict_of
 
 T = 5e-4
 TIME = np.arange(16_000) * T
@@ -17,7 +16,7 @@ SMALL = 0.05e-6 * np.sin(2.0 * np.pi * 0.9 * TIME)
 FITS = GuideFit(20e-6, 6e-6, 0.2e-6, 0.04e-6)
 
 
-def course(error=SMALL, r=R, **changes) -> JudgedMotion:
+def motion(error=SMALL, r=R, **changes) -> JudgedMotion:
     values = {
         "time": TIME,
         "x": np.linspace(0.0, 1.76, TIME.size),
@@ -40,11 +39,10 @@ def sine(frequency: float) -> np.ndarray:
 
 
 def stalled(*error: object, **changes) -> JudgedMotion:
-    return course(*error, stalls=(Stall(3.95, 4.02),), **changes)
+    return motion(*error, stalls=(Stall(3.95, 4.02),), **changes)
 
 
 MANY = tuple(Stall(t, t + 0.01) for t in np.arange(0.0, 8.0, 0.1).tolist())
-LIMITED, STOPPED = Bounds(current=0.9), Bounds(stop=1.2e-3)
 PUSHED, SHORTLY = np.where(TIME < 1.0, 0.9, 0.1), np.where(np.abs(TIME - 4.0) < 0.1, 0.9, 0.1)
 OTHER, SAME, HALF = (
     GuideFit(20e-6, 6e-6, 27e-6, 8e-6),
@@ -56,14 +54,14 @@ HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(150.0)
 NEARLY = 0.02 * R
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
 CASES = {
-    "a small error is in order": [("in_order", "0.1 µm p-p.*20 µm", course())],
+    "a small error is in order": [("in_order", "0.1 µm p-p.*20 µm", motion())],
     "an error made in a stall is the host's, and without the stall it is the law's": [
         ("starved", "70.0 ms.*2.02 µm|2.02 µm.*70.0 ms", stalled(SMALL + bump(4.0, 2e-6))),
-        ("in_order", "", course(SMALL + bump(4.0, 2e-6))),
-        ("in_order", "", course(SMALL + bump(4.0, 2e-6), stalls=(Stall(6.0, 6.07),))),
+        ("in_order", "", motion(SMALL + bump(4.0, 2e-6))),
+        ("in_order", "", motion(SMALL + bump(4.0, 2e-6), stalls=(Stall(6.0, 6.07),))),
     ],
     "a stall that did no harm": [
-        ("in_order", "", course(stalls=(Stall(4.0, 4.1),))),
+        ("in_order", "", motion(stalls=(Stall(4.0, 4.1),))),
         ("in_order", r"without the stalls of the host \(1\)", stalled(SMALL + bump(4.0, 0.09e-6))),
     ],
     "a doubled error within a count of the encoder is no harm": [
@@ -75,88 +73,88 @@ CASES = {
         ("starved", "", stalled(0.01 * (3e-6 * sine(30.0) + bump(4.0, 30e-6)), 0.2 * R, fit=None)),
     ],
     "a run of stalls is starved only if its figures are bad": [
-        ("starved", "(?=.*disturbed 100%).*stands still", course(R, stalls=MANY)),
-        ("in_order", "", course(stalls=MANY)),
-        ("starved", "error 2.02 µm p-p", course(SMALL + bump(4.0, 2e-6, 0.005), stalls=MANY)),
-        ("in_order", "", course(SMALL + bump(4.0, 0.15e-6, 0.005), stalls=MANY)),
+        ("starved", "(?=.*disturbed 100%).*stands still", motion(R, stalls=MANY)),
+        ("in_order", "", motion(stalls=MANY)),
+        ("starved", "error 2.02 µm p-p", motion(SMALL + bump(4.0, 2e-6, 0.005), stalls=MANY)),
+        ("in_order", "", motion(SMALL + bump(4.0, 0.15e-6, 0.005), stalls=MANY)),
     ],
     "a platform that reached its stop is at the stop whatever else": [
-        ("at_stop", "", course(R - 1.2e-3, bounds=STOPPED)),
-        ("in_order", "", course(y=np.full_like(R, 1.1e-3), bounds=STOPPED)),
-        ("in_order", "", course(y=np.full_like(R, 1.2e-3))),
+        ("at_stop", "", motion(R - 1.2e-3, stop=1.2e-3)),
+        ("in_order", "", motion(y=np.full_like(R, 1.1e-3), stop=1.2e-3)),
+        ("in_order", "", motion(y=np.full_like(R, 1.2e-3))),
     ],
     "a stage beyond survey and run-out left the map": [
-        ("in_order", "", course(bounds=Bounds(first=-0.02, last=1.76))),
-        ("left_map", "-20 mm to 1750 mm", course(bounds=Bounds(first=-0.02, last=1.75))),
-        ("left_map", "", course(bounds=Bounds(first=0.001, last=2.0))),
+        ("in_order", "", motion(span=(-0.02, 1.76))),
+        ("left_map", "-20 mm to 1750 mm", motion(span=(-0.02, 1.75))),
+        ("left_map", "", motion(span=(0.001, 2.0))),
     ],
     "a law that stays at its limit is saturated and one that touches it is not": [
-        ("saturated", "0.9 A", course(current=PUSHED, bounds=LIMITED)),
-        ("in_order", "", course(current=np.where(TIME % 1.0 < 0.01, 0.9, 0.1), bounds=LIMITED)),
-        ("in_order", "", course(current=PUSHED, bounds=Bounds(current=1.0))),
+        ("saturated", "0.9 A", motion(current=PUSHED, current_limit=0.9)),
+        ("in_order", "", motion(current=np.where(TIME % 1.0 < 0.01, 0.9, 0.1), current_limit=0.9)),
+        ("in_order", "", motion(current=PUSHED, current_limit=1.0)),
     ],
     "a short stay at the limit counts if the error is made there": [
-        ("in_order", "", course(current=SHORTLY, bounds=LIMITED)),
-        ("saturated", "", course(SMALL + bump(4.0, 2e-6), current=SHORTLY, bounds=LIMITED)),
+        ("in_order", "", motion(current=SHORTLY, current_limit=0.9)),
+        ("saturated", "", motion(SMALL + bump(4.0, 2e-6), current=SHORTLY, current_limit=0.9)),
     ],
     "an oscillation that reaches both limits in turn oscillates": [
         (
             "oscillates",
             "(?=.*40 Hz).*100 µm",
-            course(1e-4 * sine(40.0), current=0.9 * np.sign(sine(40.0)), bounds=LIMITED),
+            motion(1e-4 * sine(40.0), current=0.9 * np.sign(sine(40.0)), current_limit=0.9),
         ),
     ],
     "a map that explains less than half of the guide is another guide's": [
-        *(("wrong_guide", "", course(fit=fit)) for fit in (OTHER, SAME)),
-        *(("in_order", "", course(fit=fit)) for fit in (HALF, None)),
+        *(("wrong_guide", "", motion(fit=fit)) for fit in (OTHER, SAME)),
+        *(("in_order", "", motion(fit=fit)) for fit in (HALF, None)),
     ],
     "where the guide is a line on so short a stroke the survey's noise proves nothing": [
-        ("in_order", "", course(fit=NOISY))
+        ("in_order", "", motion(fit=NOISY))
     ],
-    "a platform that does not follow says nothing about the map": [("inaccurate", "", course(R, fit=OTHER))],
+    "a platform that does not follow says nothing about the map": [("inaccurate", "", motion(R, fit=OTHER))],
     "an oscillation counts from a count of the encoder and a share of the error on": [
         case
         for line in (12.0, 150.0)
         for case in (
-            ("oscillates", f"{line:.0f} Hz", course(SMALL + 0.15e-6 * sine(line))),
-            ("in_order", "", course(SMALL + 0.08e-6 * sine(line))),
-            ("in_order", "", course(SMALL + 0.15e-6 * sine(line), count=1e-6)),
-            ("in_order", "", course(16.0 * SMALL + 0.15e-6 * sine(line))),
+            ("oscillates", f"{line:.0f} Hz", motion(SMALL + 0.15e-6 * sine(line))),
+            ("in_order", "", motion(SMALL + 0.08e-6 * sine(line))),
+            ("in_order", "", motion(SMALL + 0.15e-6 * sine(line), count=1e-6)),
+            ("in_order", "", motion(16.0 * SMALL + 0.15e-6 * sine(line))),
         )
     ],
     "a fine encoder does not make an oscillation of what the guide hides": [
-        ("in_order", "", course(HIDDEN, count=1e-9)),
-        ("oscillates", "", course(HIDDEN, r=0.1 * R, count=1e-9, fit=None)),
+        ("in_order", "", motion(HIDDEN, count=1e-9)),
+        ("oscillates", "", motion(HIDDEN, r=0.1 * R, count=1e-9, fit=None)),
     ],
     "an error of half the uncompensated deviation is inaccurate": [
-        ("in_order", "", course(0.45 * R)),
-        ("inaccurate", "", course(0.55 * R)),
-        ("inaccurate", "", course(R)),
+        ("in_order", "", motion(0.45 * R)),
+        ("inaccurate", "", motion(0.55 * R)),
+        ("inaccurate", "", motion(R)),
     ],
     "on a nearly straight guide the encoder's counts are no fault of the law": [
-        ("in_order", "", course(0.7 * NEARLY, NEARLY, fit=None)),
-        ("inaccurate", "", course(0.7 * NEARLY, NEARLY, fit=None, count=0.01e-6)),
-        ("inaccurate", "", course(1.3 * NEARLY, NEARLY, fit=None)),
+        ("in_order", "", motion(0.7 * NEARLY, NEARLY, fit=None)),
+        ("inaccurate", "", motion(0.7 * NEARLY, NEARLY, fit=None, count=0.01e-6)),
+        ("inaccurate", "", motion(1.3 * NEARLY, NEARLY, fit=None)),
     ],
     "an uncompensated run is in order and says so": [
-        ("in_order", "uncompensated", course(SMALL, 1e-9 * np.sin(TIME), fit=SAME))
+        ("in_order", "uncompensated", motion(SMALL, 1e-9 * np.sin(TIME), fit=SAME))
     ],
 }
 
 
 @pytest.mark.parametrize("truth", CASES)
 def test_a_run_is_judged_by_its_own_fault_and_the_nearest_run_without_it_is_in_order(truth):
-    for verdict, reason, motion in CASES[truth]:
-        found = verdict_of(motion)
+    for verdict, reason, run in CASES[truth]:
+        found = verdict_of(run)
         assert found.verdict == verdict and found.in_order == (verdict == "in_order")
         assert re.search(reason, found.reason), found
 
 
 def test_samples_that_are_missing_do_not_hide_an_oscillation():
     kept = np.arange(TIME.size) % 97 != 0
-    one = course(SMALL + 0.3e-6 * sine(150.0))
+    one = motion(SMALL + 0.3e-6 * sine(150.0))
     columns = {name: getattr(one, name)[kept] for name in ("time", "x", "y", "r", "current", "error")}
-    assert verdict_of(course(**columns)).verdict == "oscillates"
+    assert verdict_of(motion(**columns)).verdict == "oscillates"
 
 
 def test_a_run_of_several_is_named_by_its_number_and_a_verdict_reads_as_words():
@@ -168,15 +166,15 @@ def test_a_run_of_several_is_named_by_its_number_and_a_verdict_reads_as_words():
 
 
 def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_know_its_stop():
-    assert bounds_of({}) == Bounds()
+    assert bounds_of({}) == {}
     named = {"driver": {"stage.platform.stop": 1e-3}, "controller": {"stage.actuator.current_limit": 0.5}}
-    assert bounds_of(named)[:2] == (0.5, 1e-3)
-    assert bounds_of({"driver": {}, "controller": {}})[:2] == (0.9, 1.2e-3)
+    assert bounds_of(named) == {"stop": 1e-3, "current_limit": 0.5}
+    assert bounds_of({"driver": {}, "controller": {}}) == {"stop": 1.2e-3, "current_limit": 0.9}
     weak = {"stage.drive.gain": 0.01, "stage.drive.dac_bits": 4}
-    assert bounds_of({"driver": weak, "controller": {}}).current == pytest.approx(7 * 0.2 / 16)
+    assert bounds_of({"driver": weak, "controller": {}})["current_limit"] == pytest.approx(7 * 0.2 / 16)
     board = {"hardware": "can", "stage.platform.stop": 1e-3}
-    assert bounds_of({"driver": board}).stop == math.inf
-    assert bounds_of({"driver": {**board, "can.simulated_stage": True}}).stop == 1e-3
+    assert bounds_of({"driver": board}) == {}
+    assert bounds_of({"driver": {**board, "can.simulated_stage": True}})["stop"] == 1e-3
 
 
 def test_the_count_of_the_encoder_is_the_smallest_step_of_its_readings():

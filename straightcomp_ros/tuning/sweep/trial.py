@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judgement import INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
-from straightcomp_ros.analysis.run_verdict import Bounds, JudgedMotion, verdict_of
+from straightcomp_ros.analysis.run_verdict import JudgedMotion, verdict_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
@@ -64,11 +64,12 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     time = np.asarray(stamps * 1e-9, dtype=np.float64)
     window, target = motion_of(time, stroke.x).window, stroke.map.evaluate(stroke.true_x)[0]
     drive = scenario.driver.plant
-    bounds = (
-        Bounds()
-        .within(stroke.map, stage.guide.runout)
-        ._replace(current=min(stage.actuator.current_limit, drive.drive.largest_current), stop=drive.platform.stop)
-    )
+    first, last = stroke.map.span
+    bounds = {
+        "current_limit": min(stage.actuator.current_limit, drive.drive.largest_current),
+        "stop": drive.platform.stop,
+        "span": (first - stage.guide.runout, last + stage.guide.runout),
+    }
     results = []
     for name, cycle in cycles.items():
         if cycle.current.size < stamps.size:
@@ -77,7 +78,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
             continue
         y, r, current = cycle.true_y[window], target[window], cycle.current[window]
         count = drive.encoder.y_resolution
-        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, bounds=bounds)
+        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
         steps = np.diff(current)
         results.append(
             TrialResult(
