@@ -58,11 +58,6 @@ class FirmwareBoard:
         self.command_alive = alive if commanded else None
         self.amplifier, self.fault = Amplifier(amplifier), BoardFault(fault)
 
-    @property
-    def refused_trajectory(self) -> str:
-        """Why the last trajectory of the stage was refused."""
-        return self._board.stage.refused
-
     def close(self) -> None:
         """End the program."""
         self._board.close()

@@ -17,6 +17,7 @@ from straightcomp_ros.stage.description import StageParameters
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
 _UNNAMED = "the board reports: a fault"
+_BEAT = "no heartbeat"
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -148,7 +149,7 @@ class CanHardware(Hardware):
         return gaps(self._wire)
 
     def counters(self) -> Mapping[str, object]:
-        receiver, sequence, link = self._receiver, self._receiver.sequence, self._link
+        receiver, sequence, link, log = self._receiver, self._receiver.sequence, self._link, self._link.log
         counters: dict[str, object] = {
             "received": receiver.received,
             "lost": sequence.lost,
@@ -168,12 +169,10 @@ class CanHardware(Hardware):
         }
         if receiver.amplifier is Amplifier.FAULT and receiver.board_fault is not None:
             counters["board_fault"] = self._wire.fault_words(receiver.board_fault)
-        if link.problem:
-            counters["link"] = link.problem
-        if link.log:
-            counters |= {"logged": link.log.written, "log_dropped": link.log.dropped}
-            if link.log.problem:
-                counters["log"] = link.log.problem
+        if log:
+            counters |= {"logged": log.written, "log_dropped": log.dropped}
+        problems = {"link": link.problem, "log": log.problem if log else ""}
+        counters |= {name: problem for name, problem in problems.items() if problem}
         return {f"can_{name}": value for name, value in counters.items()}
 
     def _upsets(self) -> dict[str, int]:
@@ -194,52 +193,49 @@ class CanHardware(Hardware):
                 return
             self._resetting = False
         if reported is Amplifier.FAULT and self.fault in ("", _UNNAMED):
-            self._take_board_fault()
+            # At once; its code may come in a later frame.
+            code = self._receiver.board_fault
+            named = code is not None and code != self._wire.meaning.fault.none_value
+            self._latch(Fault.BOARD, f"the board reports: {self._wire.fault_words(code or 0)}" if named else _UNNAMED)
         if self._wanted:
-            self._watch_running(now_ns, reported)
+            found = self._finding(now_ns, reported)
+            if found is not None:
+                self._latch(*found)
         elif reported is Amplifier.ON:
             # The frame that said "off" may be lost.
             self._send(self._newest_number)
 
-    def _take_board_fault(self) -> None:
-        """Latch the board's fault at once, and name it as soon as its code has come, which may be in a later frame."""
-        code = self._receiver.board_fault
-        named = code is not None and code != self._wire.meaning.fault.none_value
-        reason = f"the board reports: {self._wire.fault_words(code or 0)}" if named else _UNNAMED
-        if not self.fault:
-            self._latch(Fault.BOARD, reason)
-        self.fault = reason
-
-    def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
+    def _finding(self, now_ns: int, reported: Amplifier | None) -> Finding | None:
+        """The fault of a board that is to be on."""
         for words, count in self._upsets().items():
             if count != self._seen[words]:
-                self._latch(Fault.BOARD, words)
-                return
+                return Fault.BOARD, words
         silence = self._silence(now_ns)
         if silence is not None:
-            self._latch(*silence)
-        elif reported is Amplifier.ON:
+            return silence
+        if reported is Amplifier.ON:
             self._was_on = True
         elif self._was_on:
-            self._latch(Fault.BOARD, "the board switched the amplifier off")
+            return Fault.BOARD, "the board switched the amplifier off"
         elif now_ns > self._deadline_ns:
-            self._latch(Fault.BOARD, f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
+            within_ms = self._parameters.answer_timeout * 1e3
+            return Fault.BOARD, f"the board did not switch on within {within_ms:g} ms"
+        return None
 
     def _silence(self, now_ns: int) -> Finding | None:
-        """The fault if heartbeat, state or samples have stopped."""
-        parameters, receiver = self._parameters, self._receiver
-        heartbeat_age, status_age, sample_age = (
-            now_ns - then for then in (receiver.heartbeat_ns, receiver.status_ns, receiver.newest_ns)
-        )
-        problem = f" ({self._link.problem})" if self._link.problem else ""
-        if self._wire.heartbeat and heartbeat_age > parameters.heartbeat_timeout * 1e9:
-            self.heartbeat_losses += self._wanted
-            return Fault.HEARTBEAT_LOST, f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
-        if sample_age > parameters.sample_timeout * 1e9:
-            return Fault.SAMPLE_TIMEOUT, f"no good sample for {_ms(sample_age)} ms{problem}"
-        # The amplifier's state may come in frames of its own, which can stop while the samples go on.
-        if status_age > max(parameters.heartbeat_timeout, parameters.sample_timeout) * 1e9:
-            return Fault.HEARTBEAT_LOST, f"no state of the amplifier for {_ms(status_age)} ms{problem}"
+        """The fault if heartbeat, samples or state have stopped; the state may come in frames of its own."""
+        receiver, samples_s = self._receiver, self._parameters.sample_timeout
+        heartbeat_s = self._parameters.heartbeat_timeout
+        for newest_ns, timeout_s, kind, what in (
+            (receiver.heartbeat_ns, heartbeat_s if self._wire.heartbeat else math.inf, Fault.HEARTBEAT_LOST, _BEAT),
+            (receiver.newest_ns, samples_s, Fault.SAMPLE_TIMEOUT, "no good sample"),
+            (receiver.status_ns, max(heartbeat_s, samples_s), Fault.HEARTBEAT_LOST, "no state of the amplifier"),
+        ):
+            age_ns = now_ns - newest_ns
+            if age_ns > timeout_s * 1e9:
+                self.heartbeat_losses += self._wanted and what == _BEAT
+                problem = f" ({self._link.problem})" if self._link.problem else ""
+                return kind, f"{what} for {min(age_ns * 1e-6, 1e6):.1f} ms{problem}"
         return None
 
     def _not_ready(self, now_ns: int) -> str:
@@ -254,8 +250,11 @@ class CanHardware(Hardware):
         return silence[1] if silence is not None else ""
 
     def _latch(self, kind: Fault, reason: str) -> None:
-        self.fault, self._fault_kind = reason, kind
-        self.disable()
+        """Switch off, unless a fault was latched before, which now gets its name."""
+        before, self.fault = self.fault, reason
+        if not before:
+            self._fault_kind = kind
+            self.disable()
 
     def _await_answer(self) -> None:
         self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
@@ -274,6 +273,3 @@ class CanHardware(Hardware):
             self._receiver.current = asked
         return complete
 
-
-def _ms(age_ns: int) -> str:
-    return f"{min(age_ns * 1e-6, 1e6):.1f}"

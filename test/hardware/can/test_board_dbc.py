@@ -21,7 +21,7 @@ from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import load_yaml
-from trials.can_servo import run_servo_trial
+from trials.can_servo import ServoTrial
 
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
 
@@ -274,16 +274,16 @@ def test_each_check_that_the_frames_of_a_board_do_not_allow_is_reported_once_and
 
 @pytest.mark.parametrize("board", [BARE, without_counts(SPLIT)], ids=["bare", "put together by time"])
 def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must(board):
-    trial = run_servo_trial({}, GUIDE, board, frames=2000)
+    trial = ServoTrial({}, GUIDE, board, frames=2000)
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0
     # Lost samples are noticed late, but the servo stays on and the numbers come right again.
-    lossy = run_servo_trial({"drop": 0.002}, GUIDE, board, frames=4000)
+    lossy = ServoTrial({"drop": 0.002}, GUIDE, board, frames=4000)
     assert lossy.injected["drop"] > 5 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
 
 
 def test_a_fault_that_only_the_code_reports_is_latched_and_cleared():
-    trial = run_servo_trial({"cut": 0.001}, GUIDE, BARE, frames=4000, seed=2)
+    trial = ServoTrial({"cut": 0.001}, GUIDE, BARE, frames=4000, seed=2)
     assert trial.injected["cut"] >= 2 and trial.latched and trial.unsafe == trial.unflagged_wrong == 0
     assert trial.on > 0.3
 

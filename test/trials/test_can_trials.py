@@ -1,6 +1,7 @@
-"""The closed loop over a bad bus, with the emulated board and with the firmware core: it runs on or stands in the
-latched safe state, and never takes a wrong sample."""
+"""A bad bus: its faults are found; with the emulated board and with the firmware core the closed loop runs on or stands
+in the latched safe state, and never takes a wrong sample."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from trials.can_servo import run_servo_trial
+from trials.__main__ import run
+from trials.can_servo import ServoTrial
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FOREIGN = node_parameters("driver", shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))).can
@@ -39,7 +41,7 @@ def with_program(request):
 @BUSES
 def test_single_faults_are_bridged_and_the_servo_stays_on(with_program, board):
     rates = {kind: 0.002 for kind in KINDS if kind != "cut"}
-    trial = run_servo_trial(rates, GUIDE, with_program(board), frames=3000, seed=3)
+    trial = ServoTrial(rates, GUIDE, with_program(board), frames=3000, seed=3)
     assert sum(trial.injected.values()) > 50
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0
@@ -47,7 +49,7 @@ def test_single_faults_are_bridged_and_the_servo_stays_on(with_program, board):
 
 @BUSES
 def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(with_program, board):
-    trial = run_servo_trial({"cut": 0.001}, GUIDE, with_program(board), frames=4000, seed=2)
+    trial = ServoTrial({"cut": 0.001}, GUIDE, with_program(board), frames=4000, seed=2)
     assert trial.injected["cut"] >= 2
     assert 1 <= sum(trial.latched.values()) <= trial.injected["cut"]
     assert trial.unflagged_wrong == trial.unsafe == 0 and trial.on > 0.3
@@ -56,9 +58,28 @@ def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(with_
 @BUSES
 def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(with_program, board):
     # Of two frames for each sample, half as many have to be spoiled.
-    trial = run_servo_trial(
-        {"corrupt": 0.22 if board is not SPLIT else 0.11}, GUIDE, with_program(board), frames=6000, seed=1
-    )
+    rate = 0.11 if board is SPLIT else 0.22
+    trial = ServoTrial({"corrupt": rate}, GUIDE, with_program(board), frames=6000, seed=1)
     words = {"too many frames failed their checks", "the board reports: command check"}
     assert words & set(trial.latched) and trial.on < 0.8
     assert trial.unflagged_wrong == trial.unsafe == 0
+
+
+def test_costs_are_measured_and_each_fault_is_found(capsys):
+    assert run(["can", "--frames", "1000"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert len(figures["codec"]) > 4
+    assert all(cost["pack_us"] > 0 and cost["unpack_us"] > 0 for cost in figures["codec"].values())
+    assert set(figures["faults"]) == set(KINDS) - {"cut"}
+    assert all(count["injected"] == count["detected"] > 0 for count in figures["faults"].values())
+    assert figures["unflagged_wrong"] == 0
+    assert all(loop["unsafe"] == 0 and loop["on"] > 0 for loop in figures["closed_loop"].values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(["--frames", "10"], "--frames 10"), (["--set", "driver.simulated.truth.guide=nowhere.csv"], "nowhere.csv")],
+)
+def test_a_refused_option_ends_with_code_2(capsys, arguments, words):
+    assert run(["can", *arguments]) == 2
+    assert words in capsys.readouterr().err
