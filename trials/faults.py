@@ -12,12 +12,10 @@ import signal
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import SetParametersAtomically
 
 from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
@@ -26,7 +24,7 @@ from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 from trials.faulty_driver import CLOCK_STEP, LATE_COMMANDS
 from trials.rig import Progress, add_output, output, progress
-from trials.stand import Stand
+from trials.stand import Stand, request_of
 
 SUMMARY = "inject every fault in the running graph and measure its detection"
 _REPEATS, _QUICK = 20, 3
@@ -37,7 +35,7 @@ _OTHERS = {
     Fault.SAMPLE_TIMEOUT: SAMPLE_TIMEOUT * 1e3 - 1000.0,
 }
 """Time that these trials' parameters add to the faults' reaction times, which are those of the defaults."""
-_PATIENCE_S, _ANSWER_S, _REQUESTS = 8.0, 1.0, 8
+_REQUESTS = 8
 """A node that has just started may lose a request, or its answer."""
 _AGAIN = 3
 """Repetitions of an injection during which the computer stalled, so that another fault came first."""
@@ -54,90 +52,49 @@ def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[
     return chosen
 
 
-Judge = Callable[[Stand, Fault, list[str]], int | None]
-"""``judge(stand, fault, failures)`` waits until the fault is found; returns when, ns since the epoch, or None. Then it
-checks the reactions that must follow, adds failures to the list, and leaves the graph in a state in which it can be
-switched on again."""
+Judge = Callable[[Stand, Fault], int | None]
+"""``judge(stand, fault)`` waits until the fault is found; returns when, ns since the epoch, or None. Then it checks the
+reactions that must follow."""
 
 
-def _latched(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+def _latched(stand: Stand, fault: Fault) -> int | None:
     """The driver must latch it, and refuse to switch on."""
-    if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.fault is not fault:
+    if not stand.until(lambda: stand.fault is not None) or stand.fault.fault is not fault:
         return None
-    found = stand.fault.time_ns
-    _check_refusal(stand, failures)
+    found: int = stand.fault.time_ns
+    stand.must_not_switch_on()
     return found
 
 
-def _driver_missed(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+def _driver_missed(stand: Stand, fault: Fault) -> int | None:
     """The controller must report missing samples."""
-    tripped = stand.until(lambda: stand.tripped is not None, _PATIENCE_S) and stand.tripped.fault is fault
+    tripped = stand.until(lambda: stand.tripped is not None) and stand.tripped.fault is fault
     return stand.tripped.time_ns if tripped else None
 
 
-def _logger_missed(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+def _logger_missed(stand: Stand, fault: Fault) -> int | None:
     """The logger's heartbeat must be missed, and the loop keep running."""
-    found = time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
-    _check_loop_runs(stand, failures)
+    found = time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"]) else None
+    _check_loop_runs(stand)
     return found
 
 
-def _recording_ended(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+def _recording_ended(stand: Stand, fault: Fault) -> int | None:
     """The logger must end with a complete bag, and the loop keep running."""
-    if not stand.until(lambda: stand.exit_code("logger") is not None, _PATIENCE_S):
+    if not stand.until(lambda: stand.exit_code("logger") is not None):
         return None
     found = time.time_ns()
     if not (stand.bag / "metadata.yaml").exists():
-        failures.append(f"bag {stand.bag.name} is not whole")
-    _check_loop_runs(stand, failures)
+        stand.failures.append(f"bag {stand.bag.name} is not whole")
+    _check_loop_runs(stand)
     stand.start("logger")
     return found
 
 
-def _check_loop_runs(stand: Stand, failures: list[str]) -> None:
+def _check_loop_runs(stand: Stand) -> None:
     if stand.condition != "on":
         reason = stand.fault.fault.label if stand.fault else "no fault"
-        failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
-
-
-def _check_refusal(stand: Stand, failures: list[str]) -> None:
-    if stand.enable():
-        failures.append("the fault was not latched: the amplifier could be switched on")
-
-
-def _then(judge: Judge, restore: Callable[[Stand, list[str]], object]) -> Judge:
-    """The same judge; afterwards the graph is restored."""
-
-    def both(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
-        found = judge(stand, fault, failures)
-        restore(stand, failures)
-        return found
-
-    return both
-
-
-def _continued(name: str) -> Callable[[Stand, list[str]], object]:
-    return lambda stand, failures: stand.signal(name, signal.SIGCONT)
-
-
-def _restarted(name: str) -> Callable[[Stand, list[str]], object]:
-    return lambda stand, failures: failures.extend(stand.restart(name))
-
-
-def _driver_continued(stand: Stand, failures: list[str]) -> None:
-    """Continue the driver, which must latch a fault of its own."""
-    stand.signal("driver", signal.SIGCONT)
-    if not stand.until(lambda: stand.condition == "fault", _PATIENCE_S):
-        failures.append("the driver went on with the amplifier on")
-    _check_refusal(stand, failures)
-
-
-def _driver_restarted(stand: Stand, failures: list[str]) -> None:
-    """Start the driver again; the amplifier must stay off."""
-    stand.condition = ""
-    failures += stand.restart("driver")
-    if not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on":
-        failures.append(f"the new driver's amplifier is '{stand.condition}'")
+        stand.failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
 
 
 class Trial(NamedTuple):
@@ -148,12 +105,14 @@ class Trial(NamedTuple):
         fault: that must be latched.
         make: causes it; returns when, ns since the epoch, or None if the driver reports when.
         judge: waits until the fault is found.
+        restore: leaves the graph in a state in which it can be switched on again.
     """
 
     name: str
     fault: Fault
     make: Callable[[Stand], int | None]
     judge: Judge = _latched
+    restore: Callable[[Stand], object] = lambda stand: None
 
 
 def _injected(kind: str) -> Callable[[Stand], None]:
@@ -164,6 +123,10 @@ def _signalled(name: str, number: signal.Signals) -> Callable[[Stand], int]:
     return lambda stand: stand.signal(name, number)
 
 
+def _restarted(name: str) -> Callable[[Stand], object]:
+    return lambda stand: stand.restart(name)
+
+
 def _commanded(current: float) -> Callable[[Stand], int]:
     def make(stand: Stand) -> int:
         at_ns = time.time_ns()
@@ -172,6 +135,14 @@ def _commanded(current: float) -> Callable[[Stand], int]:
         return at_ns
 
     return make
+
+
+def _driver_continued(stand: Stand) -> None:
+    """Continue the driver, which must latch a fault of its own."""
+    stand.signal("driver", signal.SIGCONT)
+    if not stand.until(lambda: stand.condition == "fault"):
+        stand.failures.append("the driver went on with the amplifier on")
+    stand.must_not_switch_on()
 
 
 _RATES = (10, 100, 500, 2000, 5000)
@@ -191,34 +162,34 @@ _STAMPS = {
 }
 
 
+_FOREIGN_CURRENT = 0.5
+"""A, within the limit: nothing but its stamp shows that a command is foreign."""
+
+
 def _foreign(clock: bool, offset_ns: int) -> Callable[[Stand], int]:
     rates = itertools.cycle(_RATES)
-    return lambda stand: stand.begin_foreign(next(rates), clock, offset_ns)
+    return lambda stand: stand.foreign(f"{next(rates)} {clock:d} {offset_ns} {_FOREIGN_CURRENT}")
 
 
-def _foreign_ended(stand: Stand, failures: list[str]) -> None:
+def _foreign_ended(stand: Stand) -> None:
     """The platform may not have come to its stop, nor come there later."""
     stand.spin(_DRIFT_S)
-    sent = stand.end_foreign()
+    sent = stand.foreign("")
     if stand.fault is None:
-        failures.append(f"{sent} foreign commands were not found")
+        stand.failures.append(f"{sent} foreign commands were not found")
     if stand.farthest >= stand.hard_stop:
-        failures.append(f"the platform came to its stop: |y| = {stand.farthest * 1e6:.0f} µm")
+        stand.failures.append(f"the platform came to its stop: |y| = {stand.farthest * 1e6:.0f} µm")
 
 
 def _set(node: str, name: str, value: object) -> Callable[[Stand], int]:
     """Set a parameter of a node; returns when, ns since the epoch."""
 
     def make(stand: Stand) -> int:
-        client = stand.node.create_client(SetParameters, f"{node}/set_parameters")
-        stand.until(client.service_is_ready, _PATIENCE_S)
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         at_ns = time.time_ns()
         for _ in range(_REQUESTS):
-            future = client.call_async(request)
-            if stand.until(lambda: future.done() or stand.exit_code(node) is not None, _ANSWER_S):  # noqa: B023
+            answer = stand.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request_of({name: value}))
+            if answer is not None or stand.exit_code(node) is not None:
                 break
-        stand.node.destroy_client(client)
         return at_ns
 
     return make
@@ -244,34 +215,30 @@ TRIALS = (
         "two controllers on one topic",
         Fault.TWO_CONTROLLERS,
         lambda stand: stand.echo(True),
-        _then(_latched, lambda stand, failures: stand.echo(False)),
+        restore=lambda stand: stand.echo(False),
     ),
     *(
-        Trial(
-            f"foreign commands, stamp {name}", Fault.TWO_CONTROLLERS, _foreign(*stamp), _then(_latched, _foreign_ended)
-        )
+        Trial(f"foreign commands, stamp {name}", Fault.TWO_CONTROLLERS, _foreign(*stamp), restore=_foreign_ended)
         for name, stamp in _STAMPS.items()
     ),
-    Trial("following error", Fault.FOLLOWING_ERROR, _TIGHT, _then(_latched, lambda stand, failures: _WIDE(stand))),
+    Trial("following error", Fault.FOLLOWING_ERROR, _TIGHT, restore=_WIDE),
     *(
-        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _then(_latched, _continued(name)))
-        for name in ("controller", "feedforward")
-    ),
-    Trial(
-        "driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _then(_driver_missed, _driver_continued)
-    ),
-    Trial(
-        "logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _then(_logger_missed, _continued("logger"))
+        Trial(f"{name} SIGSTOP", fault, _signalled(name, _STOP), judge, restore)
+        for name, fault, judge, restore in (
+            ("controller", Fault.COMMAND_TIMEOUT, _latched, _signalled("controller", signal.SIGCONT)),
+            ("feedforward", Fault.COMMAND_TIMEOUT, _latched, _signalled("feedforward", signal.SIGCONT)),
+            ("driver", Fault.SAMPLE_TIMEOUT, _driver_missed, _driver_continued),
+            ("logger", Fault.HEARTBEAT_LOST, _logger_missed, _signalled("logger", signal.SIGCONT)),
+        )
     ),
     *(
-        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _then(_latched, _restarted(name)))
-        for name in ("controller", "feedforward")
-    ),
-    Trial(
-        "driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _then(_driver_missed, _driver_restarted)
-    ),
-    Trial(
-        "logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _then(_logger_missed, _restarted("logger"))
+        Trial(f"{name} SIGKILL", fault, _signalled(name, _KILL), judge, _restarted(name))
+        for name, fault, judge in (
+            ("controller", Fault.COMMAND_TIMEOUT, _latched),
+            ("feedforward", Fault.COMMAND_TIMEOUT, _latched),
+            ("driver", Fault.SAMPLE_TIMEOUT, _driver_missed),
+            ("logger", Fault.HEARTBEAT_LOST, _logger_missed),
+        )
     ),
     Trial(
         "disk full under the logger",
@@ -283,39 +250,29 @@ TRIALS = (
 """All trials, in this order."""
 
 
-@dataclass
 class Row:
-    """Result for one fault.
+    """Result of a trial: number of injections, time of each detection in ms, and failures in words."""
 
-    Attributes:
-        name: of the fault and how it was caused.
-        limit_ms: the fault must be latched within this time.
-        reaction, reset: in words.
-        injected: number of injections.
-        times_ms: of each detection.
-        failures: in words, one entry for each failure of an injection.
-    """
-
-    name: str
-    limit_ms: float
-    reaction: str
-    reset: str
-    injected: int = 0
-    times_ms: list[float] = field(default_factory=list)
-    failures: list[str] = field(default_factory=list)
-
-    @property
-    def green(self) -> bool:
-        """Whether each injection was detected in time, with all reactions as they must be."""
-        detected = self.injected > 0 and len(self.times_ms) == self.injected
-        return detected and max(self.times_ms) <= self.limit_ms and not self.failures
+    def __init__(self, trial: Trial) -> None:
+        self._trial, self.injected, self.failures = trial, 0, []
+        self.times_ms: list[float] = []
+        self.limit_ms = trial.fault.value.within_ms + _OTHERS.get(trial.fault, 0.0) + ALLOWANCE_MS
 
     def to_display(self) -> dict[str, Any]:
-        """Values by name."""
-        figures = {key: value for key, value in vars(self).items() if key != "times_ms"}
+        """Values by name. It is green if each injection was detected in time, with all reactions as they must be."""
         times = self.times_ms or [math.nan]
-        times_ms = {"median_ms": statistics.median(times), "max_ms": max(times)}
-        return {**figures, "detected": len(self.times_ms), **times_ms, "green": self.green}
+        return {
+            "name": self._trial.name,
+            "limit_ms": self.limit_ms,
+            "reaction": self._trial.fault.value.reaction,
+            "reset": self._trial.fault.value.reset,
+            "injected": self.injected,
+            "failures": self.failures,
+            "detected": len(self.times_ms),
+            "median_ms": statistics.median(times),
+            "max_ms": max(times),
+            "green": len(self.times_ms) == self.injected and max(times) <= self.limit_ms and not self.failures,
+        }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -335,15 +292,15 @@ def run(options: argparse.Namespace) -> int:
     values, begin = trial_parameters(chosen_parameters(options)), time.monotonic()
     with output(options) as folder, progress() as advance:
         rows = run_trials(values, folder, _QUICK if options.quick else _REPEATS, advance, chosen)
-    green, seconds = all(row.green for row in rows), time.monotonic() - begin
-    print_json({"faults": [row.to_display() for row in rows], "all_green": green, "seconds": seconds})
+    green, seconds = all(row["green"] for row in rows), time.monotonic() - begin
+    print_json({"faults": rows, "all_green": green, "seconds": seconds})
     return int(not green)
 
 
 def run_trials(
     values: Mapping[str, Mapping[str, Any]], folder: Path, repeats: int, advance: Progress, trials: Sequence[Trial]
-) -> list[Row]:
-    """Run ``trials``, each ``repeats`` times; bags and logs go into ``folder``.
+) -> list[dict[str, Any]]:
+    """Rows of ``trials``, each run ``repeats`` times; bags and logs go into ``folder``.
 
     Raises:
         LaunchError: the graph does not start, or not again.
@@ -351,13 +308,12 @@ def run_trials(
     rows = []
     with Stand(folder, values) as stand:
         for place, trial in enumerate(trials):
-            fault = trial.fault.value
-            limit = fault.within_ms + _OTHERS.get(trial.fault, 0.0) + ALLOWANCE_MS
-            row = Row(trial.name, limit, fault.reaction, fault.reset)
-            rows.append(row)
+            row = Row(trial)
+            stand.failures = row.failures
             for repeat in range(repeats):
                 advance(trial.name, (place + repeat / repeats) / len(trials))
                 _repeat(stand, trial, row)
+            rows.append(row.to_display())
     return rows
 
 
@@ -366,9 +322,10 @@ def _repeat(stand: Stand, trial: Trial, row: Row) -> None:
     for _ in range(_AGAIN):
         stand.switch_on()
         made_ns = trial.make(stand)
-        found_ns = trial.judge(stand, trial.fault, row.failures)
+        found_ns = trial.judge(stand, trial.fault)
+        trial.restore(stand)
         if found_ns is not None:
             if made_ns is None:
-                stand.until(lambda: stand.injected_ns > 0, _PATIENCE_S)
+                stand.until(lambda: stand.injected_ns > 0)
             row.times_ms.append((found_ns - (made_ns or stand.injected_ns)) * 1e-6)
             return

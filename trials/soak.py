@@ -125,19 +125,24 @@ def _kinds(rng: random.Random) -> Iterator[str]:
 
 def _done(scene: Scene, kind: str, result: Soak) -> bool:
     """Do one action and restore normal operation; returns whether that was possible."""
-    failures: list[str] = []
-    back = True
     scene.note(kind)
+    back, scene.about = True, ""
     try:
-        failures += ACTIONS[kind](scene)
+        ACTIONS[kind](scene)
         scene.back_to_work()
     except (LaunchError, ProcessLookupError) as error:
-        failures.append(f"not back to work: {error}")
+        scene.fail(f"not back to work: {error}")
         back = False
-    for words in failures:
-        scene.note(f"FAILED: {words}")
-    result.add(kind, failures)
+    result.done[kind] += 1
+    _take_failures(scene, kind, result)
     return back
+
+
+def _take_failures(scene: Scene, kind: str, result: Soak) -> None:
+    for words in scene.stand.failures:
+        scene.note(f"FAILED: {words}")
+        result.failures.append(f"{kind}: {words}")
+    scene.stand.failures.clear()
 
 
 def _start_anew(scene: Scene, result: Soak) -> None:
@@ -149,6 +154,7 @@ def _start_anew(scene: Scene, result: Soak) -> None:
             scene.stand.signal(name, signal.SIGKILL)
     for name in RECORDED:
         scene.stand.restart(name)
+    scene.stand.failures.clear()  # all have ended
     try:
         scene.back_to_work()
     except LaunchError as error:
@@ -170,11 +176,8 @@ def _look(scene: Scene, lives: Lives) -> None:
 
 def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
     """Check that the amplifier stays on between two actions."""
-    failures: list[str] = []
-    scene.must_be_on(failures)
-    if failures:
-        scene.note(f"FAILED, with nothing done: {failures[0]}")
-        result.action_failures[kind] += [f"later, with nothing done: {words}" for words in failures]
+    scene.may_latch()
+    _take_failures(scene, f"{kind}: later, with nothing done", result)
     if scene.stand.condition != "on":
         # Restore also after a permitted fault: the next action must not find it.
         with suppress(LaunchError):

@@ -1,4 +1,5 @@
-"""The actions of a soak run on the running graph, and their checks: each action returns its failures in words.
+"""The actions of a soak run on the running graph, and their checks: what is not as it must be goes into the stand's
+failures.
 
 A :class:`Scene` is the stand in such a run: it observes the stage's motion and the logger's work, and restores normal
 operation."""
@@ -16,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter import parameter_value_to_python
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
@@ -29,7 +30,7 @@ from straightcomp_ros.timing.node_timing import SAMPLES
 from trials.soak_strokes import Commanded
 from trials.soak_verdict import Soak
 from trials.stalls import Stalls
-from trials.stand import ACCELERATION, MOTION, MOTION_STROKES, STROKE_S, Stand
+from trials.stand import ACCELERATION, MOTION, MOTION_STROKES, STROKE_S, Stand, request_of
 
 _STALL_MS, _STALL_S = 80.0, 1.0
 """Total duration of stalls, in the time before a fault, that may have caused it."""
@@ -65,6 +66,7 @@ class Scene:
 
     Attributes:
         killable: nodes that may be killed now.
+        about: which node an action is about, for its failures.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class Scene:
         self.stand, self.rng, self.result, self.maps = stand, rng, result, maps
         self._stalls, self._log = stalls, log
         self.killable: tuple[str, ...] = ()
+        self.about = ""
         self.commanded = Commanded(round(STROKE_S * 1e9), MOTION_STROKES)
         self._rate = rate
         self._before: tuple[int, float] = (0, 0.0)
@@ -116,26 +119,33 @@ class Scene:
             self.result.answers_lost += 1
         raise LaunchError(f"service '{service}' does not answer")
 
-    def must_latch(self, allowed: Sequence[Fault], failures: list[str]) -> None:
+    def fail(self, words: str) -> None:
+        """Note what is not as it must be."""
+        self.stand.failures.append(self.about + words)
+
+    def must_latch(self, allowed: Sequence[Fault]) -> None:
         """Check that one of these faults is latched and keeps the amplifier off."""
         stand = self.stand
-        if not stand.until(lambda: stand.fault is not None and stand.condition == "fault", _REACTION_S):
-            failures.append(f"no fault within {_REACTION_S:g} s, the amplifier is '{stand.condition}'")
-            return
-        self._count(allowed, failures)
-        if stand.enable():
-            failures.append("the fault was not latched: the amplifier could be switched on")
+        if stand.until(lambda: stand.fault is not None and stand.condition == "fault", _REACTION_S):
+            self._count(allowed)
+            stand.must_not_switch_on()
+        else:
+            self.fail(f"no fault within {_REACTION_S:g} s, the amplifier is '{stand.condition}'")
 
-    def may_latch(self, allowed: Sequence[Fault], failures: list[str]) -> None:
+    def must_trip(self) -> None:
+        """Check that the controller reports missing samples and requests the amplifier off."""
+        stand, wanted = self.stand, Fault.SAMPLE_TIMEOUT
+        if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S):
+            self.fail(f"the controller has not asked for the amplifier to be switched off within {_PATIENCE_S:g} s")
+        elif stand.tripped.fault is not wanted:
+            self.fail(f"the controller tripped with '{stand.tripped.fault.label}'; allowed: {wanted.label}")
+
+    def may_latch(self, *allowed: Fault) -> None:
         """Check that the amplifier is on, or off with one of these faults."""
         if self.stand.condition == "fault" and self.stand.fault is not None:
-            self._count(allowed, failures)
+            self._count(allowed)
         elif self.stand.condition != "on":
-            failures.append(f"the amplifier is '{self.stand.condition}' and no fault is latched")
-
-    def must_be_on(self, failures: list[str]) -> None:
-        """Check that the amplifier is on."""
-        self.may_latch((), failures)
+            self.fail(f"the amplifier is '{self.stand.condition}' and no fault is latched")
 
     def back_to_work(self) -> None:
         """Restore normal operation after any action: amplifier on, stage moving, everything recorded.
@@ -151,17 +161,17 @@ class Scene:
         if not self.commanded.moving:
             # The trajectory may have been published before the driver was connected.
             self._until(lambda: self.commanded.moving > 0, "the stage does not move", then=stand.move)
-        self._until(lambda: self.commanded.recording > 0, "the logger does not record every stream", then=lambda: None)
+        self._until(lambda: self.commanded.recording > 0, "the logger does not record every stream")
         self.result.back_s.append(time.monotonic() - begin)
 
-    def _until(self, condition: Callable[[], bool], refusal: str, then: Callable[[], None]) -> None:
+    def _until(self, condition: Callable[[], bool], refusal: str, then: Callable[[], None] = lambda: None) -> None:
         deadline = time.monotonic() + _BACK_S
         while not self.stand.until(condition, 1.5):
             if time.monotonic() > deadline:
                 raise LaunchError(f"{refusal} {_BACK_S:g} s after the amplifier was switched on")
             then()
 
-    def _count(self, allowed: Sequence[Fault], failures: list[str]) -> None:
+    def _count(self, allowed: Sequence[Fault]) -> None:
         assert self.stand.fault is not None
         fault, at_ns = self.stand.fault
         stall_ms = self._stalls.total_ms(at_ns - round(_STALL_S * 1e9), at_ns)
@@ -171,9 +181,7 @@ class Scene:
             self.result.stalls[fault.label] += 1
         else:
             others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
-            failures.append(
-                f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)"
-            )
+            self.fail(f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)")
 
     def _on_position(self, stamp_ns: int, numbers: Any) -> None:
         (before_ns, x_before), x = self._before, numbers[0]
@@ -190,21 +198,17 @@ class Scene:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name != "logger":
-                continue
             values = {value.key: value.value for value in status.values}
             time_ns = Time.from_msg(message.header.stamp).nanoseconds
-            if time_ns <= self._interrupted_ns or values["recording"] != "True":
+            if status.name != "logger" or time_ns <= self._interrupted_ns or values["recording"] != "True":
                 continue
             report = _Report(time_ns, int(values[SAMPLES]), int(values["written"]))
             before, self._report = self._report, report
-            if before is not None and not self.commanded.recording and self._is_whole(before, report):
-                self.commanded.recording = before.time_ns
-
-    def _is_whole(self, before: _Report, report: _Report) -> bool:
-        samples = report.samples - before.samples
-        expected = self._rate * (report.time_ns - before.time_ns) * 1e-9
-        return samples >= _WHOLE * expected and report.written - before.written >= samples
+            if before is not None and not self.commanded.recording:
+                samples = report.samples - before.samples
+                expected = self._rate * (report.time_ns - before.time_ns) * 1e-9
+                if samples >= _WHOLE * expected and report.written - before.written >= samples:
+                    self.commanded.recording = before.time_ns
 
 
 ENABLE_LIMIT_S = 2.0
@@ -216,49 +220,45 @@ _FADE_S = 0.7
 """The feedforward refuses a change of its map during the previous one, which takes 0.5 s."""
 
 
-def amplifier_off_and_on(scene: Scene) -> list[str]:
+def amplifier_off_and_on(scene: Scene) -> None:
     """Amplifier off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
-    failures: list[str] = []
     stand = scene.stand
     scene.ask(SetBool, "driver/enable", SetBool.Request(data=False))
     if not stand.until(lambda: stand.condition == "off", 1.0):
         if stand.condition == "fault":
             # A fault was latched before the request arrived; no action caused it.
-            scene.may_latch((), failures)
-            return failures
-        failures.append(f"the amplifier is '{stand.condition}' after it was switched off")
+            scene.may_latch()
+            return
+        scene.fail(f"the amplifier is '{stand.condition}' after it was switched off")
     stand.spin(scene.rng.uniform(0.0, 0.5))
     begin = time.monotonic()
     answer = scene.ask(SetBool, "driver/enable", SetBool.Request(data=True))
     on = stand.until(lambda: stand.condition == "on", ENABLE_LIMIT_S)
     seconds = time.monotonic() - begin
-    if not on or seconds > ENABLE_LIMIT_S:
-        words = answer.message or f"fault {stand.fault}"
-        failures.append(f"'{stand.condition}' {seconds:.2f} s after enable; allowed: on within 2 s ({words})")
-    else:
+    if on and seconds <= ENABLE_LIMIT_S:
         scene.result.enable_s.append(seconds)
-    return failures
+    else:
+        words = answer.message or f"fault {stand.fault}"
+        scene.fail(f"'{stand.condition}' {seconds:.2f} s after enable; allowed: on within 2 s ({words})")
 
 
-def reload_map(scene: Scene) -> list[str]:
+def reload_map(scene: Scene) -> None:
     """Read the map's file again; the amplifier must stay on."""
-    failures: list[str] = []
     scene.stand.spin(_FADE_S)
     answer = scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
     if not answer.success:
-        failures.append(f"refused: {answer.message}")
+        scene.fail(f"refused: {answer.message}")
     scene.stand.spin(_FADE_S)
-    scene.must_be_on(failures)
-    return failures
+    scene.may_latch()
 
 
-def another_map(scene: Scene) -> list[str]:
+def another_map(scene: Scene) -> None:
     """Change the feedforward to another map file; the amplifier must stay on."""
     scene.stand.spin(_FADE_S)
-    return _changed(scene, "feedforward", {"stage.guide.file": scene.rng.choice(scene.maps)})
+    _change(scene, "feedforward", {"stage.guide.file": scene.rng.choice(scene.maps)})
 
 
-def another_law(scene: Scene) -> list[str]:
+def another_law(scene: Scene) -> None:
     """Change the controller to another law and gains, all of which hold the platform; the amplifier must stay on."""
     between = scene.rng.uniform
     gains = {
@@ -266,121 +266,97 @@ def another_law(scene: Scene) -> list[str]:
         "control.smc_observer.bandwidth": between(380.0, 460.0),
         "control.smc.natural_frequency": between(32.0, 38.0),
     }
-    return _changed(scene, "controller", {"control.law": scene.rng.choice(LAWS), **gains})
+    _change(scene, "controller", {"control.law": scene.rng.choice(LAWS), **gains})
 
 
-def refused_parameters(scene: Scene) -> list[str]:
+def refused_parameters(scene: Scene) -> None:
     """Set parameters with one wrong value: the request must be refused as a whole, with all values unchanged."""
-    failures: list[str] = []
     node, values = scene.rng.choice(_REFUSED)
     before = _values(scene, node, values)
     result = _set(scene, node, values)
     if result.successful:
-        failures.append(f"{node} took {values}")
+        scene.fail(f"{node} took {values}")
     elif not result.reason:
-        failures.append(f"{node} refused {values} without a reason")
+        scene.fail(f"{node} refused {values} without a reason")
     after = _values(scene, node, values)
     if after != before:
-        failures.append(f"{node} refused {values}, and has {after} in place of {before}")
-    scene.must_be_on(failures)
-    return failures
+        scene.fail(f"{node} refused {values}, and has {after} in place of {before}")
+    scene.may_latch()
 
 
-def recorded_in_parts(end: str, begin: str, between_s: tuple[float, float], scene: Scene) -> list[str]:
+def recorded_in_parts(end: str, begin: str, between_s: tuple[float, float], scene: Scene) -> None:
     """End the recording by one service of the recorder, and begin it again by another."""
-    failures: list[str] = []
     scene.interrupt()
-    _recorder(scene, end, failures)
+    _recorder(scene, end)
     scene.stand.spin(scene.rng.uniform(*between_s))
-    _recorder(scene, begin, failures)
-    scene.must_be_on(failures)
-    return failures
+    _recorder(scene, begin)
+    scene.may_latch()
 
 
-def split(scene: Scene) -> list[str]:
+def split(scene: Scene) -> None:
     """Continue the bag in a new file. Nothing is lost, so the recording does not count as interrupted."""
-    failures: list[str] = []
-    _recorder(scene, "split", failures)
-    scene.must_be_on(failures)
-    return failures
+    _recorder(scene, "split")
+    scene.may_latch()
 
 
-def kill(scene: Scene) -> list[str]:
+def kill(scene: Scene) -> None:
     """Kill a node with SIGKILL and start it again. Without the logger the loop must keep running."""
-    failures: list[str] = []
-    stand, name = scene.stand, scene.rng.choice(scene.killable)
-    scene.note(f"  {name}")
-    if name in ("driver", "logger"):
-        scene.interrupt(_TAKEN_BY_A_KILL_S)
-    if name == "driver":
-        scene.end_motion()
-    stand.signal(name, signal.SIGKILL)
+    name = _signal(scene, scene.killable, signal.SIGKILL, _TAKEN_BY_A_KILL_S)
     if name == "logger":
-        stand.spin(1.0)
-        scene.must_be_on(failures)
+        scene.stand.spin(1.0)
+        scene.may_latch()
     elif name == "driver":
-        _must_trip(scene, failures)
-        stand.condition = ""
+        scene.end_motion()
+        scene.must_trip()
     else:
-        scene.must_latch(HELD_UP, failures)
-    failures += stand.restart(name)
-    if name == "driver" and (not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on"):
-        failures.append(f"the new driver's amplifier is '{stand.condition}'")
-    return [f"{name}: {words}" for words in failures]
+        scene.must_latch(HELD_UP)
+    scene.stand.restart(name)
 
 
-def stop_for_long(scene: Scene) -> list[str]:
+def stop_for_long(scene: Scene) -> None:
     """SIGSTOP for longer than the timeouts: a fault must be latched. Without the logger the loop must keep running."""
-    failures: list[str] = []
-    name = scene.rng.choice(RECORDED)
-    _halt(scene, name)
+    name = _signal(scene, RECORDED, signal.SIGSTOP)
     if name == "logger":
         scene.stand.spin(scene.rng.uniform(0.3, 0.7))
     elif name == "driver":
-        _must_trip(scene, failures)
+        scene.must_trip()
     else:
-        scene.must_latch(HELD_UP, failures)
+        scene.must_latch(HELD_UP)
     scene.stand.signal(name, signal.SIGCONT)
     if name == "logger":
-        scene.must_be_on(failures)
+        scene.may_latch()
     elif name == "driver":
         # By its own clock the driver has missed commands for even longer than the controller has missed samples.
-        scene.must_latch(HELD_UP, failures)
-    return [f"{name}: {words}" for words in failures]
+        scene.must_latch(HELD_UP)
 
 
-def stop_for_short(scene: Scene) -> list[str]:
+def stop_for_short(scene: Scene) -> None:
     """SIGSTOP for less than the timeouts: on a busy computer a fault may be latched all the same."""
-    failures: list[str] = []
-    name = scene.rng.choice(RECORDED)
-    _halt(scene, name)
+    name = _signal(scene, RECORDED, signal.SIGSTOP)
     scene.stand.spin(scene.rng.uniform(0.01, 0.1))
     scene.stand.signal(name, signal.SIGCONT)
     scene.stand.spin(0.3)
-    scene.may_latch(() if name == "logger" else HELD_UP, failures)
-    return [f"{name}: {words}" for words in failures]
+    scene.may_latch(*(() if name == "logger" else HELD_UP))
 
 
-def down_and_up(scene: Scene) -> list[str]:
+def down_and_up(scene: Scene) -> None:
     """Amplifier off, all nodes inactive in the order of the signals, and back: no fault, all active again."""
-    failures: list[str] = []
     stand = scene.stand
     scene.interrupt()
     scene.ask(SetBool, "driver/enable", SetBool.Request(data=False))
     for transition, state, names in (
-        (Transition.TRANSITION_DEACTIVATE, "inactive", reversed(_ORDER)),
+        (Transition.TRANSITION_DEACTIVATE, "inactive", _ORDER[::-1]),
         (Transition.TRANSITION_ACTIVATE, "active", _ORDER),
     ):
         for name in names:
-            _change_state(scene, name, transition, state, failures)
+            _change_state(scene, name, transition, state)
         stand.spin(scene.rng.uniform(0.0, 0.3))
     if stand.condition == "fault":
         # With the amplifier off nothing can cause a fault, and before that only a stall of the whole computer.
-        scene.may_latch((), failures)
-    return failures
+        scene.may_latch()
 
 
-ACTIONS: Mapping[str, Callable[[Scene], list[str]]] = {
+ACTIONS: Mapping[str, Callable[[Scene], None]] = {
     "amplifier off and on": amplifier_off_and_on,
     "map reloaded": reload_map,
     "another map": another_map,
@@ -394,7 +370,7 @@ ACTIONS: Mapping[str, Callable[[Scene], list[str]]] = {
     "SIGSTOP, short": stop_for_short,
     "deactivate, activate": down_and_up,
 }
-"""All kinds of action, by name. Each finds the graph at work and returns its failures."""
+"""All kinds of action, by name. Each finds the graph at work."""
 _ORDER = ("driver", "feedforward", "controller", "logger")
 _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("controller", {"control.law": "linear", "control.smc_observer.surface": -1.0}),
@@ -408,23 +384,19 @@ _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
 """By node, parameters of which the second is invalid."""
 
 
-def _changed(scene: Scene, node: str, values: Mapping[str, Any]) -> list[str]:
-    failures: list[str] = []
+def _change(scene: Scene, node: str, values: Mapping[str, Any]) -> None:
     result = _set(scene, node, values)
     if not result.successful:
-        failures.append(f"{node} refused {dict(values)}: {result.reason}")
-    elif (now := _values(scene, node, values)) != dict(values):
-        failures.append(f"{node} took {dict(values)}, and has {now}")
+        scene.fail(f"{node} refused {values}: {result.reason}")
+    elif (now := _values(scene, node, values)) != values:
+        scene.fail(f"{node} took {values}, and has {now}")
     scene.stand.spin(_FADE_S)
-    scene.must_be_on(failures)
-    return failures
+    scene.may_latch()
 
 
 def _set(scene: Scene, node: str, values: Mapping[str, Any]) -> Any:
-    scene.note(f"  {node}: {dict(values)}")
-    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    request = SetParametersAtomically.Request(parameters=parameters)
-    return scene.ask(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+    scene.note(f"  {node}: {values}")
+    return scene.ask(SetParametersAtomically, f"{node}/set_parameters_atomically", request_of(values)).result
 
 
 def _values(scene: Scene, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
@@ -432,35 +404,29 @@ def _values(scene: Scene, node: str, names: Mapping[str, Any]) -> dict[str, Any]
     return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
 
 
-def _recorder(scene: Scene, service: str, failures: list[str]) -> None:
+def _recorder(scene: Scene, service: str) -> None:
     lost = scene.result.answers_lost
     answer = scene.ask(Trigger, f"logger/{service}", Trigger.Request())
     # A request whose answer was lost was executed all the same; the repeated request is then refused.
     if not answer.success and scene.result.answers_lost == lost:
-        failures.append(f"{service} was refused: {answer.message}")
+        scene.fail(f"{service} was refused: {answer.message}")
 
 
-def _halt(scene: Scene, name: str) -> None:
+def _signal(scene: Scene, names: Sequence[str], number: signal.Signals, lost_s: float = 0.0) -> str:
+    """Send a signal to one of the nodes, of whose recording the last ``lost_s`` may be lost; returns its name."""
+    name = scene.rng.choice(names)
+    scene.about = f"{name}: "
     scene.note(f"  {name}")
     if name in ("driver", "logger"):
-        scene.interrupt()
-    scene.stand.signal(name, signal.SIGSTOP)
+        scene.interrupt(lost_s)
+    scene.stand.signal(name, number)
+    return name
 
 
-def _must_trip(scene: Scene, failures: list[str]) -> None:
-    """The controller must report missing samples and request the amplifier off."""
-    stand = scene.stand
-    if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S):
-        failures.append(f"the controller has not asked for the amplifier to be switched off within {_PATIENCE_S:g} s")
-    elif stand.tripped.fault is not Fault.SAMPLE_TIMEOUT:
-        tripped, allowed = stand.tripped.fault.label, Fault.SAMPLE_TIMEOUT.label
-        failures.append(f"the controller tripped with '{tripped}'; allowed: {allowed}")
-
-
-def _change_state(scene: Scene, name: str, transition: int, state: str, failures: list[str]) -> None:
+def _change_state(scene: Scene, name: str, transition: int, state: str) -> None:
     stand = scene.stand
     request = ChangeState.Request(transition=Transition(id=transition))
     # Check the node's reported state: the answer may be lost, and a repeated request is then refused.
     stand.call(ChangeState, f"{name}/change_state", request)
     if not stand.until(lambda: stand.heartbeats.states[name] == state, _PATIENCE_S):
-        failures.append(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")
+        scene.fail(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")

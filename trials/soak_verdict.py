@@ -91,7 +91,6 @@ class Soak:
     Attributes:
         seed, seconds: of the run.
         done: how often each kind of action was done.
-        action_failures: by kind, in words.
         faults: number of faults latched as required or permitted, by name.
         stalls: number of faults that the graph latched by itself while this computer stalled, by name; without a stall
             they are failures.
@@ -100,13 +99,12 @@ class Soak:
         lives: processes.
         strokes: numbers ``commanded`` and ``found``, see :mod:`trials.soak_strokes`.
         bags: numbers ``finished`` and ``recovered``.
-        failures: those that belong to no action.
+        failures: in words, those of an action behind its kind.
     """
 
     seed: int
     seconds: float = 0.0
     done: Counter[str] = field(default_factory=Counter)
-    action_failures: dict[str, list[str]] = field(default_factory=dict)
     faults: Counter[str] = field(default_factory=Counter)
     stalls: Counter[str] = field(default_factory=Counter)
     answers_lost: int = 0
@@ -117,15 +115,9 @@ class Soak:
     bags: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
 
-    def add(self, kind: str, failures: Sequence[str]) -> None:
-        """Count one action."""
-        self.done[kind] += 1
-        self.action_failures.setdefault(kind, []).extend(failures)
-
     def to_display(self) -> dict[str, Any]:
         """Values by name. A run has passed if at least one action was done and nothing failed."""
-        failures = [f"{kind}: {words}" for kind, found in self.action_failures.items() for words in found]
-        failures += [words for life in self.lives for words in life.failures()] + self.failures
+        failures = self.failures + [words for life in self.lives for words in life.failures()]
         return {
             "seed": self.seed,
             "seconds": self.seconds,

@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -24,7 +26,7 @@ from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRA
 from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.runtime.graph_client import Heartbeats, message_from_waypoints
+from straightcomp_ros.runtime.graph_client import Heartbeats, ServiceClient, message_from_waypoints
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.streams import Streams, SubscriptionQueue, publisher, subscribe
@@ -33,12 +35,11 @@ from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 from trials.faulty_driver import INJECT, INJECTED, NEW_MACHINE, FaultyDriver
 
-_FOREIGN = (sys.executable, "-m", "trials.foreign_publisher")
-_FOREIGN_CURRENT = 0.5
-"""A, within the limit: nothing but its stamp shows that a command is foreign."""
-_FAULTY_DRIVER = (sys.executable, "-m", FaultyDriver.__module__)
 _START_S = 90.0
 """Time limit, since a busy computer takes long to start a node, and the middleware to connect it."""
+PATIENCE_S = 8.0
+"""Time limit of what a working graph does at once."""
+_NEW_DRIVER_S = 30.0
 _ANSWER_S = 3.0
 _REPLY_S = 1.0
 """Time limit of one request: it is lost if it goes to a killed node that is still known."""
@@ -66,6 +67,12 @@ class Stand:
         folder: gets bags, logs and the parameter file.
         values: parameters by node and dotted name.
 
+    Attributes:
+        failures: what was not as it must be, in words.
+        condition, fault: of the driver's safety state; ``tripped``: the fault for which the controller asked to switch
+            off; ``injected_ns``: when the driver began an injected fault.
+        farthest, hard_stop: largest |y| in m since foreign commands began, and |y| at the mechanical stop.
+
     Raises:
         LaunchError: the graph does not start.
     """
@@ -78,16 +85,14 @@ class Stand:
         os.environ.update(isolated_environment())
         self._graph = Graph(folder)
         self.exit_code = self._graph.exit_code
+        self.failures: list[str] = []
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
-        self.bags = 0
         self.condition, self.fault, self.tripped = "", None, None
-        self.injected_ns = 0
-        self._sends = 0
+        self.injected_ns = self._bags = self._sends = 0
         self._echoed: SubscriptionQueue | None = None
         self._foreign: subprocess.Popen[str] | None = None
         self.farthest, self.hard_stop = 0.0, node_parameters("driver", values).stage.platform.stop
-        """Largest |y| in m since foreign commands began, and |y| at the mechanical stop."""
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             self.node = Node("fault_stand")
@@ -101,7 +106,8 @@ class Stand:
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self.command = publisher(self.node, COMMAND)
         subscribe(self.node, POSITION, self._on_position)
-        self._clients: dict[str, Any] = {}
+        self._clients: dict[str, ServiceClient] = {}
+        self._streams = Streams(self.node)
 
     def __enter__(self) -> Stand:
         for name in RECORDED:
@@ -122,20 +128,39 @@ class Stand:
         """Start a node; start it again if it has ended."""
         parameters, command = {}, None
         if name == "driver":
-            command = _FAULTY_DRIVER
+            command = [sys.executable, "-m", FaultyDriver.__module__]
             # More than once: the first may come before the driver is connected; it refuses those that it does not need.
             self._sends = _SENDS
         if name == "logger":
-            self.bags += 1
+            self._bags += 1
             parameters["output"] = str(self.bag)
         self.heartbeats.forget(name)
         self.started[name] = time.monotonic()
         self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
 
+    def restart(self, name: str) -> None:
+        """Start a killed node again once its process has ended; a new driver's amplifier must be off."""
+        if any(self.exit_code(other) is not None for other in RECORDED if other != name):
+            self.failures.append("another node has ended too")
+        self.until(lambda: self.exit_code(name) is not None, _STOP_S)
+        if name == "driver":
+            self.condition = ""
+        self.start(name)
+        if name == "driver" and (not self.until(lambda: self.condition != "", _NEW_DRIVER_S) or self.condition == "on"):
+            self.failures.append(f"the new driver's amplifier is '{self.condition}'")
+
+    def stop(self) -> dict[str, int | None]:
+        """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
+        for name in RECORDED:
+            if self.exit_code(name) is None:
+                self.signal(name, signal.SIGINT)
+        self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
+        return {name: self.exit_code(name) for name in RECORDED}
+
     @property
     def bag(self) -> Path:
         """Folder of the newest logger's bag."""
-        return self._folder / f"bag_{self.bags}"
+        return self._folder / f"bag_{self._bags}"
 
     def signal(self, name: str, number: signal.Signals) -> int:
         """Send a signal to a node; returns the time, ns since the epoch."""
@@ -147,7 +172,7 @@ class Stand:
         """Spin for this time."""
         self.until(lambda: False, seconds)
 
-    def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+    def until(self, condition: Callable[[], bool], seconds: float = PATIENCE_S) -> bool:
         """Wait for a condition, at most for the given time; returns whether it became true."""
         deadline = time.monotonic() + seconds
         while not condition():
@@ -163,31 +188,21 @@ class Stand:
     def echo(self, on: bool) -> None:
         """Start or stop acting as a second controller that repeats each command."""
         if on:
-            self._streams = Streams(self.node)
             self._echoed = self._streams.queue(COMMAND)
         elif self._echoed is not None:
             self._echoed = None
             self._streams.close()
 
-    def begin_foreign(self, rate: float, clock: bool, offset_ns: int) -> int:
-        """Let a foreign process publish ``rate`` commands a second until :meth:`end_foreign`.
-
-        Their stamps are ``offset_ns`` from the present time, or without ``clock`` from time 0. Returns when the first
-        was sent, ns since the epoch.
-        """
+    def foreign(self, words: str) -> int:
+        """Let a process of its own publish commands as ``words`` say, see :mod:`trials.foreign_publisher`; returns when
+        the first was sent, ns since the epoch. Without words end them; returns their number."""
         if self._foreign is None:
-            pipe = subprocess.PIPE
-            self._foreign = subprocess.Popen(_FOREIGN, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
-        self.farthest = 0.0
-        return self._ask_foreign(f"{rate} {clock:d} {offset_ns} {_FOREIGN_CURRENT}")
-
-    def end_foreign(self) -> int:
-        """End the foreign commands; returns their number."""
-        return self._ask_foreign("")
-
-    def _ask_foreign(self, line: str) -> int:
-        assert self._foreign is not None and self._foreign.stdin is not None and self._foreign.stdout is not None
-        print(line, file=self._foreign.stdin, flush=True)
+            command, pipe = [sys.executable, "-m", "trials.foreign_publisher"], subprocess.PIPE
+            self._foreign = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
+        if words:
+            self.farthest = 0.0
+        assert self._foreign.stdin is not None and self._foreign.stdout is not None
+        print(words, file=self._foreign.stdin, flush=True)
         return int(self._foreign.stdout.readline())
 
     def inject(self, kind: str) -> None:
@@ -199,24 +214,14 @@ class Stand:
         answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True))
         return answer is not None and answer.success
 
+    def must_not_switch_on(self) -> None:
+        """Check that a fault is latched."""
+        if self.enable():
+            self.failures.append("the fault was not latched: the amplifier could be switched on")
+
     def move(self) -> None:
         """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
         self._trajectory.publish(_MOTION)
-
-    def restart(self, name: str) -> list[str]:
-        """Start a killed node again once its process has ended; returns further failures in words."""
-        ended = any(self.exit_code(other) is not None for other in RECORDED if other != name)
-        self.until(lambda: self.exit_code(name) is not None, _STOP_S)
-        self.start(name)
-        return ["another node has ended too"] if ended else []
-
-    def stop(self) -> dict[str, int | None]:
-        """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
-        for name in RECORDED:
-            if self.exit_code(name) is None:
-                self.signal(name, signal.SIGINT)
-        self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
-        return {name: self.exit_code(name) for name in RECORDED}
 
     def switch_on(self) -> None:
         """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
@@ -254,16 +259,13 @@ class Stand:
         )
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Call a service of a node; returns its answer, or None without one."""
-        client = self._clients.get(service)
-        if client is None:
-            client = self._clients[service] = self.node.create_client(kind, service)
-            self.until(client.service_is_ready, _ANSWER_S)
-        future = client.call_async(request)
-        if self.until(future.done, _REPLY_S):
-            return future.result()
-        client.remove_pending_request(future)
-        return None
+        """Call a service of a node; returns its answer, or None without one, at once from a node that has ended."""
+        if service not in self._clients:
+            client = self._clients[service] = ServiceClient(self.node, kind, service)
+            self.until(lambda: client.ready, _ANSWER_S)
+        future = self._clients[service].call(request)
+        self.until(lambda: future.done() or self.exit_code(service.split("/")[0]) is not None, _REPLY_S)
+        return future.result() if future.done() else None
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}
@@ -279,6 +281,12 @@ class Stand:
 
     def _on_injected(self, message: DiagnosticStatus) -> None:
         self.injected_ns = int(message.values[0].value)
+
+
+def request_of(values: Mapping[str, Any]) -> SetParametersAtomically.Request:
+    """The request to set parameters of a node, all or none."""
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    return SetParametersAtomically.Request(parameters=parameters)
 
 
 _points = [Waypoint(0, 0.0, 0.0)]
