@@ -103,6 +103,34 @@ class World:
         self.host.enable()
         self.run(0.02)
         assert self.host.state is State.ON and self.board.amplifier is Amplifier.ON
+        return self
+
+    def off_again(self):
+        """After a fault: reset, and on anew."""
+        self.to_board = True
+        self.host.reset_fault()
+        self.run(0.05)
+        assert self.board.amplifier is Amplifier.OFF and self.host.state is State.OFF and self.host.fault == ""
+        self.on()
+
+    def command(self, alive, enable, reset=False, current=0.0, echo=None, frames=None):
+        """The board gets a command; without ``echo`` it answers the newest sample."""
+        frames, echo = frames or self.wire.command, self.board.counter if echo is None else echo
+        command = Command(alive % 15, enable, reset, current, echo % (self.wire.echo_modulus or 1))
+        self.board.receive(frames.identifier, frames.pack(command), self.now)
+
+    def caught(self, taken=True):
+        """From now on the commands go into this list instead of onto the bus."""
+        commands = []
+
+        def send(identifier, payload, *, fd):
+            frames = self.wire.command
+            assert identifier == frames.identifier and fd is frames.fd
+            commands.append(frames.unpack(payload))
+            return taken
+
+        self.host._link.send = send
+        return commands
 
 
 @pytest.fixture(params=[False, True], ids=["classic", "fd"])
@@ -115,6 +143,11 @@ def world(request, fd):
     program = str(request.getfixturevalue("firmware") / request.param) if request.param else ""
     with contextlib.closing(World(fd, firmware=program)) as world:
         yield world
+
+
+@pytest.fixture
+def running(world):
+    return world.on()
 
 
 def test_the_board_switches_on_when_asked_and_off_when_asked(world):
@@ -146,46 +179,40 @@ def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):
     assert world.samples[-1].x > 1e-4
 
 
-def test_the_servo_holds_the_platform_through_the_frames(world):
-    world.on()
-    world.servo(1.0, (8e-6, 0.0, 0.0))
-    errors = [8e-6 - sample.y for sample in world.samples[-1000:]]
-    assert world.host.state is State.ON and world.host.lost_samples == 0
+def test_the_servo_holds_the_platform_through_the_frames(running):
+    running.servo(1.0, (8e-6, 0.0, 0.0))
+    errors = [8e-6 - sample.y for sample in running.samples[-1000:]]
+    assert running.host.state is State.ON and running.host.lost_samples == 0
     assert max(map(abs, errors)) < 1e-6
 
 
-def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(world):
-    world.on()
-    world.board = None
+def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(running):
+    running.board = None
     # The last frame came 0.1 ms after its sample: 5 ms of silence are complete in the eleventh period.
-    world.run(0.005)
-    assert world.host.state is State.ON
-    world.run(0.0005)
-    assert world.host.state is State.FAULT and "no good sample" in world.host.fault
-    world.power_up()
-    world.run(0.3)
+    running.run(0.005)
+    assert running.host.state is State.ON
+    running.run(0.0005)
+    assert running.host.state is State.FAULT and "no good sample" in running.host.fault
+    running.power_up()
+    running.run(0.3)
     with pytest.raises(HardwareError, match="latched"):
-        world.host.enable()
-    world.host.reset_fault()
-    world.on()
+        running.host.enable()
+    running.off_again()
 
 
-def test_a_lost_heartbeat_latches_a_fault(world):
-    world.on()
-    world.unreceived = {world.wire.heartbeat.identifier}
-    world.run(0.2)
-    assert "no heartbeat" in world.host.fault and world.host.heartbeat_losses == 1
-    assert world.board.amplifier is Amplifier.OFF
+def test_a_lost_heartbeat_latches_a_fault(running):
+    running.unreceived = {running.wire.heartbeat.identifier}
+    running.run(0.2)
+    assert "no heartbeat" in running.host.fault and running.host.heartbeat_losses == 1
+    assert running.board.amplifier is Amplifier.OFF
 
 
-def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
-    world.on()
-    world.power_up()
-    world.run(0.01)
-    assert "restarted" in world.host.fault
-    assert world.board.amplifier is Amplifier.OFF
-    world.run(0.3)
-    assert world.board.amplifier is Amplifier.OFF
+def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(running):
+    running.power_up()
+    running.run(0.01)
+    assert "restarted" in running.host.fault
+    running.run(0.3)
+    assert running.board.amplifier is Amplifier.OFF
 
 
 @pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
@@ -204,200 +231,152 @@ def made(request):
 @pytest.fixture
 def foreign(made):
     """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
-    return made(FOREIGN_FILE)
+    return made(FOREIGN_FILE).on()
 
 
 def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words(foreign):
-    world = foreign
-    world.on()
-    world.run(0.05, current=0.2)
-    assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
-    world.to_board = False
-    world.run(TIMEOUT + 0.006)
+    foreign.run(0.05, current=0.2)
+    assert foreign.samples[-1].current == pytest.approx(0.2, abs=0.01)
+    foreign.to_board = False
+    foreign.run(TIMEOUT + 0.006)
     # The page with the code comes after the one with the state.
-    assert world.host.fault == "the board reports: a fault" and world.host.state is State.FAULT
-    world.run(0.01)
-    assert world.host.fault == "the board reports: COMMAND_TIMEOUT"
-    assert world.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
-    world.to_board = True
-    world.host.reset_fault()
-    world.run(0.05)
-    world.on()
-    world.host.disable()
-    world.run(0.05)
-    assert world.board.amplifier is Amplifier.OFF and world.host.state is State.OFF and world.host.fault == ""
+    assert foreign.host.fault == "the board reports: a fault" and foreign.host.state is State.FAULT
+    foreign.run(0.01)
+    assert foreign.host.fault == "the board reports: COMMAND_TIMEOUT"
+    assert foreign.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
+    foreign.off_again()
+    foreign.host.disable()
+    foreign.run(0.05)
+    assert foreign.board.amplifier is Amplifier.OFF and foreign.host.state is State.OFF and foreign.host.fault == ""
+
+
+def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
+    foreign.unreceived = {foreign.wire.status.identifier}
+    foreign.run(0.14)
+    assert foreign.host.state is State.ON
+    foreign.run(0.03)
+    assert "no state of the amplifier for" in foreign.host.fault and foreign.host.heartbeat_losses == 0
+    assert foreign.board.amplifier is Amplifier.OFF
+
+
+def test_what_the_frames_of_a_board_lack_is_said_of_the_machine(foreign):
+    assert list(World(True).host.remarks()) == []
+    assert any("no heartbeat" in remark for remark in foreign.host.remarks())
 
 
 @pytest.fixture
 def split(made):
     """A board with a message for each axis, to which the host sends switches and current in two."""
-    return made(SPLIT_FILE)
+    return made(SPLIT_FILE).on()
 
 
 def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_any_other(split):
-    world = split
-    world.on()
-    world.servo(0.2, (20e-6, 0.0, 0.0))
-    assert world.samples[-1].y == pytest.approx(20e-6, abs=1e-6)
-    assert world.host.lost_samples == world.host.counters()["can_incomplete"] == world.board.refused_commands == 0
-    world.to_board = False
-    world.run(TIMEOUT + 0.006)
-    assert world.host.fault == "the board reports: COMMAND_TIMEOUT" and world.board.amplifier is Amplifier.FAULT
-    world.to_board = True
-    world.host.reset_fault()
-    world.run(0.05)
-    world.on()
+    split.servo(0.2, (20e-6, 0.0, 0.0))
+    assert split.samples[-1].y == pytest.approx(20e-6, abs=1e-6)
+    assert split.host.lost_samples == split.host.counters()["can_incomplete"] == split.board.refused_commands == 0
+    split.to_board = False
+    split.run(TIMEOUT + 0.006)
+    assert split.host.fault == "the board reports: COMMAND_TIMEOUT" and split.board.amplifier is Amplifier.FAULT
+    split.off_again()
 
 
 def test_samples_whose_y_does_not_come_are_counted_and_not_used_and_a_fault_at_last(split):
-    world = split
-    world.on()
-    world.unreceived = {world.wire.homes["y"].identifier}
-    world.run(0.003)
-    seen = len(world.samples)
-    world.run(0.01)
-    assert len(world.samples) == seen and world.host.counters()["can_incomplete"] > 10
-    assert "no good sample" in world.host.fault
+    split.unreceived = {split.wire.homes["y"].identifier}
+    split.run(0.003)
+    seen = len(split.samples)
+    split.run(0.01)
+    assert len(split.samples) == seen and split.host.counters()["can_incomplete"] > 10
+    assert "no good sample" in split.host.fault
 
 
-def test_off_is_obeyed_although_the_other_message_of_its_command_does_not_come(split):
-    world = split
-    world.on()
-    switch, _ = world.wire.commands
-    world.board.receive(switch.identifier, switch.pack(Command(7, False, False, 0.0, 0)), world.now)
-    assert world.board.amplifier is Amplifier.OFF
-
-
-def test_a_current_without_its_switches_is_no_command(split):
-    world = split
-    world.on()
-    _, current = world.wire.commands
+def test_off_is_obeyed_without_the_other_message_of_its_command_and_a_current_without_its_switches_is_none(split):
+    switch, current = split.wire.commands
     for number in range(100):
-        world.now += PERIOD
-        world.board.cycle(world.now)
-        world.board.receive(current.identifier, current.pack(Command(number % 15, None, None, 0.1, None)), world.now)
-    assert world.board.fault is BoardFault.COMMAND_TIMEOUT
+        split.now += PERIOD
+        split.board.cycle(split.now)
+        split.command(number, None, None, 0.1, frames=current)
+    assert split.board.fault is BoardFault.COMMAND_TIMEOUT
+    split.run(0.01)
+    split.off_again()
+    split.command(7, False, frames=switch)
+    assert split.board.amplifier is Amplifier.OFF
 
 
-def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
-    world = foreign
-    world.on()
-    world.unreceived = {world.wire.status.identifier}
-    world.run(0.14)
-    assert world.host.state is State.ON
-    world.run(0.03)
-    assert "no state of the amplifier for" in world.host.fault and world.host.heartbeat_losses == 0
-    assert world.board.amplifier is Amplifier.OFF
-
-
-def test_what_the_frames_of_a_board_lack_is_said_of_the_machine(world, foreign):
-    assert list(world.host.remarks()) == []
-    assert any("no heartbeat" in remark for remark in foreign.host.remarks())
-
-
-def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):
+def test_bus_off_latches_a_fault_and_error_passive_is_counted(running):
     def report(classes, state):
-        data = bytes([0, state, 0, 0, 0, 0, 0, 0])
-        world._receive(Frame(world.now, classes, ERROR, bytes(data)), world.now)
+        running._receive(Frame(running.now, classes, ERROR, bytes([0, state, 0, 0, 0, 0, 0, 0])), running.now)
 
-    world.on()
     report(0x04, 0x10)
-    world.run(0.01)
-    assert world.host.state is State.ON
+    running.run(0.01)
+    assert running.host.state is State.ON
     report(0x40, 0)
-    world.run(0.001)
-    assert world.host.fault == "the CAN controller is bus-off" and world.board.amplifier is Amplifier.OFF
-    counters = world.host.counters()
+    running.run(0.001)
+    assert running.host.fault == "the CAN controller is bus-off" and running.board.amplifier is Amplifier.OFF
+    counters = running.host.counters()
     assert (counters["can_error_passive"], counters["can_bus_off"], counters["can_error_frames"]) == (1, 1, 2)
-    world.host.reset_fault()
-    world.on()
+    running.off_again()
 
 
-def test_without_commands_the_board_switches_off_by_itself_and_says_why(world):
-    world.on()
-    world.to_board = False
-    world.run(TIMEOUT + 0.002)
-    assert world.board.amplifier is Amplifier.FAULT and world.board.fault is BoardFault.COMMAND_TIMEOUT
-    assert world.board.machine.applied_current == 0.0
-    world.to_board = True
-    world.run(0.01)
-    assert world.host.fault == "the board reports: command timeout"
-    world.host.reset_fault()
-    world.run(0.02)
-    assert world.board.amplifier is Amplifier.OFF and world.host.state is State.OFF
-    world.on()
+def test_without_commands_the_board_switches_off_by_itself_and_says_why(running):
+    running.to_board = False
+    running.run(TIMEOUT + 0.002)
+    assert running.board.amplifier is Amplifier.FAULT and running.board.fault is BoardFault.COMMAND_TIMEOUT
+    assert running.board.machine.applied_current == 0.0
+    running.to_board = True
+    running.run(0.01)
+    assert running.host.fault == "the board reports: command timeout"
+    running.off_again()
 
 
-def test_an_off_that_was_lost_is_said_again(world):
-    world.on()
-    world.to_board = False
-    world.host.disable()
-    assert world.board.amplifier is Amplifier.ON
-    world.to_board, world.commands = True, False
-    world.run(0.002)
-    assert world.board.amplifier is Amplifier.OFF
+def test_an_off_that_was_lost_is_said_again(running):
+    running.to_board = False
+    running.host.disable()
+    assert running.board.amplifier is Amplifier.ON
+    running.to_board, running.commands = True, False
+    running.run(0.002)
+    assert running.board.amplifier is Amplifier.OFF
 
 
-def test_a_current_beyond_the_boards_range_trips_it(world):
-    world.on()
-    world.run(0.001, current=1.5)
-    assert world.board.fault is BoardFault.CURRENT_RANGE and world.board.machine.applied_current == 0.0
+def test_a_current_beyond_the_boards_range_trips_it(running):
+    running.run(0.001, current=1.5)
+    assert running.board.fault is BoardFault.CURRENT_RANGE and running.board.machine.applied_current == 0.0
 
 
 @pytest.mark.parametrize("enable", [0b00, 0b11])
-def test_patterns_that_are_no_switch_and_damaged_frames_trip_the_board(world, enable):
-    world.on()
-    frames = world.wire.command
+def test_patterns_that_are_no_switch_and_damaged_frames_trip_the_board(running, enable):
+    frames = running.wire.command
     for alive in range(4):
         payload = forged(frames, frames.pack(Command(alive, False, False, 0.0, 0)), Enable=enable)
-        world.board.receive(frames.identifier, payload, world.now)
-    assert world.board.fault is BoardFault.COMMAND_CHECK
+        running.board.receive(frames.identifier, payload, running.now)
+    assert running.board.fault is BoardFault.COMMAND_CHECK
 
 
-def test_the_board_refuses_commands_that_are_repeated_or_answer_old_samples(world):
-    world.on()
-    counter, alive = world.board.counter, world.board.command_alive
-    for number, echo in ((alive, counter), (alive + 1, counter - 250)):
-        command = Command(number % 15, True, False, 0.5, echo % world.wire.echo_modulus)
-        world.board.receive(world.wire.command.identifier, world.wire.command.pack(command), world.now)
-    assert world.board.refused_commands == 2
-    world.run(0.001)
-    assert world.board.machine.applied_current == 0.0
+def test_the_board_refuses_commands_that_are_repeated_or_answer_old_samples(running):
+    alive = running.board.command_alive
+    running.command(alive, True, current=0.5)
+    running.command(alive + 1, True, current=0.5, echo=running.board.counter - 250)
+    assert running.board.refused_commands == 2
+    running.run(0.001)
+    assert running.board.machine.applied_current == 0.0
 
 
 def test_a_board_that_is_switched_on_by_its_first_command_stays_off(world):
     world.commands = False
     world.run(0.1)
     for alive in range(10):
-        command = Command(alive, True, False, 0.0, world.board.counter % world.wire.echo_modulus)
-        world.board.receive(world.wire.command.identifier, world.wire.command.pack(command), world.now)
+        world.command(alive, True)
     assert world.board.amplifier is Amplifier.OFF
 
 
-def received(world, taken=True):
-    """From now on the commands go into this list instead of onto the bus."""
-    commands = []
-
-    def send(identifier, payload, *, fd):
-        frames = world.wire.command
-        assert identifier == frames.identifier and fd is frames.fd
-        commands.append(frames.unpack(payload))
-        return taken
-
-    world.host._link.send = send
-    return commands
-
-
-def test_a_command_carries_the_number_of_the_sample_that_it_answers(world):
-    world.on()
-    world.run(0.4, current=0.1)
-    newest, commands = world.board.counter, received(world)
+def test_a_command_carries_the_number_of_the_sample_that_it_answers(running):
+    running.run(0.4, current=0.1)
+    newest, commands = running.board.counter, running.caught()
     for back in (0, 1, 100, 500):
-        world.host.write(0.2, world.now, world.samples[-1 - back].stamp_ns)
+        running.host.write(0.2, running.now, running.samples[-1 - back].stamp_ns)
     # A sample that it does not know, or none, is the newest.
-    world.host.write(0.2, world.now, 12345)
-    world.host.write(-0.2, world.now)
-    modulus = world.wire.echo_modulus
+    running.host.write(0.2, running.now, 12345)
+    running.host.write(-0.2, running.now)
+    modulus = running.wire.echo_modulus
     assert [command.echo for command in commands] == [(newest - back) % modulus for back in (0, 1, 100, 500, 0, 0)]
     assert [command.current for command in commands] == pytest.approx([0.2] * 5 + [-0.2])
     assert {(command.enable, command.reset) for command in commands} == {(True, False)}
@@ -405,30 +384,28 @@ def test_a_command_carries_the_number_of_the_sample_that_it_answers(world):
     assert [command.alive for command in commands] == [(first + number) % 15 for number in range(6)]
 
 
-def test_a_command_that_was_not_sent_neither_counts_nor_acts(world):
-    world.on()
-    world.host.write(0.1, world.now)
-    commands = received(world, taken=False)
+def test_a_command_that_was_not_sent_neither_counts_nor_acts(running):
+    running.host.write(0.1, running.now)
+    commands = running.caught(taken=False)
     for current in (0.3, 0.4):
-        world.host.write(current, world.now)
-    assert world.host.applied_current == pytest.approx(0.1)
+        running.host.write(current, running.now)
+    assert running.host.applied_current == pytest.approx(0.1)
     assert commands[0].alive == commands[1].alive
 
 
-def test_the_largest_current_that_fits_its_frame_is_sent_and_off_and_reset_go_out_with_none(world):
-    world.on()
-    commands = received(world)
+def test_the_largest_current_that_fits_its_frame_is_sent_and_off_and_reset_go_out_with_none(running):
+    commands = running.caught()
     for current in (3.2767, -3.2767):
-        world.host.write(current, world.now)
+        running.host.write(current, running.now)
         with pytest.raises(ValueError, match="does not fit its frame"):
-            world.host.write(current + math.copysign(1e-4, current), world.now)
+            running.host.write(current + math.copysign(1e-4, current), running.now)
     assert [command.current for command in commands] == pytest.approx([3.2767, -3.2767])
     commands.clear()
-    world.host.disable()
-    world.host.write(0.3, world.now)
+    running.host.disable()
+    running.host.write(0.3, running.now)
     assert [(command.enable, command.reset, command.current) for command in commands] == [(False, False, 0)] * 2
     # Without a fault there is nothing to reset.
-    world.host.reset_fault()
+    running.host.reset_fault()
     assert len(commands) == 2
 
 
@@ -444,77 +421,74 @@ def test_a_board_that_does_not_switch_on_within_its_time_is_a_fault(world):
     assert world.host.state is State.FAULT
 
 
-def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_over(world):
-    world.on()
-    world.to_board = False
-    world.run(TIMEOUT + 0.002)
-    assert world.host.state is State.FAULT
-    world.commands, commands = False, received(world)
-    world.host.reset_fault()
-    within = world.host._parameters.answer_timeout
-    world.run(within)
+def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_over(running):
+    running.to_board = False
+    running.run(TIMEOUT + 0.002)
+    assert running.host.state is State.FAULT
+    running.commands, commands = False, running.caught()
+    running.host.reset_fault()
+    within = running.host._parameters.answer_timeout
+    running.run(within)
     assert {(command.enable, command.reset) for command in commands} == {(False, True)}
-    assert len(commands) == 1 + round(within * 2000) and world.host.fault == ""
-    world.run(0.001)
-    assert world.host.fault == "the board reports: command timeout"
+    assert len(commands) == 1 + round(within * 2000) and running.host.fault == ""
+    running.run(0.001)
+    assert running.host.fault == "the board reports: command timeout"
 
 
-def test_an_amplifier_that_the_board_switches_off_by_itself_is_a_fault(world):
-    world.on()
-    echo = world.board.counter % world.wire.echo_modulus
-    off = Command((world.board.command_alive + 1) % 15, False, False, 0.0, echo)
-    world.board.receive(world.wire.command.identifier, world.wire.command.pack(off), world.now)
-    world.run(0.001)
-    assert world.host.fault == "the board switched the amplifier off"
-    assert world.host.heartbeat_losses == 0
+def test_an_amplifier_that_the_board_switches_off_by_itself_is_a_fault(running):
+    running.command(running.board.command_alive + 1, False)
+    running.run(0.001)
+    assert running.host.fault == "the board switched the amplifier off"
+    assert running.host.heartbeat_losses == 0
 
 
 def test_what_is_not_ready_says_what_is_missing(world):
+    host = world.host
     with pytest.raises(HardwareError, match="nothing has come from the board"):
-        world.host.enable()
+        host.enable()
     world.run(0.2)
-    world.host._receiver.node_state = 4
-    with pytest.raises(HardwareError, match="state 4, not 5"):
-        world.host.enable()
-    world.host._receiver.node_state = 5
-    world.now += 10**9
-    with pytest.raises(HardwareError, match="no heartbeat for"):
-        world.host.enable()
-    assert world.host.state is State.OFF and world.host.heartbeat_losses == 0
+    operational = host._receiver.node_state
+    for state, seconds, words in ((4, 0, "state 4, not 5"), (operational, 1, "no heartbeat for")):
+        host._receiver.node_state = state
+        world.now += seconds * 10**9
+        with pytest.raises(HardwareError, match=words):
+            host.enable()
+    assert host.state is State.OFF and host.heartbeat_losses == 0
 
 
-def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason(world):
-    trajectory = Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
-    world.host._link.send = lambda identifier, payload, *, fd: False
-    with pytest.raises(HardwareError, match="not sent: transmit queue full"):
-        world.host.move(trajectory, world.now)
-    world.host._link.problem = "CAN can0: no such device"
-    with pytest.raises(HardwareError, match="not sent: CAN can0: no such device"):
-        world.host.move(trajectory, world.now)
+def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason():
+    world, trajectory = World(True), Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
     real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: world.now, world._link)
-    with pytest.raises(HardwareError, match=r"takes no orders over CAN; 'can\.simulated_stage' is for"):
-        real.move(trajectory, world.now)
+    world.host._link.send = lambda identifier, payload, *, fd: False
+    for host, problem, words in (
+        (world.host, "", "not sent: transmit queue full"),
+        (world.host, "CAN can0: no such device", "not sent: CAN can0: no such device"),
+        (real, "", r"takes no orders over CAN; 'can\.simulated_stage' is for"),
+    ):
+        host._link.problem = problem
+        with pytest.raises(HardwareError, match=words):
+            host.move(trajectory, world.now)
 
 
-def test_counters_show_bus_log_and_lost_samples_wherever_they_went(world):
-    world.on()
-    counters = world.host.counters()
-    assert counters["can_received"] == len(world.samples) + BLOCK - 1
+def test_counters_show_bus_log_and_lost_samples_wherever_they_went(running):
+    host = running.host
+    counters = host.counters()
+    assert counters["can_received"] == len(running.samples) + BLOCK - 1
     assert counters["can_openings"] == 1 and not {"can_link", "can_logged", "can_log"} & set(counters)
-    world.host._link.problem = "gone"
+    host._link.problem = "gone"
     for problem in ("disk full", ""):
-        world.host._link.log = SimpleNamespace(written=7, dropped=2, problem=problem)
-        counters = world.host.counters()
+        host._link.log = SimpleNamespace(written=7, dropped=2, problem=problem)
+        counters = host.counters()
         assert (counters["can_link"], counters["can_logged"], counters["can_log_dropped"]) == ("gone", 7, 2)
         assert counters.get("can_log", "") == problem
-    world.to_host = False
-    world.run(0.002)
-    world.to_host = True
-    world.run(0.02)
-    assert world.host.lost_samples == 4
-    world.host._receiver.overflowed = 10
-    world.host._receiver.sequence.unplaced = 100
-    assert world.host.lost_samples == 114
+    running.to_host = False
+    running.run(0.002)
+    running.to_host = True
+    running.run(0.02)
+    assert host.lost_samples == 4
+    host._receiver.overflowed = 10
+    host._receiver.sequence.unplaced = 100
+    assert host.lost_samples == 114
 
 
 @pytest.mark.parametrize(("taken", "samples", "turns"), [(1, [], 3), (1, [None], 1), (0, [], 1)])
