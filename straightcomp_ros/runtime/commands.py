@@ -9,12 +9,15 @@ from rclpy.node import Node
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, Truth
 from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.watch import CommandWatch
 from straightcomp_ros.timing.delays import Histogram
 from straightcomp_ros.timing.node_timing import LATENCY, written
 
 _SPARE = 4
 """Samples remembered beyond those of the timeout."""
+_REPEATS, _REPEATS_WITHIN_NS = 4, 10_000_000_000
+"""Commands for samples already answered that are a fault, and the time in ns within which they come. A controller sends
+one command for each sample, in order, but the middleware might repeat one; good commands do not cancel repeated ones,
+or a slow second controller would never be found."""
 _REPEAT_AFTER_S = 0.05
 
 
@@ -53,7 +56,7 @@ class CommandIntake:
         self.stamp_ns = 0
         self._recent.clear()
         self._handed_out: set[int] = set()
-        self._watch = CommandWatch()
+        self._repeats_ns: deque[int] = deque(maxlen=_REPEATS)
 
     def hand_out(self, stamp_ns: int) -> None:
         """A sample is about to be published; stamps rise."""
@@ -70,9 +73,11 @@ class CommandIntake:
             self._refuse(stamp_ns, current)
         elif stamp_ns <= self.stamp_ns:
             self._stale += 1
-            finding = self._watch.again(arrival_ns)
-            if finding is not None:
-                self._trip(*finding)
+            repeats_ns = self._repeats_ns
+            repeats_ns.append(arrival_ns)
+            if len(repeats_ns) == _REPEATS and arrival_ns - repeats_ns[0] <= _REPEATS_WITHIN_NS:
+                repeats_ns.clear()
+                self._trip(Fault.TWO_CONTROLLERS, "samples are answered twice: another node publishes commands too")
         elif age_ns > self._timeout_ns:
             self._stale += 1
         elif self.is_good(current):

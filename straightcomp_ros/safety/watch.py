@@ -1,8 +1,7 @@
-"""Plausibility checks of samples, commands and clocks."""
+"""Plausibility checks of samples and clocks."""
 
 import math
 import sys
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,8 +14,6 @@ from straightcomp_ros.stage.description import StageParameters
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
 _BEYOND = 1.2
-_REPEATS, _REPEATS_WITHIN_NS = 4, 10_000_000_000
-"""Commands for samples already answered that are a fault, and the time in ns within which they come."""
 
 
 @dataclass(frozen=True)
@@ -203,23 +200,3 @@ class ErrorWatch:
             return None
         where = f"the platform is {error * 1e6:.1f} µm from its reference"
         return Fault.FOLLOWING_ERROR, f"{where}; allowed: ±{self.limit * 1e6:g} µm"
-
-
-class CommandWatch:
-    """Counts commands for samples that have their command already.
-
-    A single controller sends one command for each sample, in order. The middleware might repeat one; good commands do
-    not cancel repeated ones, or a slow second controller would never be found.
-    """
-
-    def __init__(self) -> None:
-        self._times_ns: deque[int] = deque(maxlen=_REPEATS)
-
-    def again(self, time_ns: int) -> Finding | None:
-        """Count one that arrived at ``time_ns``; returns the fault, if any."""
-        times_ns = self._times_ns
-        times_ns.append(time_ns)
-        if len(times_ns) < _REPEATS or time_ns - times_ns[0] > _REPEATS_WITHIN_NS:
-            return None
-        times_ns.clear()
-        return Fault.TWO_CONTROLLERS, "samples are answered twice: another node publishes commands too"

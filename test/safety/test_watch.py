@@ -11,7 +11,6 @@ from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import (
     ClockWatch,
-    CommandWatch,
     ErrorWatch,
     SampleWatch,
     StageWatch,
@@ -172,17 +171,6 @@ def test_a_stage_that_has_not_begun_to_move_along_this_trajectory_is_not_frozen(
     assert stage.check(1_500_000_000, 0.025) is None
     stage.follow(TRAJECTORY, 0, 0.025)
     assert stage.check(3 * SECOND, 0.025) is None
-
-
-@pytest.mark.parametrize(
-    ("every", "found"), [(0.0002, 3), (0.1, 3), (3.3, 3), (3.4, None)], ids=["5000/s", "10/s", "0.3/s", "seldom"]
-)
-def test_four_repeated_answers_within_ten_seconds_are_a_second_controller(every, found):
-    commands = CommandWatch()
-    findings = [commands.again(round(k * every * 1e9)) for k in range(7)]
-    assert next((k for k, finding in enumerate(findings) if finding), None) == found
-    # Those of a fault do not count for the next one.
-    assert sum(map(bool, findings)) == (found is not None)
 
 
 class Clocks:
