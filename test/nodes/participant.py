@@ -19,9 +19,11 @@ PATIENCE_S = 90.0
 class Participant:
     """A node in this process, while it is entered as a context. ``safety`` has the driver's safety states."""
 
-    def __init__(self, name="participant"):
-        rclpy.init()
-        self.node = Node(name)
+    def __init__(self, name="participant", namespace=""):
+        self._first = not rclpy.ok()
+        if self._first:
+            rclpy.init()
+        self.node = Node(name, namespace=namespace)
         self._clients = {}
         self.safety = [SafetyState()]
         self.node.create_subscription(
@@ -86,4 +88,5 @@ class Participant:
 
     def __exit__(self, *_):
         self.node.destroy_node()
-        rclpy.shutdown()
+        if self._first:
+            rclpy.shutdown()

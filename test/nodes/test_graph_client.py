@@ -1,19 +1,171 @@
-"""Clients of the graph: parameters are collected even if a response is lost, and one client commissions at a time."""
+"""What nodes report of themselves, what their clients see of it, and that one client commissions at a time."""
 
+import time
 from unittest.mock import Mock
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from participant import Participant
 from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.task import Future
 from waiting import comes_true
 
-from straightcomp_ros.contract import COMMISSIONING_CLIENT
+from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.commissioning_client import CommissioningSign
+from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
+from straightcomp_ros.runtime.streams import publisher
+from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.state_machine import Condition, Latched
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 from straightcomp_ros.tuning.graph.waiting_client import GraphError, WaitingClient
+
+STATES = {"driver": "active", "controller": "active"}
+
+
+class Driver:
+    """Played by the test: sends samples that say the contrary of its safety state."""
+
+    def __init__(self):
+        self.node = Node("driver")
+        self._state = publisher(self.node, DRIVER_STATE)
+        self._safety = self.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
+        self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        # Latched: the watch comes later.
+        self.say(Condition.ON)
+
+    def say(self, condition, fault=None):
+        self.condition = condition
+        self._safety.publish(safety_status(condition, fault, "driver"))
+
+    def sample(self):
+        self._state(time.time_ns(), 0.0, 0.0, 0.0, float(self.condition is not Condition.ON))
+
+    def report(self, name, error, **values):
+        level = DiagnosticStatus.ERROR if error else DiagnosticStatus.OK
+        values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        status = DiagnosticStatus(level=level, name=name, message=error, values=values)
+        self._diagnostics.publish(DiagnosticArray(status=[status]))
+
+
+class Client(GraphClient):
+    states = STATES
+    """In place of heartbeats."""
+
+
+@pytest.fixture
+def seen():
+    """A driver, and a function that gives the observation as soon as it is as wanted."""
+    with Participant("watch") as participant:
+        driver, client = Driver(), Client(participant.node, list(STATES))
+
+        def until(wanted, states=STATES):
+            client.states = states
+
+            def came():
+                driver.sample()
+                client.fetch()
+                return wanted(client.observation())
+
+            participant.until(came)
+            return client.observation()
+
+        yield driver, until
+        client.streams.close()
+        driver.node.destroy_node()
+
+
+@pytest.mark.live
+def test_the_amplifier_is_what_the_safety_state_says_and_unknown_without_samples(seen):
+    driver, until = seen
+    until(lambda seen: seen.fresh and seen.amplifier_on)
+    driver.say(Condition.OFF)
+    until(lambda seen: seen.fresh and not seen.amplifier_on)
+    driver.say(Condition.ON)
+    until(lambda seen: seen.fresh and seen.amplifier_on)
+    driver.sample = lambda: None
+    assert not until(lambda seen: not seen.fresh).amplifier_on
+
+
+@pytest.mark.live
+def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_from_their_diagnostics(seen):
+    driver, until = seen
+    driver.say(Condition.FAULT, Latched(Fault.TRIPPED, "the door is open", 1))
+    observation = until(lambda seen: seen.faults)
+    assert observation.faults == {"driver": "tripped: the door is open"} and not observation.amplifier_on
+    assert observation.fault_code == Fault.TRIPPED.code
+    driver.report("driver", "an older one")
+    driver.report("controller", "no samples")
+    until(lambda seen: seen.faults == {"driver": "tripped: the door is open", "controller": "no samples"})
+    for state in ("absent", "silent"):
+        gone = until(lambda seen: True, {**STATES, "driver": state})
+        assert "driver" not in gone.faults and gone.fault_code == 0
+    driver.report("controller", "")
+    driver.say(Condition.OFF)
+    assert until(lambda seen: not seen.faults).fault_code == 0
+
+
+@pytest.mark.live
+def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_graph_nor_kept(seen):
+    driver, until = seen
+    driver.say(Condition.OFF)
+    for name in ("line_4/controller", "line_4/camera: frames", "camera_1", "camera_2"):
+        driver.report(name, "no samples")
+    driver.report("logger", "disk full" * 1000)
+    faults = until(lambda seen: seen.faults).faults
+    assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON
+
+
+@pytest.mark.live
+def test_a_counter_of_a_status_that_is_no_number_counts_as_absent(seen):
+    driver, until = seen
+    for lost, value in enumerate(("n/a", "", "-1", "1e400", "9" * 5000, "²"), 1):
+        driver.report("controller", "no samples", samples=value, lost_samples=str(lost))
+        assert until(lambda seen, lost=lost: seen.lost_samples == lost).samples == 0
+
+
+def test_a_node_started_anew_is_silent_until_its_next_heartbeat():
+    node = Mock()
+    heartbeats, beat = Heartbeats(node, ["logger"]), DiagnosticStatus(name="logger", message="active")
+    receive = node.create_subscription.call_args.args[2]
+    receive(beat)
+    assert heartbeats.in_state("active")
+    heartbeats.forget("logger")
+    assert heartbeats.silent() == ["logger"]
+    receive(beat)
+    assert heartbeats.in_state("active")
+
+
+@pytest.mark.live
+def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean_and_the_namespace_is_in_the_name(participant):
+    found, node, values = [], Node("reporter", namespace="/line_3"), {SAMPLES: 0, LOST: 0}
+    participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda one: found.extend(one.status), 100)
+    diagnostics = Diagnostics(node, lambda: values, "bench 7")
+
+    def level(error=""):
+        values.update({"error": error, SAMPLES: values[SAMPLES] + 2000})
+        before = len(found)
+        diagnostics._collect()
+        diagnostics._publish()
+        participant.until(lambda: len(found) > before)
+        return found[-1].level, found[-1].message
+
+    participant.until(
+        lambda: node.count_subscribers("/diagnostics") and participant.node.count_publishers("/diagnostics")
+    )
+    assert level() == (DiagnosticStatus.OK, "running")
+    assert level("coil burnt") == (DiagnosticStatus.ERROR, "coil burnt")
+    assert [level()[0] for _ in range(5)] == [*[DiagnosticStatus.WARN] * 4, DiagnosticStatus.OK]
+    values[LOST] += 3
+    assert level() == (DiagnosticStatus.WARN, "3 samples lost in the last second")
+    assert {(status.name, status.hardware_id) for status in found} == {("line_3/reporter", "bench 7")}
+    node.destroy_node()
+
 
 RATE = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=2000.0)
 
@@ -44,7 +196,7 @@ class LossyClient:
 def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch):
     monkeypatch.setattr(graph_client, "AsyncParameterClient", LossyClient)
     node = Mock()
-    remote = graph_client.RemoteParameters(node, ["driver"])
+    remote = RemoteParameters(node, ["driver"])
     ((_, look), _) = node.create_timer.call_args
     for _ in range(30):
         look()
