@@ -5,7 +5,6 @@ all three: it has one message for each step of the law, with the age of its refe
 """
 
 import math
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,6 @@ from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 _AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
 _COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])
 """Columns of the law's answer, in its order."""
-_PACK = struct.Struct(f"<{len(_COLUMNS)}d").pack
 _GAP_NS = 20_000_000
 """Gap between two samples beyond which the servo restarts the law."""
 
@@ -94,24 +92,15 @@ def audit(
         raise ParameterError(f"bag {bag}: {error}") from error
     if parameters.learning.learn:
         raise BagError(f"bag {bag}: the controller learned while it ran; what it knew before is not in the bag")
-    return _audited(parameters, *(streams[stream.topic] for stream in _AUDITED))
-
-
-def _audited(
-    parameters: ControllerNodeParameters,
-    encoder: StreamColumns,
-    reference: StreamColumns,
-    command: StreamColumns,
-    state: StreamColumns,
-) -> Audit:
     servo = Servo(make_law(parameters.control, parameters.stage))
-    samples = _rows(encoder, "y", "coil_current")
-    references = _rows(reference, *REFERENCE.layout.columns)
-    currents = _rows(command, *COMMAND.layout.columns)
+    state = streams[CONTROLLER_STATE.topic]
+    samples = _rows(streams[ENCODER.topic], "y", "coil_current")
+    references = _rows(streams[REFERENCE.topic], *REFERENCE.layout.columns)
+    currents = _rows(streams[COMMAND.topic], *COMMAND.layout.columns)
     recorded = zip(*(state.columns[name].tolist() for name in CONTROLLER_STATE.layout.columns), strict=True)
     # Commands are published one by one, states in batches: a command without a state means that the state was lost.
     stateless = sorted(set(currents).difference(state.stamp.tolist()), reverse=True)
-    steps, missing = len(state) + len(stateless), 0
+    steps, missing = len(state) + len(stateless), len(stateless)
     compared = different = 0
     followed, began_running = True, False
     last_ns: int | None = None
@@ -119,33 +108,32 @@ def _audited(
     for step, (stamp_ns, numbers) in enumerate(zip(state.stamp.tolist(), recorded, strict=True)):
         while stateless and stateless[-1] < stamp_ns:
             followed = False
-            missing += 1
             stateless.pop()
         sample = samples.get(stamp_ns)
         age_ns = round(numbers[-1] * 1e9) if math.isfinite(numbers[-1]) else -1
-        given = references.get(stamp_ns - age_ns) if age_ns >= 0 else None
-        if sample is None or given is None:
+        reference = references.get(stamp_ns - age_ns) if age_ns >= 0 else None
+        if sample is None or reference is None:
             followed, last_ns = False, stamp_ns
             missing += 1
             continue
         y, coil_current = sample
         starts_anew = math.isnan(coil_current) or (last_ns is not None and abs(stamp_ns - last_ns) > _GAP_NS)
         last_ns = stamp_ns
-        answer = servo.step(stamp_ns, y, coil_current, extrapolated(*given, age_ns * 1e-9))
+        answer = servo.step(stamp_ns, y, coil_current, extrapolated(*reference, age_ns * 1e-9))
         followed = followed or starts_anew
         current = currents.get(stamp_ns)
         if not followed or current is None:
             continue
-        found = _first_difference(step, stamp_ns, (*current, *numbers[:-1]), answer)
+        pairs = zip(_COLUMNS, (*current, *numbers[:-1]), answer or (math.nan,) * len(_COLUMNS), strict=True)
+        # The texts are equal where the bits are, and for every NaN, which means "none" whatever its bits.
+        found = next((Difference(step, stamp_ns, *pair) for pair in pairs if pair[1].hex() != pair[2].hex()), None)
         if found and not compared and not starts_anew:
             # The first step of the bag: the law may have been running.
             followed, began_running = False, True
             continue
         compared += 1
-        if found:
-            different += 1
-            first = first or found
-    missing += len(stateless)
+        different += found is not None
+        first = first or found
     return Audit(parameters.control.law, compared, different, steps - compared, missing, began_running, first)
 
 
@@ -153,17 +141,3 @@ def _rows(stream: StreamColumns, *columns: str) -> dict[int, tuple[float, ...]]:
     """Numbers by stamp; a repeated message has the same numbers."""
     numbers = zip(*(stream.columns[name].tolist() for name in columns), strict=True)
     return dict(zip(stream.stamp.tolist(), numbers, strict=True))
-
-
-def _first_difference(
-    step: int, stamp_ns: int, recorded: tuple[float, ...], computed: tuple[float, ...] | None
-) -> Difference | None:
-    if computed is None:
-        return Difference(step, stamp_ns, _COLUMNS[0], recorded[0], math.nan)
-    if _PACK(*recorded) == _PACK(*computed):
-        return None
-    for name, one, other in zip(_COLUMNS, recorded, computed, strict=True):
-        # NaN means "none", whatever its bits.
-        if struct.pack("<d", one) != struct.pack("<d", other) and not (math.isnan(one) and math.isnan(other)):
-            return Difference(step, stamp_ns, name, one, other)
-    return None
