@@ -46,18 +46,6 @@ def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_ch
     assert [stroke["direction"] for stroke in evaluated["strokes"]] == ["forward", "backward"]
 
 
-def test_an_unfinished_bag_is_evaluated_with_a_warning(bag, tmp_path, capsys):
-    content = (bag / "run_0.mcap").read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(content[: int(0.8 * len(content))])
-    # It is cut off in mid-motion.
-    assert main(["evaluate", str(cut), "--json"]) == 1
-    found = capsys.readouterr()
-    assert found.err.count("was not finished") == 1
-    printed = json.loads(found.out)
-    assert len(printed["warnings"]) == 1 and printed["verdict"] == "interrupted"
-
-
 def test_a_limit_that_is_not_kept_fails_the_command_with_its_name(bag, tmp_path, capsys):
     limits = tmp_path / "limits.yaml"
     limits.write_text("lost_samples: 0\ntrue_pp_um: 1e-6\n")
@@ -74,6 +62,11 @@ def test_a_topic_under_another_name_is_found_by_remap(bag, capsys):
     assert main(["evaluate", str(bag), "--remap", "encoder:=/machine/axes"]) == 1
     assert "has no topic '/machine/axes' for 'encoder'; it has /command" in capsys.readouterr().err
     assert main(["evaluate", str(bag), "--remap", "encoder=/axes"]) == 2
+
+
+def test_two_bags_are_put_side_by_side(bag, capsys):
+    found = figures(capsys, bag, "--compare", bag)
+    assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
 
 
 def test_nothing_heavy_is_imported():
@@ -107,12 +100,6 @@ def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
             assert found.err.count("was not finished") == 1 or json.loads(found.out)["lost_samples"] == 0
 
 
-def test_two_bags_are_put_side_by_side(bag, capsys):
-    found = figures(capsys, bag, "--compare", bag)
-    assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
-
-
-CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 VALUES = {"controller": {"control.law": "linear"}, "stage": {**CYCLE, "drive.delay": 0.5}}
 
 

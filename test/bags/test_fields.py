@@ -17,18 +17,26 @@ COUNT = 5
 
 
 def header(ns):
-    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9), "probe")
+    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "probe")
+
+
+def bag_of(folder, topic, type_name, messages, encoder=None):
+    """A bag with these messages on a topic, each with its times of reception and of sending."""
+    with BagWriter(folder) as bag:
+        if encoder:
+            bag.add_topic(encoder, ENCODER.layout.type_name)
+            bag.write(encoder, ENCODER.layout.pack(1, *[0.0] * len(ENCODER.layout.columns)), 1, 1)
+        bag.add_topic(topic, type_name)
+        for message in messages:
+            bag.write(topic, *message)
+    return folder
 
 
 def written(path, type_name, make):
     """A bag with COUNT messages on /probe, made half a second before they were sent, a millisecond apart."""
-    with BagWriter(path) as bag:
-        bag.add_topic("/probe", type_name)
-        for number in range(COUNT):
-            stamp = START_NS + 1_000_000 * number
-            data = bytes(STORE.serialize_cdr(make(number, header(stamp)), type_name))
-            bag.write("/probe", data, stamp + 600_000_000, stamp + 500_000_000)
-    return path
+    serialised = (STORE.serialize_cdr(make(number, header(stamp)), type_name) for number, stamp in enumerate(stamps()))
+    messages = [(bytes(one), ns + 600_000_000, ns + 500_000_000) for one, ns in zip(serialised, stamps(), strict=True)]
+    return bag_of(path, "/probe", type_name, messages)
 
 
 def stamps(late_ns=0):
@@ -93,11 +101,9 @@ def test_our_own_streams_are_read_as_columns(tmp_path, stream, path, monkeypatch
     monkeypatch.setattr(fields, "decoded", None)  # not message by message
     layout = stream.layout
     place = [f"{array}[{joint}]" for array, joint in layout.places].index(path)
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic(f"/{stream.topic}", layout.type_name)
-        for number, stamp in enumerate(stamps()):
-            values = [float(10 * column + number) for column in range(len(layout.columns))]
-            bag.write(f"/{stream.topic}", layout.pack(stamp, *values), stamp, stamp)
+    values = [[float(10 * column + number) for column in range(len(layout.columns))] for number in range(COUNT)]
+    messages = [(layout.pack(stamp, *row), stamp, stamp) for stamp, row in zip(stamps(), values, strict=True)]
+    bag_of(tmp_path / "bag", f"/{stream.topic}", layout.type_name, messages)
     found = read_field(tmp_path / "bag", Field(stream.topic, path))
     assert found.stamped and found.stamp.tolist() == stamps()
     assert found.values.tolist() == [10.0 * place + number for number in range(COUNT)]
@@ -111,64 +117,39 @@ def test_what_is_no_field_is_refused_with_an_example(text):
     assert str(Field.parsed("probe:point.y", "data")) == "probe:point.y"
 
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 KIND = "diagnostic_msgs/msg/DiagnosticArray"
 
 
-def message(node, time_ns, values):
-    types = TYPES.types
-    status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-        level=0,
-        name=node,
-        message="running",
-        hardware_id="",
-        values=[types["diagnostic_msgs/msg/KeyValue"](key=key, value=value) for key, value in values.items()],
-    )
-    stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-    return bytes(TYPES.serialize_cdr(types[KIND](header=header, status=[status]), KIND))
+def message(node, time_ns, **values):
+    pairs = [T["diagnostic_msgs/msg/KeyValue"](key, value) for key, value in values.items()]
+    status = T["diagnostic_msgs/msg/DiagnosticStatus"](0, node, "running", "", pairs)
+    return bytes(STORE.serialize_cdr(T[KIND](header(time_ns), [status]), KIND))
 
 
-def bag_of(folder, *messages, topic=DIAGNOSTICS, encoder=None):
-    with BagWriter(folder) as bag:
-        if encoder:
-            bag.add_topic(encoder, ENCODER.layout.type_name)
-            bag.write(encoder, ENCODER.layout.pack(1, *[0.0] * len(ENCODER.layout.columns)), 1, 1)
-        bag.add_topic(topic, KIND)
-        for data in messages:
-            bag.write(topic, data, 1, 1)
-    return folder
+def reports_of(folder, *messages, topic=DIAGNOSTICS, encoder=None):
+    return read_reports(bag_of(folder, topic, KIND, [(data, 1, 1) for data in messages], encoder))
 
 
 @pytest.mark.parametrize("topic", [DIAGNOSTICS, f"/line_3{DIAGNOSTICS}"], ids=["now", "in 0.1"])
 def test_each_node_has_its_reports_in_order_and_without_its_namespace(tmp_path, topic):
-    data = [message(f"line_3/{node}", t * 10**9 + 5, {"t": str(t)}) for t in range(3) for node in ("driver", "logger")]
-    reports = read_reports(bag_of(tmp_path / "bag", *data, topic=topic))
+    data = [message(f"line_3/{node}", 10**9 * n + 5, t=str(n)) for n in range(3) for node in ("driver", "logger")]
+    reports = reports_of(tmp_path / "bag", *data, topic=topic)
     assert set(reports) == {"driver", "logger"}
     for node in reports.values():
-        assert [(report.time_ns, report.values["t"]) for report in node] == [
-            (5, "0"),
-            (10**9 + 5, "1"),
-            (2 * 10**9 + 5, "2"),
-        ]
+        assert [(one.time_ns, one.values["t"]) for one in node] == [(10**9 * n + 5, str(n)) for n in range(3)]
 
 
 def test_reports_are_of_the_namespace_whose_encoder_was_recorded(tmp_path):
-    data = [message(name, 5, {"of": name}) for name in ("line_3/driver", "line_4/driver", "driver", "laser: power")]
-    (report,) = read_reports(bag_of(tmp_path / "bag", *data, encoder="/line_4/encoder"))["driver"]
+    data = [message(name, 5, of=name) for name in ("line_3/driver", "line_4/driver", "driver", "laser: power")]
+    (report,) = reports_of(tmp_path / "bag", *data, encoder="/line_4/encoder")["driver"]
     assert report.values == {"of": "line_4/driver"}
-    assert set(read_reports(bag_of(tmp_path / "root", *data, encoder="/encoder"))) == {"driver", "laser: power"}
-    with pytest.raises(
-        BagError, match=r"several namespaces report: driver, laser: power, line_3/driver, line_4/driver"
-    ):
-        read_reports(bag_of(tmp_path / "none", *data))
+    assert set(reports_of(tmp_path / "root", *data, encoder="/encoder")) == {"driver", "laser: power"}
+    with pytest.raises(BagError, match=r"several namespaces report: driver, laser: power, line_3/driver"):
+        reports_of(tmp_path / "none", *data)
 
 
-def test_a_bag_without_diagnostics_has_no_reports(tmp_path):
-    assert read_reports(bag_of(tmp_path / "bag", topic="/other")) == {}
-
-
-def test_bytes_that_are_no_diagnostics_are_left_out_with_a_warning(tmp_path):
-    bag = bag_of(tmp_path / "bag", b"\x00\x01\x00\x00\xff\xff\xff\xff" * 3, message("driver", 5, {"t": "0"}))
+def test_what_is_no_diagnostics_is_left_out(tmp_path):
+    assert reports_of(tmp_path / "other", topic="/other") == {}
     with pytest.warns(UserWarning, match=r"diagnostics.*does not decode"):
-        assert set(read_reports(bag)) == {"driver"}
+        found = reports_of(tmp_path / "bag", b"\x00\x01\x00\x00\xff\xff\xff\xff" * 3, message("driver", 5, t="0"))
+    assert set(found) == {"driver"}

@@ -154,8 +154,10 @@ def test_a_run_without_compensation_is_in_order(tmp_path):
 @pytest.mark.filterwarnings("ignore:.*was not finished")
 def test_the_sample_bags_are_in_order_but_for_the_one_that_is_cut_off_in_motion(name, verdict, capsys):
     assert main(["evaluate", str(BAGS / name), "--json"]) == (verdict != "in_order")
-    found = json.loads(capsys.readouterr().out)
+    printed = capsys.readouterr()
+    found, warned = json.loads(printed.out), int(verdict == "interrupted")
     assert found["verdict"] == verdict and found["reason"]
+    assert printed.err.count("was not finished") == len(found["warnings"]) == warned
 
 
 @pytest.mark.parametrize("law", LAWS)
