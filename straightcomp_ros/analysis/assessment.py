@@ -103,28 +103,28 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
     """Assess a recorded run; MetricsError if the stage does not move, or a number within the motion is not finite."""
     record, partial = evaluation.record, evaluation.partial()
     try:
-        motion = record.motion
+        moving = record.moving
     except MetricsError as found:
         raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
     reference = RecordedReference(record)
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
     off = []
-    if evaluation.encoder and (strokes := evaluation.encoder.strokes):
+    if evaluation.encoder and (seen := evaluation.encoder.strokes):
         # As the encoder saw the stage move, whether the law ran or not.
-        first, last = time[strokes[0].start], time[strokes[-1].stop - 1]
+        first, last = time[seen[0].start], time[seen[-1].stop - 1]
         off = [one for one in _intervals(time, evaluation.encoder.off) if one.start <= last and one.end >= first]
-    columns = np.array([record.time, record.x, record.y, record.r])
+    strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
     return Assessment(
         bag=bag,
         evaluation=evaluation,
         reference=reference,
         metrics=evaluate(record, reference),
-        strokes=[stroke_figures(record, reference, stroke) for stroke in motion.strokes],
-        spectrum=error_spectrum(record.time[motion.window], (record.r - record.y)[motion.window]),
+        strokes=[stroke_figures(one, reference, direction) for one, direction in strokes],
+        spectrum=error_spectrum(moving.time, moving.r - moving.y),
         gaps=_gaps(time),
         saturated=_intervals(record.time, evaluation.at_current_limit),
         amplifier_off=off,
-        stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
+        stick_slips=[event for one, _ in strokes for event in stick_slips(one.time, one.x, one.y, one.r)],
         verdict=partial or judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls),
         warnings=warnings,
     )

@@ -82,9 +82,9 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
 
 def _errors(assessment: Assessment) -> tuple[Array, list[Array]]:
     """Time in s of the samples in motion, and their error in µm as the encoder sees it, and the true one if known."""
-    record, window = assessment.record, assessment.record.motion.window
-    errors = (record.r - record.y, record.true_error(assessment.reference))
-    return record.time[window], [error[window] * 1e6 for error in errors if error is not None]
+    moving = assessment.record.moving
+    errors = (moving.r - moving.y, moving.true_error(assessment.reference))
+    return moving.time, [error * 1e6 for error in errors if error is not None]
 
 
 def _error(assessment: Assessment, other: Assessment | None) -> go.Figure:
@@ -115,9 +115,9 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
 
 
 def _current(assessment: Assessment) -> go.Figure:
-    record, window = assessment.record, assessment.record.motion.window
+    moving = assessment.record.moving
     figure = line_figure("time / s", "control current / mA")
-    _curve(figure, record.time[window], record.current[window] * 1e3, "command", BLACK)
+    _curve(figure, moving.time, moving.current * 1e3, "command", BLACK)
     _mark(figure, assessment.saturated, "at the current limit", VERMILION)
     return figure
 

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import Array, MetricsError, ReferenceMap, Stroke, StrokeRecord
+from straightcomp_ros.analysis.record import Array, MetricsError, ReferenceMap, StrokeRecord
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.survey import Direction
 
 __all__ = ["Metrics", "MetricsError", "StrokeFigures", "evaluate", "residual_over", "stroke_figures"]
 
@@ -89,10 +90,11 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     """
     motion, window = record.motion, record.motion.window
     record.check_finite(record.columns(), window)
-    errors = _errors(record, straightness, window)
+    both = record.r - record.y, record.true_error(straightness)
+    errors = _errors(*both, window)
     for way in ("forward", "backward"):
         samples = motion.samples(way)
-        of_way = _errors(record, straightness, samples) if samples.size else {}
+        of_way = _errors(*both, samples) if samples.size else {}
         errors |= {f"{name}_{way}": of_way.get(name) for name in ("encoder_pp", "true_pp")}
     steps = np.diff(record.current[window])
     resting = []
@@ -114,30 +116,27 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     )
 
 
-def stroke_figures(record: StrokeRecord, reference: ReferenceMap, stroke: Stroke) -> StrokeFigures:
-    """Figures of ``stroke`` in ``record``."""
-    part = stroke.samples
-    time, known = record.time[part], record.best_known(reference)
-    x = known.x[part]
+def stroke_figures(stroke: StrokeRecord, reference: ReferenceMap, direction: Direction) -> StrokeFigures:
+    """Figures of a record of one ``stroke``."""
+    time, known = stroke.time, stroke.best_known(reference)
     lines = {}
-    for name, deviation in (("before", known.guide[part]), ("after", (known.guide + known.y)[part])):
-        lines[f"{name}_least_squares"] = peak_to_peak(residual_of_stroke(time, x, deviation))
-        lines[f"{name}_end_points"] = peak_to_peak(end_point_residual(x, deviation))
+    for name, deviation in (("before", known.guide), ("after", known.guide + known.y)):
+        lines[f"{name}_least_squares"] = peak_to_peak(residual_of_stroke(time, known.x, deviation))
+        lines[f"{name}_end_points"] = peak_to_peak(end_point_residual(known.x, deviation))
     return StrokeFigures(
-        direction=stroke.direction,
+        direction=direction,
         start=float(time[0]),
         duration=float(time[-1] - time[0]),
-        travel=float(np.ptp(x)),
-        **_errors(record, reference, part),
+        travel=float(np.ptp(known.x)),
+        **_errors(stroke.r - stroke.y, stroke.true_error(reference), slice(None)),
         **lines,
     )
 
 
-def _errors(record: StrokeRecord, straightness: ReferenceMap, samples: slice | NDArray[np.intp]) -> dict[str, Any]:
-    """p-p and RMS of the error as the encoder sees it and of the true one, the latter None without truth."""
-    truth = record.true_error(straightness)
+def _errors(encoder: Array, truth: Array | None, samples: slice | NDArray[np.intp]) -> dict[str, Any]:
+    """p-p and RMS over ``samples`` of the error as the encoder sees it and of the true one, None without truth."""
     found: dict[str, Any] = {"true_pp": None, "true_rms": None}
-    for name, error in (("encoder", record.r - record.y), ("true", truth)):
+    for name, error in (("encoder", encoder), ("true", truth)):
         if error is not None:
             found |= {f"{name}_pp": peak_to_peak(error[samples]), f"{name}_rms": _rms(error[samples])}
     return found

@@ -45,19 +45,18 @@ def plot_run(
     _straightness(both, after, record, straightness, metrics)
     for axes in (error, current):
         _shade(axes, record)
-    window = record.motion.window
-    time = record.time[window]
-    truth = record.true_error(straightness)
+    moving = record.moving
+    truth = moving.true_error(straightness)
     for name, values, pp, rms, colour, width in (
-        ("encoder", record.r - record.y, metrics.encoder_pp, metrics.encoder_rms, BLUE if truth is None else GREY, 0.6),
+        ("encoder", moving.r - moving.y, metrics.encoder_pp, metrics.encoder_rms, BLUE if truth is None else GREY, 0.6),
         ("true", truth, metrics.true_pp, metrics.true_rms, BLUE, 0.8),
     ):
         if values is not None and pp is not None and rms is not None:
             label = f"{name}: {pp * 1e6:.2f} µm p-p, {rms * 1e6:.3f} µm RMS"
-            error.plot(time, values[window] * 1e6, color=colour, linewidth=width, label=label)
+            error.plot(moving.time, values * 1e6, color=colour, linewidth=width, label=label)
     _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
     label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
-    current.plot(time, record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
+    current.plot(moving.time, moving.current * 1e3, color=BLACK, linewidth=0.6, label=label)
     _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
     path = Path(path)
     save_whole(figure, path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -74,6 +74,11 @@ class StrokeRecord:
         self.check_finite(("time", "x"), slice(None))
         return motion_of(self.time, self.x)
 
+    @cached_property
+    def moving(self) -> StrokeRecord:
+        """From the first to the last sample of motion, with the pauses between the strokes."""
+        return self.part(self.motion.window)
+
     def best_known(self, straightness: ReferenceMap) -> BestKnown:
         """The truth; on real hardware the values of the encoders and of the map."""
         if self.true_x is None or self.true_y is None or self.guide is None:
@@ -90,6 +95,11 @@ class StrokeRecord:
         """All arrays by name, without those that are None."""
         named = ((one.name, getattr(self, one.name)) for one in fields(self) if one.name != "law")
         return {name: column for name, column in named if column is not None}
+
+    def part(self, samples: slice) -> StrokeRecord:
+        """These samples; their times stay those of the record."""
+        columns: dict[str, Any] = {name: values[samples] for name, values in self.columns().items()}
+        return replace(self, **columns)
 
     def check_finite(self, names: Iterable[str], window: slice) -> None:
         """Raise MetricsError if there is NaN or infinity in the columns ``names`` within ``window``."""

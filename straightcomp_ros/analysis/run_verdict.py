@@ -191,21 +191,19 @@ def judged_run(
     """The verdict on ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if that
     is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock. MetricsError if the stage does
     not move."""
-    window = record.motion.window
-    truth = record.true_error(reference)
-    error, y = (record.r - record.y, record.y) if truth is None or record.true_y is None else (truth, record.true_y)
-    time = record.time[window]
+    run = record.moving
+    truth, first, last = run.true_error(reference), run.time[0], run.time[-1]
     return verdict_of(
         JudgedMotion(
-            time=time,
-            x=record.x[window],
-            y=y[window],
-            r=record.r[window],
-            current=record.current[window],
-            error=error[window],
-            count=encoder_count(record.y[window]),
+            time=run.time,
+            x=run.x,
+            y=run.y if run.true_y is None else run.true_y,
+            r=run.r,
+            current=run.current,
+            error=run.r - run.y if truth is None else truth,
+            count=encoder_count(run.y),
             fit=_guide_fit(record, reference),
-            stalls=tuple(stall for stall in stalls if stall.end >= time[0] and stall.start <= time[-1]),
+            stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
             **bounds_of(parameters, straightness),
         )
     )

@@ -50,7 +50,7 @@ def bow(x):
 def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_those_of_the_truth_where_it_is_known():
     x = 0.2 * np.arange(2001) * 1e-3
     record, stroke = one_way(bow, y=-0.5 * bow(x), r=-0.5 * bow(x) + 1e-6 * np.sin(200.0 * x))
-    figures = stroke_figures(record, guide_map(bow), stroke)
+    figures = stroke_figures(record.part(stroke.samples), guide_map(bow), stroke.direction)
     assert figures.direction == "forward" and figures.true_pp is figures.true_rms is None
     assert (figures.travel, figures.duration, figures.start) == pytest.approx((0.4, 2.0, 0.0), abs=0.01)
     assert figures.travel == pytest.approx(0.4, abs=1e-3)
@@ -60,7 +60,7 @@ def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_
     assert figures.encoder_rms == pytest.approx(1e-6 / math.sqrt(2.0), rel=0.05)
     record, stroke = one_way(bow, truth=-bow(x))
     straight = guide_map(lambda x: 0.0 * x)
-    figures = stroke_figures(record, straight, stroke)
+    figures = stroke_figures(record.part(stroke.samples), straight, stroke.direction)
     # r is zero, and the platform moves by the bow: the workpiece is straight, the error as large as the bow.
     assert (figures.before_end_points, figures.true_pp) == pytest.approx((8e-6, 8e-6), rel=1e-2)
     assert figures.after_end_points == pytest.approx(0.0, abs=1e-12)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -108,11 +108,10 @@ class _Run:
         """The row of a stroke; faults until ``until_ns`` are its own."""
         evaluation = self.evaluation
         columns = {name: value for name, value in vars(self.recorded).items() if name != "stage"}
-        part = part_of(evaluation.record, stroke.start, stroke.stop)
+        part = evaluation.record.part(stroke.samples)
         known = part.best_known(self.reference)
         workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
-        whole = Stroke(0, part.time.size, stroke.direction)
-        figures = stroke_figures(part, self.reference, whole).to_display()
+        figures = stroke_figures(part, self.reference, stroke.direction).to_display()
         del figures["start_s"]
         begin, end = self.stamp(stroke.start), self.stamp(stroke.stop - 1)
         first, last = np.searchsorted(evaluation.stamps, (begin, end + 1)).tolist()
@@ -156,8 +155,7 @@ class _Run:
     def _verdict(self, stroke: Stroke) -> Verdict:
         evaluation, record = self.evaluation, self.evaluation.record
         times = (record.time[stroke.start] - _AROUND, record.time[stroke.stop - 1] + _AROUND)
-        start, stop = np.searchsorted(record.time, times).tolist()
-        part = part_of(record, start, stop)
+        part = record.part(slice(*np.searchsorted(record.time, times).tolist()))
         return judged_run(part, self.reference, evaluation.parameters, evaluation.map, evaluation.stalls)
 
     def _bandwidth(self, part: StrokeRecord, coils: NDArray[np.float64]) -> float | None:
@@ -207,12 +205,6 @@ def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> Recor
 def recorded_name(bag: Path) -> str:
     """The name under which a bag was recorded, whatever its folder is called now."""
     return split_number(found_files(bag)[0][0])[0]
-
-
-def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
-    """The samples ``start`` to ``stop`` (exclusive) of a record; their times stay those of the record."""
-    columns: dict[str, Any] = {name: values[start:stop] for name, values in record.columns().items()}
-    return replace(record, **columns)
 
 
 def _integral(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
