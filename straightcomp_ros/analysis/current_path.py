@@ -122,12 +122,8 @@ _ROUNDS, _SETTLED = 50, 1e-9
 
 
 def huber_weights(residuals: Array, least: float) -> Array:
-    """Weights (n,) of squares, 1 for most.
-
-    Args:
-        residuals: (n,).
-        least: smallest standard deviation that is assumed, in their unit; greater than 0.
-    """
+    """Weights (n,) of the squares of ``residuals``, 1 for most; ``least`` is the smallest standard deviation that is
+    assumed, in their unit, greater than 0."""
     limit = _TUNING * max(least, float(np.median(np.abs(residuals))) / _NORMAL)
     return np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))
 

@@ -175,8 +175,6 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
-        if not self._addressed_to_us():
-            return
         if self.path == "/":
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page)
         elif self.path == "/news":
@@ -187,8 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         # Whatever is left unread of a refused request must not be taken for the next one.
         self.close_connection = True
-        if self._addressed_to_us():
-            self._answer(*self._pressed())
+        self._answer(*self._pressed())
 
     def _pressed(self) -> tuple[HTTPStatus, str]:
         """Execute a button's action; status and message for the page."""
@@ -208,8 +205,10 @@ class _Handler(BaseHTTPRequestHandler):
         except ActionRefused as refusal:
             return HTTPStatus.CONFLICT, str(refusal)
 
-    def _addressed_to_us(self) -> bool:
+    def parse_request(self) -> bool:
         """Another name that DNS leads here is refused: a page under that name would count as ours."""
+        if not super().parse_request():
+            return False
         if self.headers.get("Host", "") in (f"{name}:{self.server.server_port}" for name in ("127.0.0.1", "localhost")):
             return True
         self.close_connection = True
