@@ -10,22 +10,9 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 
-from straightcomp_ros.runtime.launch_files import (
-    HARDWARE,
-    LAW,
-    MAP,
-    OF_ALL,
-    OPCUA_USERS,
-    OUTPUT,
-    RECORD,
-    RT_PRIORITY,
-    SHARE,
-    described,
-    use_opcua,
-)
+from straightcomp_ros.runtime.launch_files import OF_ALL, OVERRIDES, SHARE, described
 
-ARGUMENTS = {**RECORD, **use_opcua("false")}
-OVERRIDES = {**LAW, **MAP, **HARDWARE, **RT_PRIORITY, **OPCUA_USERS, **OUTPUT}
+CHOICES = {"record": "true", "use_opcua": "false"}
 NODES = ("driver", "feedforward", "controller", "logger", "cell_node", "opcua")
 
 
@@ -33,11 +20,11 @@ def _include(name: str) -> IncludeLaunchDescription:
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(PathJoinSubstitution([SHARE, "launch", f"{name}.launch.py"])),
         launch_arguments={
-            argument: LaunchConfiguration(argument) for argument in (*OF_ALL, *ARGUMENTS, *OVERRIDES)
+            argument: LaunchConfiguration(argument) for argument in (*OF_ALL, *CHOICES, *OVERRIDES)
         }.items(),
     )
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros cell.launch.py`."""
-    return described(ARGUMENTS, OVERRIDES, [_include(name) for name in NODES])
+    return described(CHOICES, OVERRIDES, [_include(name) for name in NODES])

@@ -6,10 +6,11 @@ two would move the stage and switch the amplifier.
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import RECORD, RT_PRIORITY, described, starting, use_opcua
+from straightcomp_ros.runtime.launch_files import launched
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros cell_node.launch.py`, and by cell.launch.py."""
-    cell = starting("cell", RT_PRIORITY, only_if={"use_opcua": False}, runs_cycle=True)
-    return described({**RECORD, **use_opcua("false")}, RT_PRIORITY, [cell])
+    return launched(
+        "cell", "rt_priority", only_if={"use_opcua": False}, runs_cycle=True, record="true", use_opcua="false"
+    )

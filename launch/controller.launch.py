@@ -2,11 +2,9 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import LAW, RT_PRIORITY, described, starting
-
-OVERRIDES = {**LAW, **RT_PRIORITY}
+from straightcomp_ros.runtime.launch_files import launched
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros controller.launch.py`, and by cell.launch.py."""
-    return described({}, OVERRIDES, [starting("controller", OVERRIDES)])
+    return launched("controller", "law", "rt_priority")

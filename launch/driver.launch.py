@@ -2,11 +2,9 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import HARDWARE, RT_PRIORITY, described, starting
-
-OVERRIDES = {**HARDWARE, **RT_PRIORITY}
+from straightcomp_ros.runtime.launch_files import launched
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros driver.launch.py`, and by cell.launch.py."""
-    return described({}, OVERRIDES, [starting("driver", OVERRIDES)])
+    return launched("driver", "hardware", "rt_priority")

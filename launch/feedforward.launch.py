@@ -2,11 +2,9 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import MAP, RT_PRIORITY, described, starting
-
-OVERRIDES = {**MAP, **RT_PRIORITY}
+from straightcomp_ros.runtime.launch_files import launched
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros feedforward.launch.py`, and by cell.launch.py."""
-    return described({}, OVERRIDES, [starting("feedforward", OVERRIDES)])
+    return launched("feedforward", "map", "rt_priority")

@@ -2,11 +2,9 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import OUTPUT, RECORD, RT_PRIORITY, described, starting
-
-OVERRIDES = {**OUTPUT, **RT_PRIORITY}
+from straightcomp_ros.runtime.launch_files import launched
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros logger.launch.py`, and by cell.launch.py."""
-    return described(RECORD, OVERRIDES, [starting("logger", OVERRIDES, only_if={"record": True})])
+    return launched("logger", "output", "rt_priority", only_if={"record": True}, record="true")

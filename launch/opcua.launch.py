@@ -5,19 +5,17 @@ When the gateway has ended, everything that was launched with it is shut down.
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import (
-    OPCUA_USERS,
-    RECORD,
-    RT_PRIORITY,
-    described,
-    starting,
-    use_opcua,
-)
-
-OVERRIDES = {**OPCUA_USERS, **RT_PRIORITY}
+from straightcomp_ros.runtime.launch_files import launched
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros opcua.launch.py`, and by cell.launch.py."""
-    gateway = starting("opcua", OVERRIDES, only_if={"use_opcua": True}, runs_cycle=True)
-    return described({**RECORD, **use_opcua("true")}, OVERRIDES, [gateway])
+    return launched(
+        "opcua",
+        "opcua_users",
+        "rt_priority",
+        only_if={"use_opcua": True},
+        runs_cycle=True,
+        record="true",
+        use_opcua="true",
+    )
