@@ -6,6 +6,7 @@ It activates the nodes, switches the amplifier on, homes, runs the strokes, reac
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from rclpy.task import Future
 
@@ -149,9 +150,8 @@ class CellNode(Runnable):
         return left
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros cell_node`."""
-    return run("cell", CellNode)
+main = partial(run, "cell", CellNode)
+"""Entry point of `ros2 run straightcomp_ros cell_node`."""
 
 
 if __name__ == "__main__":

@@ -287,9 +287,8 @@ class ExcitationService:
         return "excites"
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros controller_node`."""
-    return run_managed("controller", ControllerNodeParameters, ControllerComponent)
+main = partial(run_managed, "controller", ControllerNodeParameters, ControllerComponent)
+"""Entry point of `ros2 run straightcomp_ros controller_node`."""
 
 
 if __name__ == "__main__":

@@ -292,9 +292,8 @@ def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
     return StageLimits.of(motion, first - guide.runout, last + guide.runout)
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros driver_node`."""
-    return run_managed("driver", DriverNodeParameters, DriverComponent)
+main = partial(run_managed, "driver", DriverNodeParameters, DriverComponent)
+"""Entry point of `ros2 run straightcomp_ros driver_node`."""
 
 
 if __name__ == "__main__":

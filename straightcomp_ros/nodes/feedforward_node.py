@@ -4,6 +4,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 from std_srvs.srv import SetBool, Trigger
 
@@ -142,9 +143,8 @@ class FeedforwardComponent:
         """There is nothing to release."""
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros feedforward_node`."""
-    return run_managed("feedforward", FeedforwardNodeParameters, FeedforwardComponent)
+main = partial(run_managed, "feedforward", FeedforwardNodeParameters, FeedforwardComponent)
+"""Entry point of `ros2 run straightcomp_ros feedforward_node`."""
 
 
 if __name__ == "__main__":

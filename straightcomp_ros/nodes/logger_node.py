@@ -238,9 +238,8 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
         raise ParameterError(f"parameter '{name}': {text!r}: {error}; allowed: a regular expression") from error
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros logger_node`."""
-    return run_managed("logger", LoggerNodeParameters, LoggerComponent)
+main = partial(run_managed, "logger", LoggerNodeParameters, LoggerComponent)
+"""Entry point of `ros2 run straightcomp_ros logger_node`."""
 
 
 if __name__ == "__main__":

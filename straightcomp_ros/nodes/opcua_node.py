@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rclpy.task import Future
@@ -118,9 +119,8 @@ def _server(parameters: OpcuaNodeParameters, names: list[str]) -> GatewayServer:
         raise ParameterError(f"parameter group 'opcua': {error}") from error
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros opcua_node`."""
-    return run("opcua", OpcuaNode)
+main = partial(run, "opcua", OpcuaNode)
+"""Entry point of `ros2 run straightcomp_ros opcua_node`."""
 
 
 if __name__ == "__main__":

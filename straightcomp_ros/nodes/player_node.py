@@ -3,6 +3,7 @@
 import sys
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 from rclpy.task import Future
@@ -109,9 +110,8 @@ class PlayerNode(Runnable):
             self.done.set_result(EXIT_FAILURE)
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros player_node`."""
-    return run("player", PlayerNode)
+main = partial(run, "player", PlayerNode)
+"""Entry point of `ros2 run straightcomp_ros player_node`."""
 
 
 if __name__ == "__main__":

@@ -23,7 +23,8 @@ from straightcomp_ros.runtime.streams import publisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
-from straightcomp_ros.tuning.graph.waiting_client import GraphError, WaitingClient
+from straightcomp_ros.tuning.commissioning import CommissioningError
+from straightcomp_ros.tuning.graph.waiting_client import WaitingClient
 
 STATES = {"driver": "active", "controller": "active"}
 
@@ -210,7 +211,7 @@ def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_
     rclpy.init(context=context)
     other = Node(COMMISSIONING_CLIENT, context=context)
     CommissioningSign(other).report("acceptance")
-    with WaitingClient(()) as client, pytest.raises(GraphError, match="machine: acceptance"):
+    with WaitingClient(()) as client, pytest.raises(CommissioningError, match="machine: acceptance"):
         client.claim()
     with WaitingClient(()) as client:
         assert comes_true(lambda: client.commissioning.doing)

@@ -157,9 +157,8 @@ class CommissioningNode(Runnable):
             self._process.wait()
 
 
-def main() -> int:
-    """Entry point of `ros2 run straightcomp_ros commissioning_node`."""
-    return run("commissioning", CommissioningNode)
+main = partial(run, "commissioning", CommissioningNode)
+"""Entry point of `ros2 run straightcomp_ros commissioning_node`."""
 
 
 if __name__ == "__main__":

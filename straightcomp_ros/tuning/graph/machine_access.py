@@ -25,7 +25,7 @@ from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.parameters.share import make_private, private_folder
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.graph.running_machine import RunningMachine
-from straightcomp_ros.tuning.graph.waiting_client import GraphError, WaitingClient
+from straightcomp_ros.tuning.graph.waiting_client import WaitingClient
 
 
 class Access(NamedTuple):
@@ -37,25 +37,22 @@ class Access(NamedTuple):
 
 
 @contextmanager
-def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] = lambda: "") -> Iterator[Access]:
+def running_graph(folder: Path, namespace: str = "", check: Callable[[], object] = lambda: None) -> Iterator[Access]:
     """The machine of the graph that runs, whose bags go to ``folder``; it is released at the end. CommissioningError if
-    the graph cannot be used, or ``trouble`` returns why it cannot work any more."""
-    try:
-        with WaitingClient(RECORDED, namespace, trouble) as client:
-            # Before the nodes are asked: another client would have its own parameters in them.
-            tell = client.claim()
-            first = FirstParameters(client.values(), client.processes())
-            values = described(first.values)
-            machine = RunningMachine(client, values, first.values["logger"], folder)
-            first.keep()
-            try:
-                yield Access(machine, values, tell)
-            finally:
-                # Whatever happened, the amplifier is off already.
-                machine.release()
-                first.forget()
-    except GraphError as error:
-        raise CommissioningError(str(error)) from error
+    the graph cannot be used; ``check`` raises if it cannot work any more."""
+    with WaitingClient(RECORDED, namespace, check) as client:
+        # Before the nodes are asked: another client would have its own parameters in them.
+        tell = client.claim()
+        first = FirstParameters(client.values(), client.processes())
+        values = described(first.values)
+        machine = RunningMachine(client, values, first.values["logger"], folder)
+        first.keep()
+        try:
+            yield Access(machine, values, tell)
+        finally:
+            # Whatever happened, the amplifier is off already.
+            machine.release()
+            first.forget()
 
 
 @contextmanager
@@ -76,15 +73,7 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
                     graph.start_program(name, command)
                 for name in RECORDED:
                     graph.start(name, {"autostart": False}, parameter_file)
-
-                def trouble() -> str:
-                    try:
-                        graph.check((*machine, *RECORDED))
-                    except LaunchError as error:
-                        return str(error)
-                    return ""
-
-                with running_graph(folder, trouble=trouble) as access:
+                with running_graph(folder, check=lambda: graph.check((*machine, *RECORDED))) as access:
                     yield access
         except LaunchError as error:
             raise CommissioningError(f"{error} (logs in {folder / 'logs'})") from error

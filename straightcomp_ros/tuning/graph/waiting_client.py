@@ -25,6 +25,7 @@ from straightcomp_ros.runtime.commissioning_client import GONE_AFTER_S, Commissi
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.middleware import own_profile
+from straightcomp_ros.tuning.commissioning import CommissioningError
 
 ANSWER_S = 20.0
 """Longest wait for an answer: a busy computer takes long to configure a node."""
@@ -44,19 +45,17 @@ _DOWN = (None, Transition.TRANSITION_CLEANUP, Transition.TRANSITION_DEACTIVATE)
 """The transition from each of these states to the next, and to the one before."""
 
 
-class GraphError(RuntimeError):
-    """A node does not answer, or refuses; the message names it and its reason."""
-
-
 class WaitingClient(GraphClient):
     """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
 
+    A call raises CommissioningError if a node does not answer, or refuses; the message names it and its reason.
+
     From :meth:`claim` on, as long as it lives, driver, cell and gateway know that a client commissions the machine.
-    ``trouble`` returns why the graph cannot work any more; empty if it can.
+    ``check`` raises if the graph cannot work any more.
     """
 
-    def __init__(self, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: "") -> None:
-        self._nodes, self._trouble = nodes, trouble
+    def __init__(self, nodes: Sequence[str], namespace: str = "", check: Callable[[], object] = lambda: None) -> None:
+        self._nodes, self._check = nodes, check
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             # Another name than that of a node which starts such clients.
@@ -83,15 +82,15 @@ class WaitingClient(GraphClient):
         rclpy.try_shutdown()
 
     def claim(self) -> Callable[[str], None]:
-        """Announce that this client commissions the machine; returns a function that reports what it does. GraphError
-        if another client commissions it."""
+        """Announce that this client commissions the machine, unless another one does; returns a function that reports
+        what it does."""
         # Once the nodes are discovered, so are their other clients: on a busy computer that takes seconds.
         self.processes()
         begin, other = time.monotonic(), self.commissioning
         while time.monotonic() < begin + _LISTEN_S or (other.doing and time.monotonic() < begin + _ENDED_S):
             time.sleep(_POLL_S)
         if other.doing:
-            raise GraphError(f"another client commissions the machine: {other.doing}")
+            raise CommissioningError(f"another client commissions the machine: {other.doing}")
         # Only now: a sign of this client would count as another's.
         return CommissioningSign(self.node).report
 
@@ -114,24 +113,24 @@ class WaitingClient(GraphClient):
         return {node: found[node] for node in self._nodes}
 
     def wait(self, done: Callable[[], bool], within: float, otherwise: str) -> None:
-        """Wait until ``done``; GraphError ``otherwise`` after ``within`` s, or when the graph cannot work any more."""
+        """Wait until ``done``; CommissioningError ``otherwise`` after ``within`` s."""
         end = time.monotonic() + within
         while not done():
-            trouble = self._trouble()
-            if trouble or time.monotonic() > end:
-                raise GraphError(trouble or otherwise)
+            self._check()
+            if time.monotonic() > end:
+                raise CommissioningError(otherwise)
             time.sleep(_POLL_S)
 
     def bring(self, node: str, goal: str) -> None:
         """Bring ``node`` to the lifecycle state ``goal``: unconfigured, inactive or active."""
         state, wanted = self.ask(f"{node}/get_state", GetState.Request()).current_state.label, _STATES.index(goal)
         if state not in _STATES:
-            raise GraphError(f"node '{node}' is in state '{state}'; allowed: {', '.join(_STATES)}")
+            raise CommissioningError(f"node '{node}' is in state '{state}'; allowed: {', '.join(_STATES)}")
         here = _STATES.index(state)
         while here != wanted:
             transition, there = (_UP[here], here + 1) if here < wanted else (_DOWN[here], here - 1)
             if not self.ask(f"{node}/change_state", ChangeState.Request(transition=Transition(id=transition))).success:
-                raise GraphError(f"node '{node}' did not become {_STATES[there]}; its log says why")
+                raise CommissioningError(f"node '{node}' did not become {_STATES[there]}; its log says why")
             here = there
 
     def give(self, node: str, values: Mapping[str, Any]) -> None:
@@ -140,7 +139,7 @@ class WaitingClient(GraphClient):
         request = SetParametersAtomically.Request(parameters=parameters)
         result = self.ask(f"{node}/set_parameters_atomically", request).result
         if not result.successful:
-            raise GraphError(f"node '{node}': {result.reason}")
+            raise CommissioningError(f"node '{node}': {result.reason}")
 
     def ask(self, service: str, request: Any) -> Any:
         """The response of a service."""
@@ -151,10 +150,10 @@ class WaitingClient(GraphClient):
         return future.result()
 
     def require(self, service: str, request: Any) -> None:
-        """Call a service that answers with success and message; GraphError with its message if it refuses."""
+        """Call a service that answers with success and message; CommissioningError with its message if it refuses."""
         response = self.ask(service, request)
         if not response.success:
-            raise GraphError(f"{service}: {response.message or 'refused'}")
+            raise CommissioningError(f"{service}: {response.message or 'refused'}")
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
