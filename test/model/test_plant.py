@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.actuator import control_current
+from straightcomp_ros.model.actuator import Actuator, control_current
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.friction import LuGre, LuGreParameters
 from straightcomp_ros.model.plant import (
