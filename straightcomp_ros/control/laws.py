@@ -8,7 +8,6 @@ from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
-from straightcomp_ros.control.smc_observer import RestGains, SizeGains
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 
@@ -112,27 +111,26 @@ def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
 
 
 def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
-    period, band = stage.period, design.rest_band * stage.encoder.y_resolution
+    period = stage.period
     loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
-    size = SizeGains(
+    gains = smc_observer.Gains(
+        quiet=_stiffness(design, 1.0, period),
+        stiff=_stiffness(design, design.stiffening, period),
+        share=design.velocity_share,
+        misfit=design.misfit * stage.friction.coulomb / loop.mass,
+        lugre=stage.friction.constants(),
         kept=math.exp(-period / design.memory),
         smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
         mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
         # The magnets' stiffness changes the acceleration by 1 m/s² over it, the unit of the fit's first variance.
         travel=stage.platform.mass / stage.actuator.position_stiffness,
-        speed=design.rest_speed,
         largest=design.largest_size,
-    )
-    gains = smc_observer.Gains(
-        _stiffness(design, 1.0, period),
-        _stiffness(design, design.stiffening, period),
-        design.velocity_share,
-        design.misfit * stage.friction.coulomb / loop.mass,
-        stage.friction.constants(),
-        size,
+        speed=design.rest_speed,
+        band=design.rest_band * stage.encoder.y_resolution,
+        wait=design.rest_wait,
         # The mean is over a quarter of the wait: it must forget the approach.
-        RestGains(band, design.rest_speed, design.rest_wait, 1.0 - math.exp(-4.0 * period / design.rest_wait)),
-        loop,
+        weight=1.0 - math.exp(-4.0 * period / design.rest_wait),
+        loop=loop,
     )
     first_size = min(design.first_size, design.largest_size)
     return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)

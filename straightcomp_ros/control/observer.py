@@ -74,14 +74,6 @@ class Loop(NamedTuple):
     actuator: Actuator
 
 
-class Moment(NamedTuple):
-    """Estimate for the moment of action, and the errors y − r and ẏ − ṙ there."""
-
-    action: Estimate
-    position_error: float
-    rate_error: float
-
-
 def observer_gains(bandwidth: float, third_pole: float, period: float) -> ObserverGains:
     """Gains that put two poles of the sampled observer at exp(−2π bandwidth period), the third at the power
     ``third_pole`` of it, its bandwidth relative to the other two; ``bandwidth`` in Hz, ``period`` in s."""
@@ -165,12 +157,14 @@ def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
 
 
 @compilable
-def moment_of_action(g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float) -> Moment:
-    """Estimate and errors at the moment at which the answer to a sample acts, from those ``now``, the ``command`` in A
-    until then, and the reference of the sample in m, m/s, m/s²."""
+def moment_of_action(
+    g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float
+) -> tuple[Estimate, float, float]:
+    """Estimate and errors y − r and ẏ − ṙ at the moment at which the answer to a sample acts, from the estimate
+    ``now``, the ``command`` in A until then, and the reference of the sample in m, m/s, m/s²."""
     action = predicted(g.actuator, g.mass, g.before_action, now, command)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
-    return Moment(action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
+    return action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot)
 
 
 @compilable

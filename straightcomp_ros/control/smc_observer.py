@@ -71,25 +71,6 @@ _SMALLEST_SIZE = 0.1
 """Without friction in the law the fit has nothing to correct: too little is harmless, none would be a dead end."""
 
 
-class SizeGains(NamedTuple):
-    """Constants of the fit.
-
-    Attributes:
-        kept: weight that the past keeps from one sample to the next.
-        smooth, mean: weights of a new value in the smoothed misfit, and in its mean square.
-        travel: m, by which r is scaled.
-        speed: |ṙ| in m/s up to which the fit is paused.
-        largest: bound of s.
-    """
-
-    kept: float
-    smooth: float
-    mean: float
-    travel: float
-    speed: float
-    largest: float
-
-
 class Lags(NamedTuple):
     """The last F̄ and the one before, and their mean behind one, two and three lags, m/s²."""
 
@@ -120,22 +101,6 @@ class Fit(NamedTuple):
     lags: Lags
 
 
-class RestGains(NamedTuple):
-    """Constants at rest.
-
-    Attributes:
-        band: largest |y − r| of the reading, m.
-        speed: largest |ṙ|, m/s.
-        wait: time at rest until the command is held, s.
-        weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
-    """
-
-    band: float
-    speed: float
-    wait: float
-    weight: float
-
-
 class Stiffness(NamedTuple):
     """λ and κ in 1/s, the observer's gains (`ObserverGains`), and the weights of a new value in the lags of its double
     pole and of its third pole."""
@@ -150,9 +115,20 @@ class Stiffness(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """The law at its quietest and stiffest, the share m, the misfit in m/s² from which it stiffens, other constants.
+    """Constants of the law.
 
-    At twice that misfit the law is at its stiffest.
+    Attributes:
+        quiet, stiff: the law at its quietest, and at its stiffest from twice ``misfit`` on.
+        share: m.
+        misfit: m/s², from which the law stiffens.
+        kept: weight that the past of the fit keeps from one sample to the next.
+        smooth, mean: weights of a new value in the smoothed misfit, and in its mean square.
+        travel: m, by which r is scaled in the fit.
+        largest: bound of s.
+        speed: largest |ṙ| in m/s of a reference at rest, at which the fit is paused.
+        band: largest |y − r| of the reading at rest, m.
+        wait: time at rest until the command is held, s.
+        weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
     """
 
     quiet: Stiffness
@@ -160,8 +136,15 @@ class Gains(NamedTuple):
     share: float
     misfit: float
     lugre: LuGre
-    size: SizeGains
-    rest: RestGains
+    kept: float
+    smooth: float
+    mean: float
+    travel: float
+    largest: float
+    speed: float
+    band: float
+    wait: float
+    weight: float
     loop: Loop
 
 
@@ -203,17 +186,17 @@ def step(
     gains = ObserverGains(s.position, s.velocity, s.disturbance)
     observed = corrected(gains, with_measured_current(g.loop, state.prior, current), y)
     bristle, unit = _unit_friction(g, state.fit.size, state.bristle, r_dot, observed.velocity)
-    fit = fitted(g.size, s, state.fit, r, r_dot, unit, observed.disturbance)
+    fit = fitted(g, s, state.fit, r, r_dot, unit, observed.disturbance)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
-    at = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
-    sigma = at.rate_error + s.surface * at.position_error
-    holding = r_ddot - s.surface * at.rate_error - at.action.disturbance
-    equivalent = current_for(g.loop, at.action.y, holding)
-    asked = current_for(g.loop, at.action.y, holding - s.reaching * sigma)
+    action, error, rate_error = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
+    sigma = rate_error + s.surface * error
+    holding = r_ddot - s.surface * rate_error - action.disturbance
+    equivalent = current_for(g.loop, action.y, holding)
+    asked = current_for(g.loop, action.y, holding - s.reaching * sigma)
     asked, rest = _held(g, state.rest, asked, y, r, r_dot)
     answer = limited(g.loop, asked)
-    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, at.action, answer)
+    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, action, answer)
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, bristle, fit, rest), command
@@ -262,7 +245,7 @@ def lagged(g: Stiffness, lags: Lags, unit: float) -> Lags:
 
 
 @compilable
-def fitted(g: SizeGains, stiffness: Stiffness, fit: Fit, r: float, r_dot: float, unit: float, others: float) -> Fit:
+def fitted(g: Gains, stiffness: Stiffness, fit: Fit, r: float, r_dot: float, unit: float, others: float) -> Fit:
     """The fit after one sample with the reference ``r`` and ``r_dot`` (m, m/s).
 
     ``unit`` is F̄ from this sample to the next, ``others`` the observer's disturbance without friction, both in m/s²;
@@ -293,11 +276,11 @@ def fitted(g: SizeGains, stiffness: Stiffness, fit: Fit, r: float, r_dot: float,
 @compilable
 def _held(g: Gains, rest: Rest, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
     """The command for the one that the law asks for, A, and the rest with this sample."""
-    at_rest = abs(r_dot) <= g.rest.speed and abs(y - r) <= g.rest.band
+    at_rest = abs(r_dot) <= g.speed and abs(y - r) <= g.band
     time = rest.time + g.loop.period if at_rest else 0.0
-    if time > g.rest.wait:
+    if time > g.wait:
         # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.
-        return rest.mean, Rest(time, rest.mean, rest.offset + g.rest.weight * (rest.mean - asked - rest.offset))
-    offset = (1.0 - g.rest.weight) * rest.offset
-    mean = rest.mean + g.rest.weight * (limited(g.loop, asked + offset) - rest.mean)
+        return rest.mean, Rest(time, rest.mean, rest.offset + g.weight * (rest.mean - asked - rest.offset))
+    offset = (1.0 - g.weight) * rest.offset
+    mean = rest.mean + g.weight * (limited(g.loop, asked + offset) - rest.mean)
     return asked + offset, Rest(time, mean, offset)

@@ -109,12 +109,13 @@ def test_on_the_reference_at_the_moment_of_action_there_is_no_error(delay):
     # A free platform that follows a parabola: the observer's estimate is exact, and its disturbance drives it.
     g = nominal(delay)._replace(actuator=ACTUATOR._replace(bias_current=0.0))
     y, v, a = 1e-6, 2e-3, 0.4
-    at = moment_of_action(g, Estimate(y, v, a, 0.0), 0.0, y, v, a)
-    assert at.action.y == pytest.approx(y + v * g.delay + 0.5 * a * g.delay**2, rel=1e-9)
-    assert at.position_error == pytest.approx(0.0, abs=1e-18) and at.rate_error == pytest.approx(0.0, abs=1e-15)
+    now = Estimate(y, v, a, 0.0)
+    action, error, rate_error = moment_of_action(g, now, 0.0, y, v, a)
+    assert action.y == pytest.approx(y + v * g.delay + 0.5 * a * g.delay**2, rel=1e-9)
+    assert error == pytest.approx(0.0, abs=1e-18) and rate_error == pytest.approx(0.0, abs=1e-15)
     # Errors are counted y − r.
-    ahead = moment_of_action(g, Estimate(y, v, a, 0.0), 0.0, y - 3e-7, v - 4e-5, a)
-    assert ahead.position_error == pytest.approx(3e-7 + 4e-5 * g.delay) and ahead.rate_error == pytest.approx(4e-5)
+    _, error, rate_error = moment_of_action(g, now, 0.0, y - 3e-7, v - 4e-5, a)
+    assert error == pytest.approx(3e-7 + 4e-5 * g.delay) and rate_error == pytest.approx(4e-5)
 
 
 @pytest.mark.parametrize("y", [0.0, 1e-5, -2e-4])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.observer import observer_gains
-from straightcomp_ros.control.smc_observer import Lags, SizeGains, Stiffness, _stiffness, fit_at_start, fitted, lagged
+from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged
 from straightcomp_ros.model.friction import bristle_after, friction_force
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -177,7 +177,7 @@ def test_the_laws_rank_as_their_designs_promise():
 PERIOD, BANDWIDTH, THIRD = 5e-4, 199.0, 1.28
 POLE = math.exp(-2.0 * math.pi * BANDWIDTH * PERIOD)
 WEIGHTS = Stiffness(*[math.nan] * 5, double=1.0 - POLE, third=1.0 - POLE**THIRD)
-GAINS = SizeGains(kept=math.exp(-PERIOD / 2.0), smooth=0.17, mean=PERIOD / 0.3, travel=25e-6, speed=1e-7, largest=4.0)
+GAINS = law().gains._replace(kept=math.exp(-PERIOD / 2.0), smooth=0.17, mean=PERIOD / 0.3, travel=25e-6)
 
 
 def samples(count):
