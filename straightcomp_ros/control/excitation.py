@@ -214,10 +214,14 @@ def multisine(parameters: MultisineParameters, rate: float, expected: Callable[[
     return Multisine(frequencies, bins, samples, lead, parameters.draws, np.concatenate(currents))
 
 
-def loop_multisine(parameters: MultisineParameters, law: Law, stage: StageParameters) -> Multisine:
-    """The multisine shaped for ``law`` on ``stage`` as described; raises as `multisine`, and ValueError for a law
-    without a linearisation at rest."""
-    return multisine(parameters, stage.rate, lambda lines: loop_response(law, stage, lines, stage.friction.viscous))
+def multisine_injection(
+    parameters: MultisineParameters, law: Law, stage: StageParameters
+) -> tuple[Multisine, Injection]:
+    """The multisine shaped for ``law`` on ``stage`` as described, and its injection; raises as `multisine`, and
+    ValueError for a law without a linearisation at rest."""
+    made = multisine(parameters, stage.rate, lambda lines: loop_response(law, stage, lines, stage.friction.viscous))
+    fade = max(1, round(_FADE * stage.rate))
+    return made, Injection(made.currents, fade=fade, limit=stage.highest_current, travel=parameters.travel)
 
 
 def simple_currents(parameters: ExcitationParameters, stage: StageParameters) -> Array:
@@ -232,14 +236,8 @@ def simple_currents(parameters: ExcitationParameters, stage: StageParameters) ->
 
 
 def made_injection(parameters: ExcitationParameters, law: Law, stage: StageParameters) -> Injection:
-    """The injection; raises as :func:`loop_multisine`."""
+    """The injection; raises as :func:`multisine_injection`."""
     if parameters.signal == "multisine":
-        return multisine_injection(parameters, loop_multisine(parameters, law, stage), stage)
+        return multisine_injection(parameters, law, stage)[1]
     currents = simple_currents(parameters, stage)
     return Injection(currents, fade=1, limit=stage.highest_current, travel=parameters.travel)
-
-
-def multisine_injection(parameters: MultisineParameters, excitation: Multisine, stage: StageParameters) -> Injection:
-    """The injection of a multisine, with its fades."""
-    fade = max(1, round(_FADE * stage.rate))
-    return Injection(excitation.currents, fade=fade, limit=stage.highest_current, travel=parameters.travel)

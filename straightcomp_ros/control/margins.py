@@ -155,10 +155,9 @@ def _slopes_at_rest(law: Law, inputs: int) -> Matrix:
     size = len(flat(law.start(0.0)))
 
     def disturbed(place: int, step: float) -> Matrix:
-        numbers = [0.0] * (size + inputs)
+        numbers = [0.0] * (size + 1) + ([0.0] if inputs > 1 else [math.nan])
         numbers[place] = step
-        current = numbers[size + 1] if inputs > 1 else math.nan
-        after, command = law.answer_from(numbers[:size], numbers[size], current)
+        after, command = law.answer_from(numbers[:size], *numbers[size:])
         return np.array([*after, command.current])
 
     def slopes(step: float) -> Matrix:
@@ -194,20 +193,8 @@ def spectral_radius(matrix: Matrix) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-class _Loop:
-    """A law, linearised, around the plant of a stage, with commands ``late`` s late: by default as described."""
-
-    def __init__(self, law: Law, stage: StageParameters, *, with_current: bool, late: float | None = None) -> None:
-        self.stage, self.law = stage, linearised(law, with_current=with_current)
-        self.late = stage.drive.delay * stage.period if late is None else late
-        self.plant = sampled_plant(stage, self.late)
-
-    def closed(self, gain: float = 1.0, late: float | None = None) -> Matrix:
-        """A of the closed loop."""
-        return closed_loop(self.plant if late is None else sampled_plant(self.stage, late), self.law, gain)
-
-    def stable(self, gain: float = 1.0, late: float | None = None) -> bool:
-        return spectral_radius(self.closed(gain, late)) < 1.0
+def _stable(plant: StateSpace, controller: StateSpace, gain: float = 1.0) -> bool:
+    return spectral_radius(closed_loop(plant, controller, gain)) < 1.0
 
 
 def loop_margins(
@@ -220,16 +207,17 @@ def loop_margins(
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    loop, period = _Loop(law, stage, with_current=with_current, late=delay), stage.period
-    poles = np.asarray(np.linalg.eigvals(loop.closed()), dtype=np.complex128)
-    if not loop.stable():
+    late, period = stage.drive.delay * stage.period if delay is None else delay, stage.period
+    plant, linear = sampled_plant(stage, late), linearised(law, with_current=with_current)
+    poles = np.asarray(np.linalg.eigvals(closed_loop(plant, linear)), dtype=np.complex128)
+    if not np.abs(poles).max() < 1.0:
         return Margins(poles, 1.0, 1.0, 0.0, 0.0)
     return Margins(
         poles,
-        last_stable(loop.stable, 1.0, 0.0),
-        last_stable(loop.stable, 1.0, 20.0),
-        phase_margin(loop.plant, loop.law, period),
-        last_stable(partial(loop.stable, 1.0), loop.late, loop.late + 10.0 * period),
+        last_stable(partial(_stable, plant, linear), 1.0, 0.0),
+        last_stable(partial(_stable, plant, linear), 1.0, 20.0),
+        phase_margin(plant, linear, period),
+        last_stable(lambda late: _stable(sampled_plant(stage, late), linear), late, late + 10.0 * period),
     )
 
 
@@ -281,12 +269,6 @@ def friction_damping(friction: LuGreParameters, speed: float) -> float:
     return friction.viscous + math.sqrt(2.0 / math.pi) * sliding / speed
 
 
-def plant_response(stage: StageParameters, frequencies: Matrix, damping: float) -> Complex:
-    """From command to reading, m/A: the plant of ``stage`` with ``damping`` in N·s/m at ``frequencies`` in Hz."""
-    plant, z = _described(stage, frequencies, damping)
-    return _response(plant, z)[:, 0, 0]
-
-
 def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping: float = 0.0) -> LoopResponse:
     """Plant and loop of ``law``, whose own friction model is left out, on ``stage``, at ``frequencies`` (lines,) in Hz.
 
@@ -296,15 +278,10 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    plant, z = _described(stage, frequencies, damping)
-    loop = _open_loop(plant, linearised(law, with_current=True), z)
-    return LoopResponse(plant_response(stage, frequencies, damping), loop, 1.0 / (1.0 + loop))
-
-
-def _described(stage: StageParameters, frequencies: Matrix, damping: float) -> tuple[StateSpace, Complex]:
-    """The plant with its command delay, and the points of the z plane at ``frequencies``."""
     plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
-    return plant, np.exp(2j * math.pi * frequencies * stage.period)
+    z = np.exp(2j * math.pi * frequencies * stage.period)
+    loop = _open_loop(plant, linearised(law, with_current=True), z)
+    return LoopResponse(_response(plant, z)[:, 0, 0], loop, 1.0 / (1.0 + loop))
 
 
 def missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
@@ -330,18 +307,20 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
     """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
-    law, stiff = make_law(control, stage), stiffened(control)
-    loop, measured = _Loop(law, stage, with_current=False), ", with the coils' current measured,"
-    yield from _gains_missed(loop, "", LEAST_GAINS)
-    yield from _gains_missed(_Loop(law, stage, with_current=True), measured, LEAST_GAINS)
+    plant = sampled_plant(stage, stage.drive.delay * stage.period)
+    quiet, stiff = make_law(control, stage), stiffened(control)
+    ends = [(quiet, "", LEAST_GAINS)]
     if stiff is not control:
-        law, where = make_law(stiff, stage), ", at its stiffest"
-        yield from _gains_missed(_Loop(law, stage, with_current=False), f"{where},", _STIFFEST_GAINS)
-        yield from _gains_missed(_Loop(law, stage, with_current=True), where + measured, _STIFFEST_GAINS)
-    period, latest = stage.period, stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
+        ends.append((make_law(stiff, stage), ", at its stiffest", _STIFFEST_GAINS))
+    for law, where, gains in ends:
+        for measured, how in ((False, ""), (True, ", with the coils' current measured")):
+            stable = partial(_stable, plant, linearised(law, with_current=measured))
+            yield from _gains_missed(stable, f"{where}{how}," if where or how else "", gains)
+    linear, period = linearised(quiet), stage.period
+    latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
 
     def stable_at(samples: float) -> bool:
-        return loop.stable(late=samples * period)
+        return _stable(sampled_plant(stage, samples * period), linear)
 
     if not stable_at(latest):
         longest = _border(stable_at, stage.drive.delay, latest)
@@ -349,17 +328,17 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
             f"is stable with commands up to {longest:.2f} samples late; allowed: >= {latest:g}, "
             "stage.drive.delay × stage.uncertainty.longest_delay"
         )
-    phase = phase_margin(loop.plant, loop.law, period, _FREQUENCIES)
+    phase = phase_margin(plant, linear, period, _FREQUENCIES)
     if phase < LEAST_PHASE:
         yield f"has a phase margin of {phase:.1f}°; allowed: >= {LEAST_PHASE:g}°"
 
 
-def _gains_missed(loop: _Loop, where: str, gains: tuple[float, float]) -> Iterator[str]:
+def _gains_missed(stable: Callable[[float], bool], where: str, gains: tuple[float, float]) -> Iterator[str]:
     low, high = gains
-    if not loop.stable():
+    if not stable(1.0):
         yield f"is{where} unstable; allowed: stable from {low:g} to {high:g} times its loop gain"
         return
     for limit, direction, allowed in ((low, "down", "<="), (high, "up", ">=")):
-        if not loop.stable(limit):
-            border = _border(loop.stable, 1.0, limit)
+        if not stable(limit):
+            border = _border(stable, 1.0, limit)
             yield f"is{where} stable {direction} to {border:.2f} times its loop gain; allowed: {allowed} {limit:g}"

@@ -15,7 +15,6 @@ from straightcomp_ros.control.excitation import (
     FrequencyResponseError,
     Multisine,
     MultisineParameters,
-    loop_multisine,
     multisine_injection,
 )
 from straightcomp_ros.control.law import Command
@@ -61,8 +60,7 @@ def measure_simulated(
     """
     nodes = node_set(values)
     stage, control = nodes.controller.stage, nodes.controller.control
-    excitation = loop_multisine(parameters, make_law(control, stage), stage)
-    injection = multisine_injection(parameters, excitation, stage)
+    excitation, injection = multisine_injection(parameters, make_law(control, stage), stage)
     duration = excitation.currents.size / stage.rate
     simulation = Simulation(values, motion=(_motion(nodes.cell.stage.motion, duration, moving), 0), wiring=wiring)
     first, rows = round(_SETTLE * stage.rate), array("d")
@@ -122,7 +120,7 @@ def response_from_bag(
     state = streams[CONTROLLER_STATE.topic]
     commands = values_at(streams[COMMAND.topic], "control_current", common)
     asked = values_at(state, "equivalent_current", common) + values_at(state, "switching_current", common)
-    excitation = loop_multisine(parameters, make_law(control, stage), stage)
+    excitation, injection = multisine_injection(parameters, make_law(control, stage), stage)
     limit = stage.highest_current
     added = np.nan_to_num(commands - np.clip(asked, -limit, limit))
     first, alike = _place(added, excitation.currents)
@@ -132,7 +130,6 @@ def response_from_bag(
             f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
             "early, or made with other parameters?"
         )
-    injection = multisine_injection(parameters, excitation, stage)
     # With its fades, of which a short period has much.
     whole = np.array([injection.step(0.0, 0.0) for _ in range(excitation.currents.size)])
     lacking = _missing_draws(excitation, added[part], whole)

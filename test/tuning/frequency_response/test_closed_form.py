@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.margins import friction_damping, loop_margins, loop_response, plant_response
+from straightcomp_ros.control.margins import friction_damping, loop_margins, loop_response
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.measured_response import response_margins
 
@@ -24,7 +24,8 @@ def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equatio
     mechanics = actuator.current_stiffness / (stage.platform.mass * s**2 + damping * s - actuator.position_stiffness)
     amplifier = 1.0 / (1.0 + s / (2.0 * math.pi * stage.drive.bandwidth))
     held = np.exp(-s * (delay + 0.5) * stage.period)
-    ratio = plant_response(stage, f, damping) / (mechanics * amplifier * held)
+    law = make_law(ControlParameters(law="linear"), stage)
+    ratio = loop_response(law, stage, f, damping).plant / (mechanics * amplifier * held)
     np.testing.assert_allclose(ratio, 1.0, atol=5e-3)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.control.excitation import MultisineParameters, loop_multisine, multisine_injection
+from straightcomp_ros.control.excitation import MultisineParameters, multisine_injection
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.scenario import node_set
@@ -24,8 +24,7 @@ def recorded(bag, share=1.0):
     values = shipped_parameters()
     nodes = node_set(values)
     stage, control = nodes.controller.stage, nodes.controller.control
-    excitation = loop_multisine(EXCITATION, make_law(control, stage), stage)
-    injection = multisine_injection(EXCITATION, excitation, stage)
+    excitation, injection = multisine_injection(EXCITATION, make_law(control, stage), stage)
     end_ns = round(2e9 + excitation.currents.size / stage.rate * 1e9)
     simulation = Simulation(values, motion=(Trajectory([Waypoint(0, 0.5, 0.0), Waypoint(end_ns, 0.5, 0.0)]), 0))
     begin, stop, index = stage.rate, stage.rate + round(share * excitation.currents.size), 0
