@@ -140,22 +140,16 @@ class Passage(NamedTuple):
     of its readings and of those that were rejected."""
 
     run: Run
-    start: float
-    duration: float
+    start_s: float
+    duration_s: float
     at_rest: bool
     samples: int
-    spikes: int
+    rejected_samples: int
 
 
-class Recognised(NamedTuple):
-    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start)."""
-
-    passages: tuple[Passage, ...]
-    partial: int
-
-
-def recognise(series: Series, step: float, limit: float) -> Recognised:
-    """Find the runs of a survey; SurveyError if the stage does not move.
+def recognise(series: Series, step: float, limit: float) -> tuple[tuple[Passage, ...], int]:
+    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start);
+    SurveyError if the stage does not move.
 
     On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
     """
@@ -172,7 +166,7 @@ def recognise(series: Series, step: float, limit: float) -> Recognised:
         if travel >= _WHOLE * max(travels):
             name = str(1 + sum(passage.run.direction == group[0][0].direction for passage in passages))
             passages.append(_passage(series, group, name, step, limit))
-    return Recognised(tuple(passages), len(groups) - len(passages))
+    return tuple(passages), len(groups) - len(passages)
 
 
 def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
@@ -223,22 +217,21 @@ def _middles(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[n
 
 def build_from_series(series: Series, source: Path, choices: Choices) -> tuple[BuiltMap, tuple[Passage, ...]]:
     """Recognise the runs of a recording, and :func:`build` the map; SurveyError also if there is no run."""
-    found = recognise(series, choices.step, choices.limit)
-    for passage in found.passages:
-        run = passage.run
+    passages, partial = recognise(series, choices.step, choices.limit)
+    parameters = choices.parameters
+    for run in (passage.run for passage in passages):
         where = f"survey {series.source}, run '{run.name}' {run.direction}"
-        if run.x.size < choices.parameters.min_points:
+        if run.x.size < parameters.min_points:
             raise SurveyError(
-                f"{where}: {run.x.size} points; allowed: >= {choices.parameters.min_points} (min_points): "
+                f"{where}: {run.x.size} points; allowed: >= {parameters.min_points} (min_points): "
                 f"a smaller step than {choices.step * 1e3:g} mm gives more"
             )
-        check_run(where, run, choices.parameters.max_gap)
-    survey = Survey(tuple(p.run for p in found.passages), series.source)
-    built = build(survey, source, choices, series.inputs)
+        check_run(where, run, parameters.max_gap)
+    built = build(Survey(tuple(p.run for p in passages), series.source), source, choices, series.inputs)
     counts = {
-        "partial_runs": found.partial,
-        "samples": sum(passage.samples for passage in found.passages),
-        "rejected_samples": sum(passage.spikes for passage in found.passages),
+        "partial_runs": partial,
+        "samples": sum(passage.samples for passage in passages),
+        "rejected_samples": sum(passage.rejected_samples for passage in passages),
         "unusable_samples": series.unusable,
     }
-    return replace(built, counts=counts), found.passages
+    return replace(built, counts=counts), passages

@@ -71,9 +71,19 @@ def _build(options: argparse.Namespace) -> None:
 
         plot_map(built, plot)
     if options.json:
-        print_json({**_built_in_json(built, passages), "output": options.output, "warnings": texts})
-    else:
-        _print_built(built, options.output)
+        print_json({**_in_json(built, passages), "output": options.output, "warnings": texts})
+        return
+    console.print(figures_table(f"Survey {built.survey.source}", built.figures()))
+    for name in built.rejected_runs:
+        notes.print(f"run {name} is rejected: it differs from the others")
+    for name, x in built.rejected_points[:20]:
+        notes.print(f"run {name}: the point at x = {x * 1e3:.1f} mm is rejected")
+    if len(built.rejected_points) > 20:
+        notes.print(f"and {len(built.rejected_points) - 20} more points")
+    if built.repeatability.short_of_the_standard:
+        notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
+    if options.output:
+        notes.print(f"map: {options.output}")
 
 
 def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
@@ -81,12 +91,7 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     from straightcomp_ros.bags.fields import Field
     from straightcomp_ros.bags.folder import STORED
     from straightcomp_ros.straightness.survey import SurveyError, read_survey
-    from straightcomp_ros.tuning.survey.recording import (
-        Sensor,
-        build_from_series,
-        series_of_bag,
-        series_of_csv,
-    )
+    from straightcomp_ros.tuning.survey.recording import Sensor, build_from_series, series_of_bag, series_of_csv
 
     choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
     source = Path(options.source)
@@ -105,56 +110,31 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     series = series_of_csv(source, names)
     if series is not None:
         return build_from_series(series, source, choices)
-    parameters = choices.parameters
-    survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap, names=names)
-    return build(survey, source, choices), ()
+    return build(read_survey(source, names=names), source, choices), ()
 
 
-def _built_in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
-    found = built.repeatability
-
-    def um(values: Any) -> list[float] | None:
-        return None if values is None else (values * 1e6).tolist()
-
+def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
+    found, runs = built.repeatability, []
+    for passage in passages:
+        run, figures = passage.run, passage._asdict()
+        del figures["run"]
+        figures |= {"points": run.x.size, "rejected": f"{run.name} {run.direction}" in built.rejected_runs}
+        runs.append({"name": run.name, "direction": run.direction, **figures})
+    um = {
+        "mean_um": built.mean,
+        "forward_s_um": found.forward and found.forward.s,
+        "backward_s_um": found.backward and found.backward.s,
+        "reversal_um": found.reversal,
+    }
     return {
         **built.figures(),
         "provenance": dict(built.provenance),
-        "runs": [
-            {
-                "name": passage.run.name,
-                "direction": passage.run.direction,
-                "start_s": passage.start,
-                "duration_s": passage.duration,
-                "points": int(passage.run.x.size),
-                "at_rest": passage.at_rest,
-                "samples": passage.samples,
-                "rejected_samples": passage.spikes,
-                "rejected": f"{passage.run.name} {passage.run.direction}" in built.rejected_runs,
-            }
-            for passage in passages
-        ],
+        "runs": runs,
         "rejected_run_names": list(built.rejected_runs),
         "rejected_point_list": [{"run": run, "x_mm": x * 1e3} for run, x in built.rejected_points],
         "x_mm": (found.x * 1e3).tolist(),
-        "mean_um": um(built.mean),
-        "forward_s_um": um(found.forward.s if found.forward else None),
-        "backward_s_um": um(found.backward.s if found.backward else None),
-        "reversal_um": um(found.reversal),
+        **{name: None if values is None else (values * 1e6).tolist() for name, values in um.items()},
     }
-
-
-def _print_built(built: BuiltMap, output: str | None) -> None:
-    console.print(figures_table(f"Survey {built.survey.source}", built.figures()))
-    for name in built.rejected_runs:
-        notes.print(f"run {name} is rejected: it differs from the others")
-    for name, x in built.rejected_points[:20]:
-        notes.print(f"run {name}: the point at x = {x * 1e3:.1f} mm is rejected")
-    if len(built.rejected_points) > 20:
-        notes.print(f"and {len(built.rejected_points) - 20} more points")
-    if built.repeatability.short_of_the_standard:
-        notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
-    if output:
-        notes.print(f"map: {output}")
 
 
 def _convert_arguments(parser: argparse.ArgumentParser) -> None:
@@ -170,6 +150,8 @@ def _convert(options: argparse.Namespace) -> None:
 
     The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
     use --negate if it has the other sign."""
+    import numpy as np
+
     from straightcomp_ros.straightness.survey import check_run, write_survey
     from straightcomp_ros.tuning.survey.formats import FORMATS, format_of
 
@@ -181,21 +163,20 @@ def _convert(options: argparse.Namespace) -> None:
     if options.negate:
         survey = survey.negated()
     write_survey(output, survey, [f"Converted from {source.name}"])
-    first = survey.runs[0]
+    x, deviation = survey.runs[0].x, np.concatenate([run.deviation for run in survey.runs])
     figures = {
         "output": str(output),
-        "points": len(first.x),
+        "points": len(x),
         "directions": [run.direction for run in survey.runs],
-        "first_x_m": float(first.x[0]),
-        "last_x_m": float(first.x[-1]),
-        "peak_to_peak_um": float(max(run.deviation.max() for run in survey.runs) * 1e6)
-        - float(min(run.deviation.min() for run in survey.runs) * 1e6),
+        "first_x_m": float(x[0]),
+        "last_x_m": float(x[-1]),
+        "peak_to_peak_um": float(deviation.max() * 1e6) - float(deviation.min() * 1e6),
     }
     if options.json:
         print_json(figures)
     else:
         console.print(
-            f"{output}: {figures['points']} points from {first.x[0] * 1e3:g} to {first.x[-1] * 1e3:g} mm, "
+            f"{output}: {len(x)} points from {x[0] * 1e3:g} to {x[-1] * 1e3:g} mm, "
             f"{figures['peak_to_peak_um']:.2f} µm peak to peak, {' and '.join(run.direction for run in survey.runs)}"
         )
 

@@ -60,11 +60,10 @@ def test_clean_noise_is_hardly_ever_an_outlier():
 
 def test_strokes_directions_and_a_broken_off_run_are_recognised():
     time, x = driven(0.0, LENGTH, 0.0, 0.15, 0.0, LENGTH, 0.0)
-    found = recognise(series(time, x, guide(x)), 5e-3, 6.0)
-    assert [p.run.direction for p in found.passages] == ["forward", "backward", "forward", "backward"]
-    assert [p.run.name for p in found.passages] == ["1", "1", "2", "2"]
-    assert found.partial == 2
-    for passage in found.passages:
+    passages, partial = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    names = [(p.run.name, p.run.direction) for p in passages]
+    assert names == [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")] and partial == 2
+    for passage in passages:
         assert not passage.at_rest
         assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
 
@@ -74,8 +73,8 @@ def test_a_spike_does_not_reach_the_points_even_where_a_point_has_one_reading():
     deviation = guide(x) + np.random.default_rng(3).normal(0.0, 1e-8, x.size)
     bad = np.arange(25, x.size - 20, 17)
     deviation[bad] += 3e-6
-    (passage,) = recognise(series(time, x, deviation), 4e-3, 6.0).passages
-    assert passage.spikes >= len(bad)
+    ((passage,), _) = recognise(series(time, x, deviation), 4e-3, 6.0)
+    assert passage.rejected_samples >= len(bad)
     assert np.abs(passage.run.deviation - guide(passage.run.x)).max() < 1e-7
 
 
@@ -93,17 +92,11 @@ def test_stops_make_points_of_their_second_halves():
     for i in range(1, x.size):
         settled_for[i] = 0.0 if moving[i] else settled_for[i - 1] + time[i] - time[i - 1]
     deviation = guide(x) + 2e-6 * np.exp(-settled_for / 0.02)
-    found = recognise(series(time, x, deviation), 5e-3, 6.0)
-    assert [p.run.direction for p in found.passages] == ["forward", "backward"]
-    for passage in found.passages:
+    passages, _ = recognise(series(time, x, deviation), 5e-3, 6.0)
+    assert [p.run.direction for p in passages] == ["forward", "backward"]
+    for passage in passages:
         assert passage.at_rest and 38 <= passage.run.x.size <= 41
         assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
-
-
-def test_a_stage_that_never_moved_is_refused():
-    time = np.arange(100) * 0.01
-    with pytest.raises(SurveyError, match=r"made up.*does not move"):
-        build_from_series(series(time, np.zeros(100), np.zeros(100)), SAMPLE, CHOICES)
 
 
 def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys):
@@ -187,82 +180,85 @@ def test_what_cannot_be_read_is_named(tmp_path, capsys, options, words):
 
 
 SPEED = 0.2
-
-
-def survey_bag(path, stage_s, readings_s, reading, y=lambda t: 0.0 * t):
-    """A bag of a stage at x = SPEED t, sampled at ``stage_s``, and of ``reading(t)`` at ``readings_s``."""
-    rows = [(ENCODER, t, (SPEED * t, float(y(t)), np.nan, np.nan)) for t in stage_s]
-    rows += [(DISPLACEMENT, t, (float(reading(t)),)) for t in readings_s]
-    with BagWriter(path) as bag:
-        for stream in (ENCODER, DISPLACEMENT):
-            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
-        for stream, t, numbers in rows:
-            ns = START_NS + round(t * 1e9)
-            bag.write(f"/{stream.topic}", stream.layout.pack(ns, *numbers), ns, ns)
-    return path
-
-
 SECOND = np.arange(0.0, 1.0001, 0.01)
 
 
+@pytest.fixture
+def read_bag(tmp_path):
+    """A function: the series of a bag of a stage at x = SPEED t, sampled at ``stage_s``, and of ``reading(t)`` at
+    ``readings_s``, as read with a ``sensor``."""
+    numbers = itertools.count()
+
+    def read(reading, stage_s=SECOND, readings_s=SECOND, y=lambda t: 0.0 * t, **sensor):
+        rows = [(ENCODER, t, (SPEED * t, float(y(t)), np.nan, np.nan)) for t in stage_s]
+        rows += [(DISPLACEMENT, t, (float(reading(t)),)) for t in readings_s]
+        path = tmp_path / f"bag{next(numbers)}"
+        with BagWriter(path) as bag:
+            for stream in (ENCODER, DISPLACEMENT):
+                bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+            for stream, t, values in rows:
+                ns = START_NS + round(t * 1e9)
+                bag.write(f"/{stream.topic}", stream.layout.pack(ns, *values), ns, ns)
+        return series_of_bag(path, sensor=Sensor(**sensor))
+
+    return read
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.02, -0.02])
-def test_a_reading_belongs_to_the_x_of_the_time_before_its_delay(tmp_path, delay):
+def test_a_reading_belongs_to_the_x_of_the_time_before_its_delay(read_bag, delay):
     # The sensor shows at t what was there at t − delay: with the right delay deviation and x agree again.
-    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: 1e-6 * SPEED * (t - delay))
-    found = series_of_bag(bag, sensor=Sensor(delay=delay))
+    found = read_bag(lambda t: 1e-6 * SPEED * (t - delay), delay=delay)
     assert found.deviation == pytest.approx(1e-6 * found.x, abs=1e-15)
     assert found.unusable == round(abs(delay) / 0.01)
     assert (f"{delay * 1e3:g} ms old" in found.inputs["sensor"]) is (delay != 0.0)
 
 
-def test_the_delay_of_the_platforms_y_is_that_of_the_reading(tmp_path):
+def test_the_platforms_y_is_that_of_the_readings_time_and_where_it_was_not_recorded_a_reading_says_nothing(read_bag):
     def y(t):
         return 3e-6 * t * t
 
-    bag = survey_bag(tmp_path / "bag", np.arange(0.0, 1.0, 0.001), SECOND, lambda t: 1e-6 + y(t - 0.05), y)
-    found = series_of_bag(bag, sensor=Sensor(delay=0.05, on_platform=True))
-    assert found.deviation == pytest.approx(1e-6, abs=1e-11)
-    assert "on the platform" in found.inputs["sensor"]
+    stage_s = np.arange(0.0, 1.0, 0.001)
+    found = read_bag(lambda t: 1e-6 + y(t - 0.05), stage_s, y=y, delay=0.05, on_platform=True)
+    assert found.deviation == pytest.approx(1e-6, abs=1e-11) and "on the platform" in found.inputs["sensor"]
+    hole = [t for t in np.arange(0.0, 1.0001, 0.001) if not 0.4 < t < 0.6]
+    found = read_bag(lambda t: 2e-6, hole, y=lambda t: 1e-6, on_platform=True)
+    assert found.unusable == 19 and found.deviation == pytest.approx(1e-6)
+    assert not np.any((found.x > 0.41 * SPEED) & (found.x < 0.59 * SPEED))
 
 
-def test_unit_and_sign_of_the_sensor_are_those_that_are_named(tmp_path):
-    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: 2.0 * t)
-    assert series_of_bag(bag, sensor=Sensor(unit="mm")).deviation[-1] == pytest.approx(2e-3)
-    inverted = series_of_bag(bag, sensor=Sensor(unit="um", inverted=True))
-    assert inverted.deviation[-1] == pytest.approx(-2e-6)
-    assert "inverted" in inverted.inputs["sensor"] and "in um" in inverted.inputs["sensor"]
-    plain = series_of_bag(bag)
-    assert plain.inputs["sensor"].endswith("in m") and plain.inputs["stage"].endswith("position[stage_x]")
+def test_unit_and_sign_of_the_sensor_are_those_that_are_named(read_bag):
+    for sensor, last, words in (({}, 2.0, "in m"), ({"unit": "mm"}, 2e-3, "in mm")):
+        found = read_bag(lambda t: 2.0 * t, **sensor)
+        assert found.deviation[-1] == pytest.approx(last) and found.inputs["sensor"].endswith(words)
+        assert found.inputs["stage"].endswith("position[stage_x]")
+    inverted = read_bag(lambda t: 2.0 * t, unit="um", inverted=True)
+    assert inverted.deviation[-1] == pytest.approx(-2e-6) and inverted.inputs["sensor"].endswith("in um, inverted")
 
 
-def test_x_is_not_interpolated_over_more_than_a_tenth_of_a_second(tmp_path):
-    for gap, unusable in ((0.1, 0), (0.11, 10), (0.12, 11)):
-        for begin in (0.0, 0.4, 1.0 - gap):
-            stage = np.array([t for t in SECOND if not begin + 0.0001 < t < begin + gap - 0.0001])
-            bag = survey_bag(tmp_path / f"bag{gap}{begin}", stage, SECOND, lambda t: 1e-6)
-            found = series_of_bag(bag)
-            assert found.unusable == unusable
-            assert found.x == pytest.approx(SPEED * found.time, abs=1e-9)
+@pytest.mark.parametrize("gap, unusable", [(0.1, 0), (0.11, 10), (0.12, 11)])
+def test_x_is_not_interpolated_over_more_than_a_tenth_of_a_second(read_bag, gap, unusable):
+    for begin in (0.0, 0.4, 1.0 - gap):
+        stage = np.array([t for t in SECOND if not begin + 0.0001 < t < begin + gap - 0.0001])
+        found = read_bag(lambda t: 1e-6, stage)
+        assert found.unusable == unusable and found.x == pytest.approx(SPEED * found.time, abs=1e-9)
 
 
-def test_samples_are_put_in_order_and_readings_before_and_after_the_stages_are_left_out(tmp_path):
-    found = series_of_bag(survey_bag(tmp_path / "bag", SECOND[20:81], SECOND, lambda t: 1e-6))
+def test_samples_are_put_in_order_and_readings_before_and_after_the_stages_are_left_out(read_bag):
+    found = read_bag(lambda t: 1e-6, SECOND[20:81])
     assert found.x[[0, -1]] == pytest.approx([SPEED * 0.2, SPEED * 0.8])
-    assert len(found.x) == 61 and found.unusable == 40
-    assert found.time[0] == 0.0 and found.time[-1] == pytest.approx(0.6)
+    assert len(found.x) == 61 and found.unusable == 40 and found.time[[0, -1]] == pytest.approx([0.0, 0.6])
     shuffled = np.random.default_rng(1).permutation(np.concatenate([SECOND, SECOND[:30]]))
-    found = series_of_bag(survey_bag(tmp_path / "disorder", shuffled, shuffled[::-1], lambda t: 1e-6 * t))
+    found = read_bag(lambda t: 1e-6 * t, shuffled, shuffled[::-1])
     assert found.time == pytest.approx(SECOND) and found.deviation == pytest.approx(1e-6 * SECOND)
 
 
-def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(tmp_path):
-    bag = survey_bag(tmp_path / "bag", SECOND, SECOND, lambda t: np.nan if t > 0.025 else 1e-6)
-    assert (len(series_of_bag(bag).x), series_of_bag(bag).unusable) == (3, 98)
-    bag = survey_bag(tmp_path / "less", SECOND, SECOND, lambda t: np.nan if t > 0.015 else 1e-6)
+def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(read_bag):
+    found = read_bag(lambda t: np.nan if t > 0.025 else 1e-6)
+    assert (len(found.x), found.unusable) == (3, 98)
     with pytest.raises(SurveyError, match="2 common samples"):
-        series_of_bag(bag)
+        read_bag(lambda t: np.nan if t > 0.015 else 1e-6)
     with pytest.raises(SurveyError, match="1 common samples"):
-        series_of_bag(survey_bag(tmp_path / "one", SECOND[:1], SECOND, lambda t: 1e-6))
+        read_bag(lambda t: 1e-6, SECOND[:1])
 
 
 def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
@@ -279,6 +275,7 @@ def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
 @pytest.mark.parametrize(
     "rows, words",
     [
+        ("0,1,1\n1,1,1\n2,1,2\n3,1,1\n", "does not move"),
         ("0,1,1\n1,2,2\n", "2 rows"),
         ("0,1,1\n2,2,2\n1,3,3\n", "line 4: time_s 1 after 2"),
         ("0,1,1\n2,2,2\n2,3,3\n", "line 4: time_s 2 after 2"),
@@ -289,15 +286,7 @@ def test_a_recording_as_csv_that_is_none_is_refused(tmp_path, rows, words):
     path = tmp_path / "series.csv"
     path.write_text("time_s,x_mm,deviation_um\n" + rows)
     with pytest.raises(SurveyError, match=words):
-        series_of_csv(path)
-
-
-def test_where_the_platforms_y_was_not_recorded_a_reading_on_it_says_nothing(tmp_path):
-    hole = [t for t in np.arange(0.0, 1.0001, 0.001) if not 0.4 < t < 0.6]
-    bag = survey_bag(tmp_path / "bag", hole, SECOND, lambda t: 2e-6, lambda t: 1e-6)
-    found = series_of_bag(bag, sensor=Sensor(on_platform=True))
-    assert found.unusable == 19 and found.deviation == pytest.approx(1e-6)
-    assert not np.any((found.x > 0.41 * SPEED) & (found.x < 0.59 * SPEED))
+        build_from_series(series_of_csv(path), path, CHOICES)
 
 
 def test_a_spike_is_further_out_than_so_many_robust_standard_deviations():
