@@ -9,7 +9,7 @@ import pytest
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Crossfade, Servo
+from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FADE_TIME as MAP_FADE_TIME
@@ -29,21 +29,15 @@ def same(one, other):
     return repr(one) == repr(other)
 
 
-def test_a_repeated_sample_gets_the_same_answer_and_changes_nothing():
-    one, other = servo(), servo()
-    for step in range(5):
-        first = one.step(step * T, 1e-7 * step, 0.0, HELD)
-        assert same(one.step(step * T, 1e-7 * step, 0.0, HELD), first)
+def test_a_repeated_sample_gets_the_same_answer_and_an_older_or_a_wrong_one_none_and_nothing_changes():
+    loop, other = servo(), servo()
+    wrong = ((math.nan, HELD), (math.inf, HELD), (0.0, (math.nan, 0.0, 0.0)), (0.0, (0.0, math.inf, 0.0)))
+    for step in range(1, 5):
+        first = loop.step(step * T, 1e-7 * step, 0.0, HELD)
+        assert same(loop.step(step * T, 1e-7 * step, 0.0, HELD), first)
+        assert loop.step((step - 1) * T, 0.0, 0.0, HELD) is None
+        assert [loop.step((step + 1) * T, y, 0.0, reference) for y, reference in wrong] == [None] * 4
         assert same(other.step(step * T, 1e-7 * step, 0.0, HELD), first)
-
-
-def test_an_older_sample_and_non_finite_samples_and_references_are_refused():
-    loop = servo()
-    loop.step(10 * T, 0.0, 0.0, HELD)
-    assert loop.step(9 * T, 0.0, 0.0, HELD) is None
-    for y, reference in ((math.nan, HELD), (math.inf, HELD), (0.0, (math.nan, 0.0, 0.0)), (0.0, (0.0, math.inf, 0.0))):
-        assert loop.step(11 * T, y, 0.0, reference) is None
-    assert loop.step(11 * T, 0.0, 0.0, HELD) is not None
 
 
 def test_while_the_amplifier_is_off_nothing_is_integrated():
@@ -161,20 +155,6 @@ def test_the_command_does_not_step_further_during_a_change_of_map_than_without_o
     assert changed_error < plain_error + 0.3e-6
 
 
-def test_a_change_within_a_change_ends_with_the_last_law():
-    laws = [make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc", "smc_observer")]
-
-    def change(servo):
-        servo.change(laws[1], FADE)
-        servo.change(laws[2], FADE)
-
-    servos = []
-    currents, errors = run(laws[0], lambda servo: (servos.append(servo), change(servo)))
-    assert servos[0]._law is laws[2]
-    assert max(steps_of(currents[BEFORE - 1 :])) < 0.05
-    assert max(map(abs, errors[BEFORE:])) < 3e-6
-
-
 def test_while_no_law_acts_the_new_one_is_there_at_once():
     changed = servo()
     changed.change(make_law(ControlParameters(law="smc"), STAGE), FADE)
@@ -183,29 +163,43 @@ def test_while_no_law_acts_the_new_one_is_there_at_once():
 
 
 class Steady:
-    """A law that always answers the same current."""
+    """A law that always answers the same current; it has nothing to forget."""
 
     def __init__(self, current):
         self._current = current
 
     def reset(self, y):
-        """Nothing to forget."""
+        pass
 
     def step(self, *_):
         return Command(self._current, *(math.nan,) * (len(Command._fields) - 1))
 
 
-def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_a_reset_ends_it():
+def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_ends_with_the_last():
+    loop, laws = Servo(Steady(0.0)), [Steady(0.1), Steady(0.1)]
+    numbers = itertools.count()
+
+    def steps(count):
+        return [loop.step(next(numbers) * T, 0.0, 0.0, REST).current for _ in range(count)]
+
+    currents = steps(1)
+    loop.change(laws[0], 10)
+    currents += steps(5)
     # The first fade is the second one's old law, and is stepped beyond its own end.
-    ended = []
-    first = Crossfade(Steady(0.0), Steady(0.1), 10, ended.append)
-    currents = [first.step(0.0).current for _ in range(5)]
-    second = Crossfade(first, Steady(0.1), 20, ended.append)
-    currents += [second.step(0.0).current for _ in range(15)]
-    assert currents[-1] == pytest.approx(0.1) and currents == sorted(currents) and ended == [first] * len(ended)
-    assert max(steps_of(currents)) <= 0.2 / 10 + 1e-12
-    second.reset(0.0)
-    assert ended[-1] is second
+    loop.change(laws[1], 20)
+    currents += steps(19)
+    assert loop._law is not laws[1]
+    currents += steps(1)
+    assert loop._law is laws[1] and currents[-1] == pytest.approx(0.1)
+    assert currents == sorted(currents) and max(steps_of(currents)) <= 0.2 / 10 + 1e-12
+
+
+def test_a_fade_ends_where_the_law_starts_anew():
+    loop, new = Servo(Steady(0.0)), Steady(0.1)
+    loop.step(0, 0.0, 0.0, REST)
+    loop.change(new, 10)
+    assert loop.step(T, 0.0, 0.0, REST).current == pytest.approx(0.01)
+    assert loop.step(T + 10**9, 0.0, 0.0, REST).current == 0.1
 
 
 FLAT = np.full(1000, 0.2)

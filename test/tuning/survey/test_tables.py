@@ -134,22 +134,16 @@ def aerotech(head, rows, spacing="10 10", columns=24):
     return f":START2D {head} {spacing} {columns}\n:START2D POSUNIT=METRIC CORUNIT=METRIC/1000\n{text}\n:END\n"
 
 
-def etalon(points, error="EYX"):
-    return f"[{error}]\nGridpoints = {points}\n"
-
-
-PAIRS = [f"{x:g} {y * 1e-3:.6f}" for x, y in zip(X, UM, strict=True)]
-BLOCK = "{\n" + "\n".join(PAIRS) + "\n}"
+POINTS = list(zip((X * 1e-3).tolist(), (UM * 1e-6).tolist(), strict=True))
 COLUMNS = aerotech("2 1 2 1", [UM, UM])
 
 
-def crosscomp(platform, stage, more=""):
-    points = "".join(
-        f"kw.crosscomp.table[{at}].setpoint {x * 1e4:g}\nkw.crosscomp.table[{at}].correction {y * 10:.2f}\n"
-        for at, (x, y) in enumerate(zip(X, UM, strict=True))
-    )
-    head = f"kopf.achs_nr {platform}\nkw.crosscomp.last_index 23\nkw.crosscomp.master_ax_nr {stage}\n"
-    return f"{head}kw.crosscomp.unit 1\n{points}{more}"
+def crosscomp(platform, stage):
+    return written("crosscomp", POINTS, Conventions(stage_axis=stage, platform_axis=platform))
+
+
+def etalon(error="EYX"):
+    return written("etalon", POINTS, MM).replace("EYX", error)
 
 
 def rtl(runs, first="", count=24, listed=X):
@@ -183,9 +177,10 @@ def pos(*blocks):
         ("aerotech", COLUMNS + aerotech("2 3 2 3", [UM, UM]), {}, PP),
         ("crosscomp", crosscomp(2, 1), {}, PP),
         ("crosscomp", crosscomp(3, 2), {"platform_axis": 3, "stage_axis": 2}, PP),
-        ("etalon", etalon(BLOCK), {}, PP),
-        ("etalon", etalon("{ " + "\n".join(PAIRS) + " }"), {}, PP),
-        ("etalon", etalon(BLOCK) + etalon(BLOCK, "EXX"), {}, PP),
+        ("etalon", etalon(), {}, PP),
+        # Points may stand on the lines of the braces.
+        ("etalon", etalon().replace("{\n", "{ ").replace("\n}", " }"), {}, PP),
+        ("etalon", etalon() + etalon("EXX"), {}, PP),
         ("renishaw", rtl(OUT_AND_BACK), {}, PP),
         ("api", pos(("Bidirectional", 2 * UM), ("Forward Directional", UM), ("Reverse Directional", UM)), {}, PP),
         ("api", pos(("Bidirectional", UM)), {}, PP),
@@ -215,11 +210,11 @@ def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path
         ("crosscomp", crosscomp(3, 2), ""),
         ("crosscomp", crosscomp(1, 2), ""),
         ("crosscomp", crosscomp(2, 2), ""),
-        ("crosscomp", crosscomp(2, 1, "kw.crosscomp.table[03].correction 99\n"), ""),
-        ("etalon", etalon(BLOCK) + etalon(BLOCK), ""),
-        ("etalon", etalon(BLOCK) + etalon("{ }", "EZX") + etalon(BLOCK), ""),
-        ("etalon", etalon("{\n" + "\n".join(PAIRS) + "\n} 240 0.1"), ""),
-        *(("etalon", etalon(BLOCK, error), f"--error {error}") for error in ("EXX", "ECX", "EAX", "YX", "EYXX")),
+        ("crosscomp", crosscomp(2, 1) + "kw.crosscomp.table[03].correction 99\n", ""),
+        ("etalon", etalon() + etalon(), ""),
+        ("etalon", etalon() + "[EZX]\nGridpoints = { }\n" + etalon(), ""),
+        ("etalon", etalon().replace("}", "} 240 0.1"), ""),
+        *(("etalon", etalon(error), f"--error {error}") for error in ("EXX", "ECX", "EAX", "YX", "EYXX")),
         ("renishaw", rtl(OUT_AND_BACK, "Angular"), ""),
         ("renishaw", rtl(OUT_AND_BACK, count=25), ""),
         ("renishaw", rtl([*OUT_AND_BACK, (1, 3, 9.0)]), ""),
@@ -253,8 +248,8 @@ def test_columns_of_other_names_are_chosen_by_name(tmp_path, capsys):
     [
         ("aerotech", COLUMNS),
         ("crosscomp", crosscomp(2, 1)),
-        ("etalon", etalon(BLOCK)),
-        ("linuxcnc", "".join(f"{x:g} {-y * 1e-3:.6f} {-y * 1e-3:.6f}\n" for x, y in zip(X, UM, strict=True))),
+        ("etalon", etalon()),
+        ("linuxcnc", written("linuxcnc", POINTS, MM)),
         ("renishaw", rtl(OUT_AND_BACK)),
         ("api", pos(("Bidirectional", UM))),
     ],
