@@ -101,7 +101,7 @@ class Injection:
         travel: largest change of y − r in m since the signal's first sample; beyond it the signal fades out early.
 
     Raises:
-        ValueError: a current is not finite, or the fades are longer than the signal.
+        ValueError: the fades are longer than the signal.
 
     Attributes:
         finished: whether nothing is added any more.
@@ -110,8 +110,6 @@ class Injection:
     """
 
     def __init__(self, currents: Array, *, fade: int, limit: float, travel: float) -> None:
-        if not np.isfinite(currents).all():
-            raise ValueError("currents of an injection; allowed: finite numbers")
         if not 1 <= fade <= currents.size // 2:
             raise ValueError(
                 f"fade of an injection, {fade} samples; allowed: 1 to {currents.size // 2}, half the signal"

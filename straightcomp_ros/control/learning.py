@@ -169,10 +169,3 @@ class Learning:
 
         gain = max(chosen.gain, 1.0 / (table.updates + 2.0))
         table.learn(x, error, weight, wanted, speed, gain, chosen.limit)
-
-
-def make_learning(
-    parameters: LearningParameters, law: str, rate: float, run: Callable[[Job], None] = lambda job: job()
-) -> Learning | None:
-    """The learning that the parameters ask for, None if they ask for none; arguments and errors as of `Learning`."""
-    return Learning(parameters, law, rate, run) if parameters.learn else None

@@ -107,13 +107,6 @@ class MaxwellSlipParameters:
     )
     limit_spread: float = parameter(1.0, "Slip limit of the last block over that of the first", "[0.001, 1000]")
 
-    def stiffnesses_and_shares(self, stiffness: float) -> tuple[Array, Array]:
-        """k_i in N/m, which add up to ``stiffness``, and α_i; both (blocks,), geometric from the first to the last."""
-        along = np.linspace(0.0, 1.0, self.blocks)
-        shares = self.limit_spread**along
-        springs = shares / self.distance_spread**along
-        return stiffness * springs / springs.sum(), shares / shares.sum()
-
 
 @dataclass(frozen=True)
 class BandParameters:
@@ -160,9 +153,12 @@ class ContactParameters:
         changes = self.bands.fraction > 0.0 or self.rest.growth > 0.0 or self.step.factor != 1.0
         if self.model == "lugre" and not changes:
             return NO_EXTENSION
-        blocks = np.zeros((2, MOST_BLOCKS))
-        slip = self.maxwell_slip
-        blocks[:, : slip.blocks] = slip.stiffnesses_and_shares(bristle_stiffness)
+        # Stiffnesses k_i and shares α_i, geometric from the first block to the last.
+        blocks, slip = np.zeros((2, MOST_BLOCKS)), self.maxwell_slip
+        along = np.linspace(0.0, 1.0, slip.blocks)
+        shares = slip.limit_spread**along
+        springs = shares / slip.distance_spread**along
+        blocks[:, : slip.blocks] = bristle_stiffness * springs / springs.sum(), shares / shares.sum()
         kind = 1.0 + _MODELS.index(self.model)
         changing = (*astuple(self.bands), *astuple(self.rest), *astuple(self.step))
         return (kind, slip.attraction, float(slip.blocks), *changing, *blocks.ravel().tolist())
@@ -222,12 +218,6 @@ def age_after(age: float, velocity: float, duration: float, renewal: float) -> f
 
 
 @compilable
-def rest_factor(growth: float, time: float, largest: float, age: float) -> float:
-    """G(θ)."""
-    return min(largest, 1.0 + growth * math.log1p(age / time))
-
-
-@compilable
 def slips_on(slipping: bool, force: float, velocity: float) -> bool:
     """Whether a block that was slipping still does: it sticks when the velocity has changed its sign."""
     return slipping and force * velocity > 0.0
@@ -264,7 +254,7 @@ def lugre_now(k: Array, lugre: LuGre, state: Array, y: float) -> LuGre:
         factor *= k[_FACTOR]
     rise = lugre.static - lugre.coulomb
     if k[_GROWTH] > 0.0:
-        rise *= rest_factor(k[_GROWTH], k[_REST_TIME], k[_LARGEST], state[AGE])
+        rise *= min(k[_LARGEST], 1.0 + k[_GROWTH] * math.log1p(state[AGE] / k[_REST_TIME]))
     _, _, stribeck_velocity, stiffness, damping, viscous = lugre
     return LuGre(
         factor * lugre.coulomb, factor * (lugre.coulomb + rise), stribeck_velocity, stiffness, damping, viscous

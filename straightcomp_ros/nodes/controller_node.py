@@ -12,7 +12,7 @@ from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERE
 from straightcomp_ros.control.excitation import FrequencyResponseError, Injection, made_injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
-from straightcomp_ros.control.learning import make_learning
+from straightcomp_ros.control.learning import Learning
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
@@ -52,12 +52,9 @@ class ControllerComponent:
         prepare_all()
         lockstep = parameters.trigger == "lockstep"
         self._worker = WorkerThread(node.get_logger().error)
-        self._learning = make_learning(
-            parameters.learning,
-            parameters.control.law,
-            parameters.stage.rate,
-            self._worker.run if not lockstep else lambda job: job(),
-        )
+        run = self._worker.run if not lockstep else lambda job: job()
+        learning, law, rate = parameters.learning, parameters.control.law, parameters.stage.rate
+        self._learning = Learning(learning, law, rate, run) if learning.learn else None
         self._law = self._made(parameters)
         self._servo = Servo(self._law, learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)

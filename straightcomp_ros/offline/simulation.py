@@ -12,7 +12,7 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.control.learning import make_learning
+from straightcomp_ros.control.learning import Learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
@@ -65,7 +65,8 @@ class Simulation:
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
         self._feedforward = Feedforward(self.map, feedforward.feedforward, feedforward.stage.motion.highest_speed)
         self._pairing = Pairing(controller.lead_ns, wait=True)
-        self._learning = make_learning(controller.learning, control.law, stage.rate)
+        learning = controller.learning
+        self._learning = Learning(learning, control.law, stage.rate) if learning.learn else None
         self._servo = Servo(law or make_law(control, stage), learning=self._learning)
         self._begin_ns = 0
 

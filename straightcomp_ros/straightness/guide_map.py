@@ -10,7 +10,7 @@ from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,15 +71,13 @@ class StraightnessMap:
         self.offset = offset = float(extremes.max() + extremes.min()) / 2.0
 
         # Value, slope and curvature of r at each end, the slope outward.
-        low, high = (
+        (into, low, *low_turn), (beyond, high, *high_turn) = (
             runout(
                 offset - float(spline(end)), -outward * float(spline(end, 1)), -float(spline(end, 2)), parameters.runout
             )
             for end, outward in ((first, -1.0), (last, 1.0))
         )
-        largest = max(
-            float(np.ptp(extremes)) / 2.0, *(abs(value) for end in (low, high) for value in (end.held, end.turning))
-        )
+        largest = max(float(np.ptp(extremes)) / 2.0, *map(abs, (low, high, *low_turn, *high_turn)))
         if largest > parameters.travel:
             raise SurveyError(
                 f"survey {survey.source}: the correction reaches {largest * 1e6:.4g} µm to each side; "
@@ -88,14 +86,14 @@ class StraightnessMap:
         # Piece i is origin and polynomial coefficients, constant first; it holds where i breaks are at or below x.
         breaks = [first - parameters.runout, *x.tolist(), last + parameters.runout]
         pieces = [
-            (breaks[0], low.held, 0.0, 0.0, 0.0, 0.0),
-            (first, *(c if power % 2 == 0 else -c for power, c in enumerate(low.coefficients))),
+            (breaks[0], low, 0.0, 0.0, 0.0, 0.0),
+            (first, *(c if power % 2 == 0 else -c for power, c in enumerate(into))),
             *(
                 (start, offset - c0, -c1, -c2, -c3, 0.0)
                 for start, (c3, c2, c1, c0) in zip(breaks[1:-2], spline.c.T.tolist(), strict=True)
             ),
-            (last, *high.coefficients),
-            (breaks[-1], high.held, 0.0, 0.0, 0.0, 0.0),
+            (last, *beyond),
+            (breaks[-1], high, 0.0, 0.0, 0.0, 0.0),
         ]
         self._breaks, self._pieces = tuple(breaks), tuple(pieces)
         self._tables = (np.array(breaks), np.array(pieces).T)
@@ -144,16 +142,7 @@ def find_survey(name: str) -> Path:
     raise SurveyError(f"survey {name}: there is no such file{where}")
 
 
-class Runout(NamedTuple):
-    """Polynomial coefficients of the value over t, constant first; the held value; and the value where the slope is
-    zero on the way to it, or again the held value."""
-
-    coefficients: tuple[float, float, float, float, float]
-    held: float
-    turning: float
-
-
-def runout(value: float, slope: float, curvature: float, length: float) -> Runout:
+def runout(value: float, slope: float, curvature: float, length: float) -> tuple[tuple[float, ...], float, float]:
     """How the map continues beyond an end of the survey: a smooth run-out to a constant value.
 
     Over the length L the slope falls from the end's slope s to zero as a cubic Hermite curve, from the end's curvature
@@ -166,7 +155,9 @@ def runout(value: float, slope: float, curvature: float, length: float) -> Runou
     Value, slope and curvature are continuous at both ends. Of the quintics with these end conditions it is the one
     without a fifth-degree term, because the held value is free: it is where the guide's slope leads.
 
-    ``value``, ``slope`` and ``curvature`` are those at the end, in m, m/m and 1/m, with respect to t.
+    ``value``, ``slope`` and ``curvature`` are those at the end, in m, m/m and 1/m, with respect to t. Gives the
+    polynomial coefficients of the value over t, constant first; the held value; and the value where the slope is zero
+    on the way to it, or again the held value.
     """
     coefficients = (
         value,
@@ -180,7 +171,7 @@ def runout(value: float, slope: float, curvature: float, length: float) -> Runou
     divisor = 2.0 * slope + curvature * length
     u = -slope / divisor if divisor else 0.0
     turning = _polynomial(u * length, 0.0, *coefficients)[0] if 0.0 < u < 1.0 else held
-    return Runout(coefficients, held, turning)
+    return coefficients, held, turning
 
 
 def _polynomial(x: T, origin: T, c0: T, c1: T, c2: T, c3: T, c4: T) -> tuple[T, T, T]:

@@ -18,7 +18,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
 
@@ -109,10 +109,6 @@ class Survey:
     def in_direction(self, direction: Direction) -> tuple[Run, ...]:
         """The runs of one direction."""
         return tuple(run for run in self.runs if run.direction == direction)
-
-    def negated(self) -> "Survey":
-        """The survey with the other sign, of an instrument or a controller that counts the other way."""
-        return Survey(tuple(replace(run, deviation=-run.deviation) for run in self.runs), self.source)
 
 
 @dataclass(frozen=True)

@@ -242,13 +242,10 @@ def test_command_and_signal_together_stay_within_the_limit():
     assert answers(made(-FLAT, limit=0.5), 1000, command=-0.4).min() == -0.5
 
 
-@pytest.mark.parametrize(
-    ("currents", "fade", "words"),
-    [(FLAT, 0, "allowed: 1 to 500"), (FLAT, 501, "allowed: 1 to 500"), (np.full(1000, math.nan), 100, "finite")],
-)
-def test_a_fade_that_does_not_fit_and_a_signal_that_is_not_finite_are_refused(currents, fade, words):
-    with pytest.raises(ValueError, match=words):
-        made(currents, fade=fade)
+@pytest.mark.parametrize("fade", [0, 501])
+def test_a_fade_that_does_not_fit_is_refused(fade):
+    with pytest.raises(ValueError, match="allowed: 1 to 500"):
+        made(fade=fade)
 
 
 def still(gains, state, *numbers):

@@ -25,7 +25,6 @@ from straightcomp_ros.model.friction import (
     extended_force,
     friction_force,
     lugre_now,
-    rest_factor,
     step_friction,
     stribeck_force,
 )
@@ -193,8 +192,11 @@ def test_age_is_the_time_at_rest_and_sliding_renews_the_contact():
     assert half == pytest.approx(age_after(2.0, 1e-6, 1.0, 5e-6))
     assert age_after(2.0, 1e-17, 3.0, 5e-6) == pytest.approx(age_after(2.0, 1e-14, 3.0, 5e-6), rel=1e-6)
     # Static friction grows with the logarithm of that time, up to its bound.
-    for age, factor in ((0.0, 1.0), (math.e - 1.0, 1.1), (1e9, 2.0)):
-        assert rest_factor(0.1, 1.0, 2.0, age) == pytest.approx(factor)
+    for age, factor in ((0.0, 1.0), (3.0 * (math.e - 1.0), 1.1), (1e9, 2.0)):
+        contact = Contact({"contact.rest.growth": 0.1, "contact.rest.time": 3.0})
+        contact.state[AGE] = age
+        rise = lugre_now(contact.constants, LUGRE, contact.state, 0.0).static - LUGRE.coulomb
+        assert rise == pytest.approx(factor * (LUGRE.static - LUGRE.coulomb))
 
 
 @pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])

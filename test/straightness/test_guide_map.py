@@ -122,12 +122,12 @@ def test_a_relative_name_is_looked_up_in_the_working_directory_first(tmp_path, m
     length=st.floats(1e-3, 0.5),
 )
 def test_no_value_on_the_way_lies_outside_of_start_turning_and_held(value, slope, curvature, length):
-    out = runout(value, slope, curvature, length)
-    path = Polynomial(out.coefficients)(np.linspace(0.0, length, 201))
+    coefficients, held, turning = runout(value, slope, curvature, length)
+    path = Polynomial(coefficients)(np.linspace(0.0, length, 201))
     # Numbers below 1e-308 have fewer digits: a floor of no size at all.
     grain = 1e-12 * (abs(value) + abs(slope) * length + abs(curvature) * length**2) + 1e-30
-    assert path.max() <= max(value, out.turning, out.held) + grain
-    assert path.min() >= min(value, out.turning, out.held) - grain
+    assert path.max() <= max(value, turning, held) + grain
+    assert path.min() >= min(value, turning, held) - grain
 
 
 NOISE = 0.02e-6

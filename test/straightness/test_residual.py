@@ -41,28 +41,14 @@ def test_weights_count_the_length_and_not_the_time():
 
 @given(st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=50), st.floats(-1e-4, 1e-4), st.floats(-1e-4, 1e-4))
 def test_adding_a_line_changes_no_residual_and_least_squares_leave_neither_mean_nor_trend(values, level, slope):
-    x = np.linspace(0.0, 1.76, len(values))
+    x, values = np.linspace(0.0, 1.76, len(values)), np.array(values)
     for residual in (least_squares_residual, end_point_residual):
-        np.testing.assert_allclose(residual(x, np.array(values) + level + slope * x), residual(x, values), atol=1e-18)
+        np.testing.assert_allclose(
+            residual(x, values + level + slope * x), residual(x, values), atol=1e-18
+        )
         np.testing.assert_allclose(residual(x, level + slope * x), 0.0, atol=1e-19)
     left = least_squares_residual(x, values)
     assert abs(left.sum()) < 1e-17 and abs(left @ x) < 1e-17
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (([0.0], [0.0]), "1 points"),
-        (([1.0, 1.0], [0.0, 1.0]), "two different positions"),
-        (([0.0, 1.0, 2.0], [0.0, 1.0]), r"shape \(3,\), deviation \(2,\)"),
-        (([0.0, 1.0], [0.0, 1.0], [0.0, 0.0]), "add up to"),
-        (([0.0, 1.0], [0.0, 1.0], [1.0]), "weights have shape"),
-    ],
-)
-def test_points_and_weights_that_make_no_line_are_refused(arguments, words):
-    for residual in (least_squares_residual, end_point_residual)[: 4 - len(arguments)]:
-        with pytest.raises(ValueError, match=words):
-            residual(*arguments)
 
 
 TOP = Path(__file__).resolve().parents[2]

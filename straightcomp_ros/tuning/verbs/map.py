@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -152,7 +153,7 @@ def _convert(options: argparse.Namespace) -> None:
     use --negate if it has the other sign."""
     import numpy as np
 
-    from straightcomp_ros.straightness.survey import check_run, write_survey
+    from straightcomp_ros.straightness.survey import Survey, check_run, write_survey
     from straightcomp_ros.tuning.survey.formats import FORMATS, format_of
 
     conventions = _chosen_conventions(options)
@@ -161,7 +162,7 @@ def _convert(options: argparse.Namespace) -> None:
     for run in survey.runs:
         check_run(f"survey {source}, run '{run.name}' {run.direction}", run)
     if options.negate:
-        survey = survey.negated()
+        survey = Survey(tuple(replace(run, deviation=-run.deviation) for run in survey.runs))
     write_survey(output, survey, [f"Converted from {source.name}"])
     x, deviation = survey.runs[0].x, np.concatenate([run.deviation for run in survey.runs])
     figures = {
