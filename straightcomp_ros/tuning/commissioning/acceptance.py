@@ -8,10 +8,10 @@ What late commands cost is found in simulation: the stroke again with the latenc
 """
 
 import dataclasses
+import itertools
 import math
 import shutil
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from straightcomp_ros.analysis.judgement import STARVED, Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
-from straightcomp_ros.offline.starts import run_stroke
+from straightcomp_ros.offline.starts import run_stroke, with_values
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map, survey_check
@@ -52,19 +52,18 @@ def acceptance(work: Work) -> Outcome:
 
     A cycle that the host disturbed says nothing of the machine: another one is made.
     """
-    learning = {}
+    bags, learning = work.folder / "bags", {}
     if work.learning_strokes:
         # From another folder too, the nodes must find it.
         learning = {"learning.learn": True, "learning.file": str((work.folder / LEARNED).resolve())}
     # The certificate names all bags: one of strokes that no longer count must not be among them.
-    shutil.rmtree(work.folder / "bags" / "learning", ignore_errors=True)
-    values = {**work.values, "controller": {**work.values["controller"], **learning}}
-    straightness = load_map(work.stage.guide)
+    shutil.rmtree(bags / "learning", ignore_errors=True)
+    values, straightness = with_values(work.values, "controller", learning), load_map(work.stage.guide)
     disturbed: list[str] = []
     try:
         if learning:
             (work.folder / LEARNED).unlink(missing_ok=True)
-            work.machine.stroke(values, work.folder / "bags" / "learning", work.travel, work.learning_strokes)
+            work.machine.stroke(values, bags / "learning", work.travel, work.learning_strokes)
         stroke = _stroke(work, values, straightness)
         while stroke.disturbance and len(disturbed) < _REPEATS:
             disturbed.append(stroke.disturbance)
@@ -91,8 +90,7 @@ def acceptance(work: Work) -> Outcome:
     return Outcome(True, f"{found}{again}; {survey}", {**figures, "limits": limits}, gains=learning)
 
 
-@dataclass(frozen=True, eq=False)
-class _Stroke:
+class _Stroke(NamedTuple):
     """A cycle, what it showed, and how the host disturbed it, in words; empty if it did not."""
 
     record: StrokeRecord
@@ -111,12 +109,8 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
     verdict = run.partial() or judged_run(known, straightness, by_node(values), straightness, run.stalls)
-    figures = {
-        **metrics.to_display(),
-        **verdict._asdict(),
-        "lost_samples": run.lost_samples,
-        "lost_commands": run.lost_commands,
-    }
+    figures = {**metrics.to_display(), **verdict._asdict()}
+    figures |= {"lost_samples": run.lost_samples, "lost_commands": run.lost_commands}
     disturbance = str(verdict) if verdict.verdict == STARVED else ""
     if verdict.in_order:
         figures["timing"] = timing_budget(work.described(), run.latency, work.travel)
@@ -144,20 +138,17 @@ def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any],
         "survey_checked_to_m": found.span[1],
     }
     where = f"at {found.points} places from {found.span[0] * 1e3:.6g} to {found.span[1] * 1e3:.6g} mm"
-    differs = (
-        f"by {found.difference * 1e6:.3g} µm RMS (allowed: {found.allowed * 1e6:.3g} µm) {where}, apart from a line"
+    differ = (
+        f"they differ by {found.difference * 1e6:.3g} µm RMS (allowed: {found.allowed * 1e6:.3g} µm) {where}, apart "
+        "from a line"
     )
     if found.agrees:
-        return figures, f"the survey agrees with the check: they differ {differs}"
-    cause = (
-        "the check has the opposite sign; look at the sign of the survey"
-        if found.opposite
-        else "look whether the survey is of this guide, its unit and its zero of x, and at the check"
-    )
-    return figures, (
-        f"the survey is not that of the guide: they differ {differs}, where the guide itself has "
-        f"{found.guide * 1e6:.3g} µm; {cause}"
-    )
+        return figures, f"the survey agrees with the check: {differ}"
+    cause = "look whether the survey is of this guide, its unit and its zero of x, and at the check"
+    if found.opposite:
+        cause = "the check has the opposite sign; look at the sign of the survey"
+    own = f"where the guide itself has {found.guide * 1e6:.3g} µm"
+    return figures, f"the survey is not that of the guide: {differ}, {own}; {cause}"
 
 
 class Check(NamedTuple):
@@ -170,39 +161,28 @@ class Check(NamedTuple):
     passed: bool
 
     def __str__(self) -> str:
-        return f"{self.name} {_shown(self.value)} (allowed: {self.allowed})"
+        shown = "unknown" if self.value is None else f"{self.value:.4g}"
+        value = "infinite, since the platform is lost" if shown == "inf" else shown
+        return f"{self.name} {value} (allowed: {self.allowed})"
 
 
-def at_least(step: str, name: str, value: float | None, low: float) -> Check:
-    """A figure that must reach ``low``."""
-    return Check(step, name, value, f">= {low:.4g}", value is not None and _reaches(value, low))
-
-
-def at_most(step: str, name: str, value: float | None, high: float) -> Check:
-    """A figure that must not exceed ``high``."""
-    return Check(step, name, value, f"<= {high:.4g}", value is not None and _reaches(high, value))
+def limited(step: str, name: str, value: float | None, relation: str, limit: float) -> Check:
+    """A figure that must be ``>=`` or ``<=`` its limit, by its ``relation``."""
+    above = value is not None and (value > limit) is (relation == ">=")
+    passed = value is not None and (above or math.isclose(value, limit, rel_tol=_LAST_BITS))
+    return Check(step, name, value, f"{relation} {limit:.4g}", passed)
 
 
 def stroke_checks(accepted: Mapping[str, Any], count: float) -> Iterator[Check]:
     """How well the host served the stroke of `acceptance`, from its figures; ``count`` of the encoder in m."""
-    yield at_most("acceptance", "lost samples of the stroke", accepted.get("lost_samples"), 0.0)
+    yield limited("acceptance", "lost samples of the stroke", accepted.get("lost_samples"), "<=", 0.0)
     few = float(math.ceil(_FEW * accepted["samples"]))
-    yield at_most("acceptance", "samples of the stroke without a command", accepted.get("lost_commands"), few)
+    yield limited("acceptance", "samples of the stroke without a command", accepted.get("lost_commands"), "<=", few)
     timing = accepted["timing"]
     if "as_measured_costs_um" in timing:
         # A record that was read again has no infinity.
         cost = math.inf if timing["as_measured_costs_um"] is None else timing["as_measured_costs_um"]
-        yield at_most("acceptance", "what its latencies cost [µm p-p]", cost, allowed_cost_um(timing, count))
-
-
-def _reaches(value: float, limit: float) -> bool:
-    return value >= limit or math.isclose(value, limit, rel_tol=_LAST_BITS)
-
-
-def _shown(value: float | None) -> str:
-    if value is None:
-        return "unknown"
-    return f"{value:.4g}" if math.isfinite(value) else "infinite, since the platform is lost"
+        yield limited("acceptance", "what its latencies cost [µm p-p]", cost, "<=", allowed_cost_um(timing, count))
 
 
 def stalled(count: int, period_ns: int, due_ns: int, stall_ms: float, starts: range) -> NDArray[np.int64]:
@@ -231,40 +211,40 @@ def timing_budget(values: Values, latency: NDArray[np.float64], travel: float) -
     counts as survived.
     """
     driver = node_parameters("driver", values)
-    stage = driver.stage
-    period_ns, due_ns = stage.period_ns, round(stage.drive.delay * stage.period_ns)
+    period_ns, due_ns = driver.stage.period_ns, round(driver.stage.drive.delay * driver.stage.period_ns)
     record, straightness = run_stroke(values)
+    size, first, apart = record.time.size, round(_SETTLED_S * 1e9 / period_ns), round(_APART_S * 1e9 / period_ns)
 
-    def peak_to_peak(stroke: StrokeRecord) -> float:
+    def peak_to_peak_um(stroke: StrokeRecord) -> float:
         pp = evaluate(stroke, straightness).true_pp
         assert pp is not None  # a simulation has truth
         return pp * 1e6
 
-    in_time, percentiles = peak_to_peak(record), latency_percentiles(latency)
+    def largest(stroke: StrokeRecord) -> float:
+        error = stroke.true_error(straightness)
+        assert error is not None
+        return float(np.abs(error[first:]).max())
+
+    def late(figure: Callable[[StrokeRecord], float], delays: NDArray[np.int64]) -> float:
+        try:
+            return figure(run_stroke(values, delays)[0])
+        except ValueError:
+            return math.inf
+
+    in_time, percentiles = peak_to_peak_um(record), latency_percentiles(latency)
     found: dict[str, Any] = {"latency_us": percentiles, "due_us": due_ns * 1e-3, "in_time_pp_um": in_time}
     if percentiles:
         measured = np.maximum(due_ns, np.round(latency[np.isfinite(latency)] * 1e9).astype(np.int64))
-        late = np.full_like(measured, max(due_ns, round(percentiles["p99"] * 1e3)))
-        for name, delays in (("as_measured_costs_um", measured), ("p99_costs_um", late)):
-            try:
-                found[name] = peak_to_peak(run_stroke(values, delays)[0]) - in_time
-            except ValueError:
-                found[name] = math.inf
-    first, apart = round(_SETTLED_S * 1e9 / period_ns), round(_APART_S * 1e9 / period_ns)
-    errors = {}
-    for stall_ms in _STALLS_MS:
-        delays = stalled(record.time.size, period_ns, due_ns, stall_ms, range(first, record.time.size, apart))
-        try:
-            error = run_stroke(values, delays)[0].true_error(straightness)
-        except ValueError:
-            errors[stall_ms] = math.inf
-            continue
-        assert error is not None
-        errors[stall_ms] = float(np.abs(error[first:]).max())
+        found["as_measured_costs_um"] = late(peak_to_peak_um, measured) - in_time
+        p99 = np.full_like(measured, max(due_ns, round(percentiles["p99"] * 1e3)))
+        found["p99_costs_um"] = late(peak_to_peak_um, p99) - in_time
+    errors = {
+        stall_ms: late(largest, stalled(size, period_ns, due_ns, stall_ms, range(first, size, apart)))
+        for stall_ms in _STALLS_MS
+    }
     limit_ms = driver.machine.command_timeout * 1e3
-    found["stall_error_um"] = {f"{ms} ms": error * 1e6 for ms, error in errors.items()}
+    survived = itertools.takewhile(lambda stall_ms: stall_ms < limit_ms and errors[stall_ms] <= travel, _STALLS_MS)
+    found["stall_error_um"] = {f"{stall_ms} ms": error * 1e6 for stall_ms, error in errors.items()}
     found["amplifier_off_after_ms"] = limit_ms
-    found["longest_stall_survived_ms"] = max(
-        (ms for ms in errors if ms < limit_ms and all(errors[one] <= travel for one in errors if one <= ms)), default=0
-    )
+    found["longest_stall_survived_ms"] = max(survived, default=0)
     return found

@@ -1,20 +1,46 @@
-"""Step `certificate`: one HTML file that prints well, the same as JSON, and the tuned parameters of all nodes."""
+"""Step `certificate`: an HTML file that prints well without a network, the same as JSON, and the tuned parameters."""
 
+import base64
 import datetime
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from markupsafe import Markup
+
+from straightcomp_ros.analysis.html_page import blocks, html_page, with_code
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
-from straightcomp_ros.tuning.commissioning.acceptance import Check, at_least, at_most, stroke_checks
-from straightcomp_ros.tuning.commissioning.certificate_page import certificate_page
+from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+
+_LATER = "In `limits.yaml`, for `straightcomp evaluate --limits`."
+_BUDGET = """\
+Simulated with the machine as found: what would be left if a cause were gone. The error of the survey adds to each:
+{:.3g} µm RMS at each of its points (`stage.uncertainty.map_noise`). The platform follows it, and no encoder of this
+stage sees it."""
+_SIGNALS = (
+    ("rate_Hz", "samples per second", 1.0),
+    ("clock_drift_ppm", "drift of the samples' clock [ppm]", 1.0),
+    ("jitter_us", "jitter of the samples, RMS [µs]", 1.0),
+    ("count_y_nm", "smallest step of y at rest [nm]; 0: none", 1.0),
+    ("noise_y_counts", "noise of y at rest, RMS [counts]", 1.0),
+    ("noise_x_counts", "noise of x at rest, RMS [counts]", 1.0),
+    ("readback_gain", "readback of the current, relative to the command", 1.0),
+    ("readback_offset_A", "its offset [mA]", 1e3),
+)
+_TIMING = {
+    "as_measured_costs_um": "latencies as measured cost [µm p-p]",
+    "p99_costs_um": "every command at the p99 would cost [µm p-p]",
+    "longest_stall_survived_ms": "longest stall of the host that is survived [ms]",
+    "amplifier_off_after_ms": "without commands the amplifier goes off after [ms]",
+}
 
 
 def certificate(work: Work) -> Outcome:
@@ -25,21 +51,19 @@ def certificate(work: Work) -> Outcome:
         names = "; ".join(map(str, beyond))
         steps = " and ".join(dict.fromkeys(f"--only {one.step}" for one in beyond))
         return Outcome(False, f"beyond the limits: {names}; when the cause is removed, repeat the step ({steps})")
-    accepted = work.outcomes["acceptance"].figures
+    accepted, stage, described = work.outcomes["acceptance"].figures, work.stage, to_mapping(work.description)
     write_whole(folder / TUNED, as_parameter_file(work.described()))
     content = plain(
         {
-            "stage": work.stage.name,
+            "stage": stage.name,
             "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
             "made_by": origin(),
             "sha256": {
                 name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in _files(work) if path.is_file()
             },
-            "described": {
-                name: value for name, value in to_mapping(work.description).items() if isinstance(value, float)
-            },
+            "described": {name: value for name, value in described.items() if isinstance(value, float)},
             "current_path": _current_path(work),
-            "map_noise_um": work.stage.uncertainty.map_noise * 1e6,
+            "map_noise_um": stage.uncertainty.map_noise * 1e6,
             "checks": [one._asdict() for one in checks],
             "later_limits": [
                 {"name": name, "value": accepted[name], "limit": limit} for name, limit in accepted["limits"].items()
@@ -49,7 +73,7 @@ def certificate(work: Work) -> Outcome:
     )
     pictures = {"The loop, measured and modelled": folder / LOOP, "The stroke of the acceptance": folder / STROKE}
     write_whole(folder / FIGURES, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
-    write_whole(folder / PAGE, certificate_page(content, pictures))
+    write_whole(folder / PAGE, _page(content, pictures))
     return Outcome(True, f"{folder / PAGE}, {FIGURES} and {TUNED} are written")
 
 
@@ -67,17 +91,18 @@ def _current_path(work: Work) -> dict[str, dict[str, float]]:
     """Amplifier and delay as found, with the ranges for which the law is designed."""
     described, found, ranges = work.description.drive, work.stage.drive, work.stage.uncertainty
     us = work.stage.period * 1e6
-
-    def ranged(described: float, found: float, low: float, high: float) -> dict[str, float]:
-        return {"described": described, "found": found, "low": found * low, "high": found * high}
-
+    rows = (
+        ("bandwidth of the amplifier [Hz]", "bandwidth", 1.0, 1.0 / ranges.amplifier, ranges.amplifier),
+        ("delay of the commands [µs]", "delay", us, ranges.shortest_delay, ranges.longest_delay),
+    )
     return {
-        "bandwidth of the amplifier [Hz]": ranged(
-            described.bandwidth, found.bandwidth, 1.0 / ranges.amplifier, ranges.amplifier
-        ),
-        "delay of the commands [µs]": ranged(
-            described.delay * us, found.delay * us, ranges.shortest_delay, ranges.longest_delay
-        ),
+        label: {
+            "described": getattr(described, name) * unit,
+            "found": (value := getattr(found, name) * unit),
+            "low": value * low,
+            "high": value * high,
+        }
+        for label, name, unit, low, high in rows
     }
 
 
@@ -85,12 +110,95 @@ def _checks(work: Work) -> Iterator[Check]:
     """Figures with what is allowed for each, and the step that found it."""
     outcomes = work.outcomes
     connection, margins = outcomes["connection"].figures, outcomes["frequency_response"].figures["margins"]
-    yield at_most("connection", "lost samples, amplifier off", connection.get("lost_samples"), 0.0)
-    yield at_most("connection", "samples without a command, amplifier off", connection.get("lost_commands"), 0.0)
-    yield at_least("frequency_response", "phase margin [°]", margins["phase_deg"], LEAST_PHASE)
+    yield limited("connection", "lost samples, amplifier off", connection.get("lost_samples"), "<=", 0.0)
+    yield limited("connection", "samples without a command, amplifier off", connection.get("lost_commands"), "<=", 0.0)
+    yield limited("frequency_response", "phase margin [°]", margins["phase_deg"], ">=", LEAST_PHASE)
     # A gain margin beyond the measured lines is larger than any that is demanded.
     if margins["gain_low"] is not None:
-        yield at_most("frequency_response", "least gain, factor", margins["gain_low"], 1.0 / LEAST_GAIN)
+        yield limited("frequency_response", "least gain, factor", margins["gain_low"], "<=", 1.0 / LEAST_GAIN)
     if margins["gain_high"] is not None:
-        yield at_least("frequency_response", "largest gain, factor", margins["gain_high"], LEAST_GAIN)
+        yield limited("frequency_response", "largest gain, factor", margins["gain_high"], ">=", LEAST_GAIN)
     yield from stroke_checks(outcomes["acceptance"].figures, work.stage.encoder.y_resolution)
+
+
+def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
+    """The page with the ``content`` of `certificate.json`, and the PNG files by their captions."""
+    steps, sections = content["steps"], []
+
+    def figures(step: str) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = steps.get(step, {}).get("figures", {})
+        return found
+
+    def section(title: str, *tables: tuple[Sequence[str], Sequence[Sequence[Any]]], note: str = "") -> None:
+        """Headings and rows of each table; one without rows is left out."""
+        shown = [blocks.table([dict(zip(head, row, strict=True)) for row in rows]) for head, rows in tables if rows]
+        if note and shown:
+            shown.insert(0, blocks.paragraph(note))
+        sections.append((title, Markup("").join(shown)))
+
+    connection, identification, response = map(figures, ("connection", "identification", "frequency_response"))
+    measured = {**connection, **figures("signs_and_scales")}
+    section("Steps", (("step", "finding"), [(name.replace("_", " "), one["sentence"]) for name, one in steps.items()]))
+    checks = [tuple(one[key] for key in ("name", "value", "allowed", "passed")) for one in content["checks"]]
+    section("Figures and their limits", (("figure", "measured", "allowed", ""), checks))
+    later = [tuple(one[key] for key in ("name", "value", "limit")) for one in content["later_limits"]]
+    section("Limits for later strokes", (("figure", "this stroke", "later strokes: at most"), later), note=_LATER)
+    budget = [(one["cause"], one["pp_um"], one["rms_um"]) for one in figures("design").get("budget", [])]
+    note = _BUDGET.format(content["map_noise_um"])
+    section("Where the error comes from", (("machine", "p-p [µm]", "RMS [µm]"), budget), note=note)
+    if timing := figures("acceptance").get("timing"):
+        section("What late commands cost", *_timing(timing, connection.get("latency_histogram", [])))
+    signals = [(label, measured[name] * unit) for name, label, unit in _SIGNALS if name in measured]
+    section("Samples and readback", (("figure", "measured"), signals))
+    section("The machine as found", *_machine(identification.get("parameters", {}), content))
+    open_questions = identification.get("untold", [])
+    sections.append(("What the data cannot tell", blocks.list(open_questions) if open_questions else ""))
+    model, margins = response.get("model_margins", {}), response.get("margins", {})
+    rows = [
+        (name, *("beyond the lines" if one is None else f"{one:.3g}" for one in (value, model.get(name))))
+        for name, value in margins.items()
+    ]
+    section("Margins", (("margin", "measured", "model"), rows))
+    for caption, path in pictures.items():
+        if path.is_file():
+            sections.append((caption, blocks.picture(base64.b64encode(path.read_bytes()).decode(), caption)))
+    digests = [(name, with_code(f"`{digest}`")) for name, digest in content["sha256"].items()]
+    section("Files", (("file", "SHA-256"), digests))
+    made_by = ", ".join(f"{name} {value}" for name, value in content["made_by"].items())
+    heading = blocks.paragraph(f"Commissioned {content['date']}; {made_by}")
+    return html_page(content["stage"], f"Stage “{content['stage']}”", heading, sections, with_plots=False)
+
+
+_Tables = Iterator[tuple[Sequence[str], Sequence[Sequence[Any]]]]
+
+
+def _timing(timing: Mapping[str, Any], histogram: Sequence[Sequence[float]]) -> _Tables:
+    """JSON has no infinity: an error of a simulated stroke that is not there says that the platform is lost."""
+    figures = {label: timing[name] for name, label in _TIMING.items() if name in timing}
+    yield (
+        ("figure", "value"),
+        [
+            ("the command acts after the sample [µs]", timing["due_us"]),
+            *((f"latency {name} [µs]", value) for name, value in timing["latency_us"].items()),
+            ("p-p with every command in time [µm]", timing["in_time_pp_um"]),
+            *((label, "lost" if value is None else value) for label, value in figures.items()),
+        ],
+    )
+    stalls = [(stall, "lost" if error is None else error) for stall, error in timing["stall_error_um"].items()]
+    yield ("stall of the host", "largest error [µm]"), stalls
+    most = max((count for _, count in histogram), default=1.0)
+    bars = [(round(edge), round(count), blocks.bar(count / most)) for edge, count in histogram]
+    yield ("latency up to [µs]", "commands", ""), bars
+
+
+def _machine(parameters: Mapping[str, Mapping[str, Any]], content: Mapping[str, Any]) -> _Tables:
+    def interval(one: Mapping[str, Any]) -> str:
+        if one.get("known"):
+            return "given, not found"
+        return "hardly identifiable" if one.get("poor") else f"{one['low']:.4g} to {one['high']:.4g}"
+
+    described = content["described"]
+    found = [(name, described.get(name, ""), one["value"], interval(one)) for name, one in parameters.items()]
+    yield ("parameter (SI)", "described", "found", "95 % interval"), found
+    path = [(name, one["described"], one["found"], interval(one)) for name, one in content["current_path"].items()]
+    yield ("current path", "described", "found", "range for which the law is designed"), path

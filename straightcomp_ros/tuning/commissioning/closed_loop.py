@@ -19,9 +19,12 @@ import numpy as np
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.control.excitation import FrequencyResponseError, MultisineParameters
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
+from straightcomp_ros.offline.starts import with_values
+from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
+from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
@@ -42,8 +45,6 @@ LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
 _KNOWN = "platform.mass"
 _LENGTH = 0.5
 """m; of the excitation's stroke, at most."""
-_TOLERANCE = 1.1
-"""Factor beyond its range at which a fact is called wrong."""
 _STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
 """Uncertainty that stays, however narrow an interval is: a model is not the machine."""
 _DELAY_STAYS = 0.1
@@ -80,8 +81,7 @@ def identification(work: Work) -> Outcome:
     stage = work.stage
     excitation, length = work.folder / "excitation.csv", min(_LENGTH, stage.motion.stroke)
     write_survey(excitation, excitation_survey(length, stage.motion.start), ("Made up: excites the platform.",))
-    changed = {"guide.file": str(excitation), "motion.stroke": length}
-    values = {**work.values, "stage": {**work.values.get("stage", {}), **changed}}
+    values = with_values(work.values, "stage", {"guide.file": str(excitation), "motion.stroke": length})
     bag = work.folder / "bags" / "identification"
     try:
         work.machine.stroke(values, bag, work.travel)
@@ -89,22 +89,16 @@ def identification(work: Work) -> Outcome:
         found = estimate_from_bag(bag, stage, [_KNOWN], lambda fraction: work.progress(0.1 + 0.9 * fraction))
     except (LeftTravel, IdentificationError) as error:
         return Outcome(False, str(error))
-    parameters = {
-        name: {"value": one.value, "low": one.low, "high": one.high, "known": one.known, "poor": one.poor}
-        for name, one in found.parameters.items()
-    }
     figures = {
+        **found.to_display(),
         "prediction_error_nm": found.fit.rms_error_m * 1e9,
         "amplifier_bandwidth_Hz": found.path.rate / (2.0 * math.pi),
-        "amplifier_bandwidth_deviation_Hz": found.path.rate_deviation / (2.0 * math.pi),
-        "delay_us": found.path.delay * 1e6,
-        "delay_spread_us": [delay * 1e6 for delay in found.path.delay_spread],
-        "centre_um": found.centre.to_display() if found.centre else None,
-        "parameters": parameters,
-        "untold": found.not_identifiable,
+        "parameters": {
+            name: {"value": one.value, "low": one.low, "high": one.high, "known": one.known, "poor": one.poor}
+            for name, one in found.parameters.items()
+        },
     }
-    strange = strangeness(found, work.description)
-    if strange:
+    if strange := strangeness(found, work.description):
         return Outcome(False, strange, figures)
     return Outcome(
         True,
@@ -117,24 +111,24 @@ def identification(work: Work) -> Outcome:
 
 def strangeness(found: Estimate, described: StageParameters) -> str:
     """What is not as described, in a sentence; empty if all is."""
-    ranges, actuator = described.uncertainty, described.actuator
-    value = {name: one.value for name, one in found.parameters.items()}
-    gap = value["actuator.air_gap"] / actuator.air_gap
-    # K̄_i/M = N² A …/y0² M: with the gap as found, what is left is force over mass.
-    force = (value["actuator.turns"] / actuator.turns) ** 2
-    friction = value["friction.coulomb"] / described.friction.coulomb
-    heaviest = (1.0 + ranges.mass) * _TOLERANCE
-    lightest = (1.0 - ranges.mass) / _TOLERANCE
+    ranges = described.uncertainty
+    values = to_mapping(described)
+    gap, turns, friction = (
+        found.parameters[name].value / values[name]
+        for name in ("actuator.air_gap", "actuator.turns", "friction.coulomb")
+    )
+    heaviest, lightest = (1.0 + ranges.mass) * TOLERANCE, (1.0 - ranges.mass) / TOLERANCE
     checks = (
         (
             gap,
-            (1.0 - ranges.air_gap) / _TOLERANCE,
-            (1.0 + ranges.air_gap) * _TOLERANCE,
+            (1.0 - ranges.air_gap) / TOLERANCE,
+            (1.0 + ranges.air_gap) * TOLERANCE,
             "the air gap seems {:.2g} times the described one (allowed by 'stage.uncertainty.air_gap': {:.2g} to "
             "{:.2g}); look at the count of the encoder of y, which a wrong gap looks like, and at the gap",
         ),
         (
-            force,
+            # K̄_i/M = N² A …/y0² M: with the gap as found, what is left is force over mass.
+            turns**2,
             (1.0 - ranges.force) / heaviest,
             (1.0 + ranges.force) / lightest,
             "a current accelerates the platform {:.2g} times as much as described (allowed by 'stage.uncertainty': "
@@ -152,9 +146,11 @@ def strangeness(found: Estimate, described: StageParameters) -> str:
 
 
 def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
-    """Facts of the description as found, by dotted name, and how well they are known now."""
-    estimated = found.parameters
-    # What the record hardly identifies keeps its description.
+    """Facts of the description as found, by dotted name, and how well they are known now: never worse than before.
+
+    What the record hardly identifies keeps its description, and how well that is known.
+    """
+    estimated, before = found.parameters, stage.uncertainty
     facts: dict[str, Any] = {
         name: one.value for name, one in estimated.items() if name not in DERIVED and not (one.known or one.poor)
     }
@@ -164,31 +160,20 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
     facts["friction.static"] = max(static, coulomb)
     if found.path.rate_found:
         facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}
-    return {**facts, **_uncertainty(found, stage.uncertainty)}
-
-
-def _uncertainty(found: Estimate, before: UncertaintyParameters) -> dict[str, float]:
-    """How well the machine is known now: never worse than before, and by the intervals of the estimate.
-
-    What the record hardly identifies keeps its description, and how well that is known.
-    """
-    turns, gap, coulomb = (
-        found.parameters[name] for name in ("actuator.turns", "actuator.air_gap", "friction.coulomb")
-    )
+    turns, gap, friction = (estimated[name] for name in ("actuator.turns", "actuator.air_gap", "friction.coulomb"))
     # The mass is held, so that the forces have its uncertainty too: without them it is as open as it was.
-    by_fact = {"mass": turns, "force": turns, "air_gap": gap, "friction": coulomb}
     intervals = {
-        "force": (turns.high / turns.value) ** 2 - 1.0,
-        "air_gap": gap.high / gap.value - 1.0,
-        "friction": coulomb.high / coulomb.value,
+        "mass": (turns, 0.0),
+        "force": (turns, (turns.high / turns.value) ** 2 - 1.0),
+        "air_gap": (gap, gap.high / gap.value - 1.0),
+        "friction": (friction, friction.high / friction.value),
     }
-    now = {
-        name: max(least, intervals.get(name, 0.0))
-        for name, least in _STAYS_OPEN.items()
-        if name not in by_fact or not by_fact[name].poor
-    }
+    for name, least in _STAYS_OPEN.items():
+        fact, width = intervals.get(name, (None, 0.0))
+        if fact is None or not fact.poor:
+            facts[f"uncertainty.{name}"] = min(getattr(before, name), max(least, width))
     return {
-        **{f"uncertainty.{name}": min(getattr(before, name), value) for name, value in now.items()},
+        **facts,
         "uncertainty.shortest_delay": 1.0 - _DELAY_STAYS,
         "uncertainty.longest_delay": 1.0 + _DELAY_STAYS,
     }
@@ -207,26 +192,19 @@ def design(work: Work) -> Outcome:
         )
     except DesignError as error:
         return Outcome(False, str(error))
+    pp, step = found.figures.pp.median * 1e6, found.figures.work.median * 1e3
     figures = {
-        "predicted_pp_um": found.figures.pp.median * 1e6,
+        "predicted_pp_um": pp,
         "predicted_rms_um": found.figures.rms.median * 1e6,
-        "predicted_step_mA": found.figures.work.median * 1e3,
+        "predicted_step_mA": step,
         "uncertain_machines": found.verification.to_display(),
         **found.limits_to_display(),
     }
     if not found.holds:
-        return Outcome(
-            False,
-            f"the designed law is not in order on all machines that are left: {found.verification.verdict}",
-            figures,
-        )
-    return Outcome(
-        True,
-        f"{found.figures.pp.median * 1e6:.3f} µm p-p predicted, at {found.figures.work.median * 1e3:.2f} mA from "
-        "sample to sample",
-        figures,
-        gains={"control.law": LAW, **found.values},
-    )
+        verdict = found.verification.verdict
+        return Outcome(False, f"the designed law is not in order on all machines that are left: {verdict}", figures)
+    sentence = f"{pp:.3f} µm p-p predicted, at {step:.2f} mA from sample to sample"
+    return Outcome(True, sentence, figures, gains={"control.law": LAW, **found.values})
 
 
 def frequency_response(work: Work) -> Outcome:
@@ -240,37 +218,32 @@ def frequency_response(work: Work) -> Outcome:
     from straightcomp_ros.tuning.frequency_response.response_plot import plot_response
 
     plot_response(found, work.folder / LOOP, f"Stage '{stage.name}' under law '{found.law}'")
-    measured = found.measured
-    lines = measured.coherent
+    measured, lines = found.measured, found.measured.coherent
     margins, of_model = found.margins
-    gain, phase = (np.abs(values[lines]) for values in found.deviations)
+    gain, phase = (float(np.abs(values[lines]).max(initial=0.0)) for values in found.deviations)
     figures = {
         "margins": margins.to_display(),
         "model_margins": of_model.to_display(),
         "coherent_lines": int(lines.sum()),
         "lines": int(lines.size),
-        "largest_deviation_dB": float(gain.max(initial=0.0)),
-        "largest_deviation_deg": float(phase.max(initial=0.0)),
+        "largest_deviation_dB": gain,
+        "largest_deviation_deg": phase,
         "frequency_Hz": measured.frequencies.tolist(),
         "coherence": measured.coherence.tolist(),
         "plant_um_A": (np.abs(measured.response.plant) * 1e6).tolist(),
         "model_plant_um_A": (np.abs(found.model.plant) * 1e6).tolist(),
     }
-    largest = f"{gain.max(initial=0.0):.2g} dB and {phase.max(initial=0.0):.2g}°"
     wrong = margins_missed(margins)
     if not found.explained:
+        lateness = f"; {found.lateness}" if found.lateness else ""
         wrong = (
-            f"what was identified does not explain the measured plant: up to {largest} off (allowed: {WITHIN_DB:g} dB, "
-            f"{WITHIN_DEG:g}°){_changed(found)}{f'; {found.lateness}' if found.lateness else ''}"
+            f"what was identified does not explain the measured plant: up to {gain:.2g} dB and {phase:.2g}° off "
+            f"(allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°){_changed(found)}{lateness}"
         )
     if wrong:
         return Outcome(False, wrong, figures)
-    return Outcome(
-        True,
-        f"the model explains the plant within {gain.max(initial=0.0):.2f} dB and {phase.max(initial=0.0):.1f}°; "
-        f"{_in_words(margins)}, peak of |S| {margins.peak:.2f}",
-        figures,
-    )
+    within = f"the model explains the plant within {gain:.2f} dB and {phase:.1f}°"
+    return Outcome(True, f"{within}; {_in_words(margins)}, peak of |S| {margins.peak:.2f}", figures)
 
 
 def margins_missed(margins: ResponseMargins) -> str:
@@ -294,11 +267,9 @@ def margins_missed(margins: ResponseMargins) -> str:
 
 
 def _in_words(margins: ResponseMargins) -> str:
-    low = "" if margins.gain_low is None else f" down to {margins.gain_low:.2f}"
-    high = "" if margins.gain_high is None else f" up to {margins.gain_high:.2f}"
-    both = f"{low} and{high}" if low and high else low or high
-    gain = f"gain{both} times" if both else "gain beyond the lines"
-    return f"phase margin {margins.phase:.0f}°, {gain}"
+    ends = (("down to", margins.gain_low), ("up to", margins.gain_high))
+    known = " and ".join(f"{words} {gain:.2f}" for words, gain in ends if gain is not None)
+    return f"phase margin {margins.phase:.0f}°, gain {f'{known} times' if known else 'beyond the lines'}"
 
 
 def _measured(work: Work) -> ComparedResponse:

@@ -87,15 +87,12 @@ def sound(hardware: SimulatedHardware) -> Hardware:
     return hardware
 
 
-class SimulatedMachine:
+class SimulatedMachine(Machine):
     """The simulated stage; what the controller is given never changes it.
 
-    Args:
-        values: parameters by node and dotted name; those of the driver are the machine's.
-        wiring: puts something between the machine and its driver, for trials with broken machines.
-
-    Attributes:
-        parameters: of the driver, by dotted name, with the whole description.
+    ``values`` are parameters by node and dotted name; those of the driver are the machine's: ``parameters``, by dotted
+    name, with the whole description. ``wiring`` puts something between the machine and its driver, for trials with
+    broken machines.
     """
 
     def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] = sound) -> None:
@@ -106,20 +103,12 @@ class SimulatedMachine:
         self.parameters: Mapping[str, Any] = {**values.get("driver", {}), **described}
 
     def listen(self, seconds: float) -> Series:
-        """See `Machine`."""
-        return self._run(self._hardware(), np.zeros(round(seconds * self._driver.stage.rate)), np.inf)
+        return self._run(np.zeros(round(seconds * self._driver.stage.rate)), None)
 
     def play(self, excitation: ExcitationParameters) -> Series:
-        """See `Machine`."""
-        hardware = self._hardware()
-        hardware.enable()
-        try:
-            return self._run(hardware, simple_currents(excitation, self._driver.stage), excitation.travel)
-        finally:
-            hardware.disable()
+        return self._run(simple_currents(excitation, self._driver.stage), excitation.travel)
 
     def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
-        """See `Machine`."""
         whole = {**values, "driver": self.parameters}
         with self._switched_off_after() as wiring:
             simulation = Simulation(whole, wiring=wiring)
@@ -144,7 +133,6 @@ class SimulatedMachine:
                 simulation.save_learning()
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
-        """See `Machine`."""
         with self._switched_off_after() as wiring:
             return measure_simulated({**values, "driver": self.parameters}, excitation, wiring=wiring)
 
@@ -163,35 +151,32 @@ class SimulatedMachine:
             for hardware in wired:
                 hardware.disable()
 
-    def _hardware(self) -> Hardware:
-        driver = self._driver
-        return self._wiring(
-            SimulatedHardware(driver.simulated, driver.stage, driver.guide(), driver.stage.motion.start)
-        )
-
-    def _run(self, hardware: Hardware, currents: Array, travel: float) -> Series:
-        stage = self._driver.stage
+    def _run(self, currents: Array, travel: float | None) -> Series:
+        """One sample for each of ``currents``; without a ``travel`` the amplifier stays off."""
+        driver, stage = self._driver, self._driver.stage
         delay_ns = round(stage.drive.delay * stage.period_ns)
         rows: list[tuple[int, float, float, float, float]] = []
         left_at: int | None = None
-        asked = currents.tolist()
-        hardware.start(0)
-        for index in range(len(asked)):
-            now_ns = index * stage.period_ns
-            for sample, _ in hardware.read(now_ns):
-                rows.append((sample.stamp_ns, sample.x, sample.y, sample.current, asked[index]))
-                if left_at is None and not abs(sample.y - rows[0][2]) <= travel:
-                    left_at = len(rows) - 1
-                    hardware.disable()
-                    asked[index + 1 :] = [0.0] * len(asked[index + 1 :])
-            if left_at is None:
-                hardware.write(asked[index], now_ns + delay_ns)
-            elif len(rows) > left_at + round(COASTING * stage.rate):
-                break
+        with self._switched_off_after() as wiring:
+            hardware = wiring(SimulatedHardware(driver.simulated, stage, driver.guide(), stage.motion.start))
+            if travel is not None:
+                hardware.enable()
+            hardware.start(0)
+            for index, asked in enumerate(currents.tolist()):
+                now_ns = index * stage.period_ns
+                for sample, _ in hardware.read(now_ns):
+                    command = asked if left_at is None else 0.0
+                    rows.append((sample.stamp_ns, sample.x, sample.y, sample.current, command))
+                    if travel is not None and left_at is None and not abs(sample.y - rows[0][2]) <= travel:
+                        left_at = len(rows) - 1
+                        hardware.disable()
+                if left_at is None:
+                    hardware.write(asked, now_ns + delay_ns)
+                elif len(rows) > left_at + round(COASTING * stage.rate):
+                    break
         stamps = np.array([row[0] for row in rows], np.int64)
-        x, y, measured, command = np.array([row[1:] for row in rows]).reshape(-1, 4).T
-        latency = np.full(len(rows), delay_ns * 1e-9)
-        return Series(stamps, x, y, measured, command, latency, left_at)
+        x, y, measured, commands = np.array([row[1:] for row in rows]).reshape(-1, 4).T
+        return Series(stamps, x, y, measured, commands, np.full(len(rows), delay_ns * 1e-9), left_at)
 
 
 def recorded_series(bag: Path) -> Series:
@@ -239,13 +224,6 @@ def excited(series: Series, travel: float, rate: float) -> Series:
     if left_at is not None:
         # The part in which the platform comes to rest.
         end = max(end, first + left_at + 1) + round(COASTING * rate)
-    part = slice(first, end)
-    return Series(
-        series.stamps[part],
-        series.x[part],
-        series.y[part],
-        series.current[part],
-        np.nan_to_num(series.command[part]),
-        series.latency[part],
-        left_at,
-    )
+    command = np.nan_to_num(series.command)
+    columns: tuple[Any, ...] = (series.stamps, series.x, series.y, series.current, command, series.latency)
+    return Series(*(column[first:end] for column in columns), left_at)

@@ -9,8 +9,8 @@ nothing has to be known of the magnets' negative stiffness.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -59,7 +59,7 @@ _SILENT = 0.05
 """Gain of a readback that does not answer."""
 _OFFSET = 0.03
 """Largest offset of a readback, relative to the bias current."""
-_BEYOND = 1.1
+TOLERANCE = 1.1
 """Factor beyond its range at which a fact is called wrong."""
 _LONGEST = 8
 """Samples of delay."""
@@ -89,10 +89,10 @@ def connection(work: Work) -> Outcome:
     rate = 1e9 / float(np.median(steps))
     taken = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(steps * rate * 1e-9)).astype(np.int64))])
     expected = int(taken[-1]) + 1
-    lost = expected - samples
-    noise = float(np.std(series.y)) / stage.encoder.y_resolution
+    lost, lost_commands, latency = expected - samples, _lost_commands(series), latency_percentiles(series.latency)
+    noise, different = float(np.std(series.y)) / stage.encoder.y_resolution, np.unique(series.y)
+    count = float(np.diff(different).min()) * 1e9 if different.size > 1 else 0.0
     slope, _ = np.polyfit(taken, (series.stamps - series.stamps[0]).astype(np.float64), 1)
-    lost_commands = _lost_commands(series)
     figures: dict[str, Any] = {
         "samples": samples,
         "lost_samples": lost,
@@ -100,17 +100,16 @@ def connection(work: Work) -> Outcome:
         "rate_Hz": rate,
         "clock_drift_ppm": (stage.rate * float(slope) * 1e-9 - 1.0) * 1e6,
         "jitter_us": float(np.std(steps)) * 1e-3,
-        "latency_us": latency_percentiles(series.latency),
+        "latency_us": latency,
         "latency_histogram": _histogram(series),
         "noise_y_counts": noise,
         "noise_x_counts": float(np.std(series.x)) / stage.encoder.x_resolution,
-        "count_y_nm": _count(series.y) * 1e9,
+        "count_y_nm": count,
     }
     wrong = ""
-    arrived = float(np.isfinite(series.latency).mean())
-    count, described = figures["count_y_nm"], stage.encoder.y_resolution * 1e9
+    arrived, described = float(np.isfinite(series.latency).mean()), stage.encoder.y_resolution * 1e9
     allowed = _NOISY * (stage.uncertainty.sensor_noise + _ROUNDING)
-    if not np.isfinite(series.y).all() or not np.isfinite(series.x).all():
+    if not np.isfinite([series.x, series.y]).all():
         wrong = "a reading is not a number; look at the encoders and their interface"
     elif abs(rate / stage.rate - 1.0) > _SLOW:
         wrong = f"{rate:.6g} samples per second; the description says {stage.rate} ('stage.rate')"
@@ -129,7 +128,7 @@ def connection(work: Work) -> Outcome:
             f"commands arrived at the driver between {100.0 * arrived:.3g} % of the samples (allowed: >= "
             f"{100.0 * _LEAST_ARRIVED:g} %); is the controller active, and is this computer busy?"
         )
-    elif np.unique(series.y).size >= _READINGS and abs(count / described - 1.0) > _COUNT_WITHIN:
+    elif different.size >= _READINGS and abs(count / described - 1.0) > _COUNT_WITHIN:
         wrong = (
             f"y comes in steps of {count:.4g} nm; the description says {described:.4g} nm "
             "('stage.encoder.y_resolution')"
@@ -141,7 +140,6 @@ def connection(work: Work) -> Outcome:
         )
     if wrong:
         return Outcome(False, wrong, figures)
-    latency = figures["latency_us"]
     late = f"commands after {latency['p50']:.0f} µs (p99 {latency['p99']:.0f} µs)"
     return Outcome(True, f"{samples} samples at {rate:.6g} Hz, none lost; {late}; noise {noise:.2g} counts", figures)
 
@@ -171,14 +169,7 @@ def _histogram(series: Series) -> list[list[float]]:
     return [[float(edge), int(count)] for edge, count in zip(edges[1:], counts, strict=True) if count]
 
 
-def _count(readings: Array) -> float:
-    """The smallest step between two readings, m; 0 if they are all the same."""
-    steps = np.abs(np.diff(np.unique(readings)))
-    return float(steps.min()) if steps.size else 0.0
-
-
-@dataclass(frozen=True)
-class CurrentReadback:
+class CurrentReadback(NamedTuple):
     """The way from command to readback.
 
     Attributes:
@@ -202,13 +193,10 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     The current of each candidate amplifier is computed from the commands alone, so that a readback of few counts does
     no harm; its gain and offset follow by least squares.
     """
-    acting = slice(series.left_at)
-    asked = np.array([drive.converted(command) for command in series.command[acting].tolist()])
-    current = series.current[acting]
-    known = np.isfinite(current)
-    asked, current = asked[known], current[known]
-
-    trust = np.ones(asked.size)
+    known = np.isfinite(series.current[: series.left_at])
+    asked, current = (column[: series.left_at][known] for column in (series.command, series.current))
+    asked = np.array([drive.converted(command) for command in asked.tolist()])
+    scale, trust = max(1e-12, float(current.std())), np.ones(asked.size)
 
     def fitted(numbers: Array) -> tuple[Array, Array]:
         """(gain, offset), and residuals (n,) in A."""
@@ -220,36 +208,35 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     def residuals(numbers: Array) -> Array:
         return np.asarray(np.sqrt(trust) * fitted(numbers)[1])
 
-    scale = max(1e-12, float(current.std()))
+    def best_of(starts: Iterable[tuple[Array, int]]) -> Array:
+        """The best of the searches from each start, whose delay is from the ``whole`` samples there to one more: at a
+        whole one the current is not smooth in the delay, and a search does not pass."""
+        found: list[OptimizeResult] = []
+        for start, whole in starts:
+            bounds = ([_LOWEST, whole], [_HIGHEST, whole + 1.0])
+            begin = np.clip(start, *bounds)
+            found.append(least_squares(lambda numbers: residuals(numbers) / scale, begin, bounds=bounds, **_EXACT))
+        return np.asarray(min(found, key=lambda one: float(one.cost)).x)
 
-    def searched(start: Array, whole: int) -> OptimizeResult:
-        """The best delay from ``whole`` samples to one more."""
-        # At a whole one the current is not smooth in the delay, and a search does not pass.
-        bounds = ([_LOWEST, whole], [_HIGHEST, whole + 1.0])
-        return least_squares(
-            lambda numbers: residuals(numbers) / scale, np.clip(start, *bounds), bounds=bounds, **_EXACT
-        )
-
-    found = []
+    first: list[tuple[Array, int]] = []
     for whole in range(_LONGEST):
         starts = [np.array([math.log(2.0 * math.pi * band), whole + part]) for band in _BANDWIDTHS for part in _DELAYS]
         starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
-        found += [searched(start, whole) for start in starts[:_STARTS]]
-    best: Array = min(found, key=lambda one: float(one.cost)).x
+        first += [(start, whole) for start in starts[:_STARTS]]
+    best = best_of(first)
     # Late commands have moved it, perhaps beyond a whole sample.
     for _ in range(_ROUNDS):
         trust, before = huber_weights(fitted(best)[1], _LEAST * scale), best
         wholes = {min(_LONGEST - 1, max(0, math.floor(before[1] + side))) for side in (-0.5, 0.5)}
-        best = min((searched(before, whole) for whole in wholes), key=lambda one: float(one.cost)).x
+        best = best_of((before, whole) for whole in wholes)
         if np.abs(best - before).max() < _SETTLED:
             break
     (gain, offset), left = fitted(best)
     missed = float(left.std()) / max(1e-12, float(np.diff(current).std()))
     if float(left.std()) > _UNEXPLAINED * scale or gain == 0.0:
         return CurrentReadback(float(gain), math.nan, math.nan, math.nan, missed)
-    return CurrentReadback(
-        float(gain), float(offset), math.exp(best[0]) / (2.0 * math.pi * period), float(best[1]), missed
-    )
+    bandwidth = math.exp(best[0]) / (2.0 * math.pi * period)
+    return CurrentReadback(float(gain), float(offset), bandwidth, float(best[1]), missed)
 
 
 def _answer(asked: Array, rate: float, delay: float) -> Array:
@@ -268,10 +255,12 @@ def _answer(asked: Array, rate: float, delay: float) -> Array:
 def signs_and_scales(work: Work) -> Outcome:
     """Shake, then push either way."""
     stage = work.stage
+    travel = max(_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
     current = _SHAKE * stage.actuator.bias_current
-    shake = ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=_travel(stage))
-    shaken = work.machine.play(shake)
-    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, stage)):
+    shaken = work.machine.play(
+        ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=travel)
+    )
+    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, travel, stage)):
         return Outcome(False, pulled)
     readback = current_readback(shaken, stage.drive, stage.period)
     figures: dict[str, Any] = {
@@ -280,55 +269,45 @@ def signs_and_scales(work: Work) -> Outcome:
         "amplifier_bandwidth_Hz": readback.bandwidth,
         "delay_samples": readback.delay,
     }
-    wrong = _readback_fault(readback, stage)
-    if wrong:
+    if wrong := _readback_fault(readback, stage):
         return Outcome(False, wrong, figures)
-    currents, moved, farthest = [], [], 0.0
+    currents, moved, farthest, highest = [], [], 0.0, _RAMP_SHARE * stage.highest_current
     for signal in ("ramp_up", "ramp_down"):
-        ramp = ExcitationParameters(
-            signal=signal, current=_RAMP_SHARE * stage.highest_current, duration=_RAMP_TIME, travel=_travel(stage)
+        pushed = work.machine.play(
+            ExcitationParameters(signal=signal, current=highest, duration=_RAMP_TIME, travel=travel)
         )
-        pushed = work.machine.play(ramp)
         # The answer to the sample itself may be zero already.
         currents.append(math.nan if pushed.left_at is None else float(pushed.command[max(0, pushed.left_at - 1)]))
         moved.append(float(pushed.y[-1] - pushed.y[0]))
         farthest = max(farthest, float(np.abs(pushed.y - pushed.y[0]).max()))
     figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}
-    wrong = _force_fault(currents, moved, stage)
-    if wrong:
+    if wrong := _force_fault(currents, moved, stage):
         return Outcome(False, wrong, figures)
-    pushed_back = moved[1] < 0.0
+    back = f" and {1e3 * currents[1]:.3g} mA" if moved[1] < 0.0 else " mA, and the magnets pull the platform on"
     sentence = (
         f"readback {readback.gain:.4g} times the command, amplifier {readback.bandwidth:.0f} Hz, delay "
-        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g}"
-        f"{f' and {1e3 * currents[1]:.3g} mA' if pushed_back else ' mA, and the magnets pull the platform on'}; "
-        f"the platform moved at most {farthest * 1e6:.0f} µm"
+        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g}{back}; the platform moved at "
+        f"most {farthest * 1e6:.0f} µm"
     )
     found = {"drive.bandwidth": readback.bandwidth, "drive.delay": readback.delay}
     return Outcome(True, sentence, figures, stage=found)
 
 
-def _travel(stage: StageParameters) -> float:
-    return max(_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
-
-
-def _unbalanced(left_at: int, stage: StageParameters) -> str:
+def _unbalanced(left_at: int, travel: float, stage: StageParameters) -> str:
     """What pulled the platform away without a current that could; empty where the samples are enough all the same.
 
     At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
     """
-    actuator, time = stage.actuator, max(1, left_at) / stage.rate
-    acceleration = 2.0 * _travel(stage) / time**2
+    actuator, ranges, time = stage.actuator, stage.uncertainty, max(1, left_at) / stage.rate
     # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
-    ranges = stage.uncertainty
     weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
     alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
-    if acceleration < _ONE_COIL * alone and left_at >= _ENOUGH:
+    if 2.0 * travel / time**2 < _ONE_COIL * alone and left_at >= _ENOUGH:
         return ""
     return (
-        f"with the amplifier on and hardly any current the platform left {_travel(stage) * 1e6:g} µm within "
-        f"{time * 1e3:.3g} ms: the magnets do not balance; look for a coil without current, and for a bias current "
-        f"that is not {actuator.bias_current:g} A in both"
+        f"with the amplifier on and hardly any current the platform left {travel * 1e6:g} µm within {time * 1e3:.3g} "
+        "ms: the magnets do not balance; look for a coil without current, and for a bias current that is not "
+        f"{actuator.bias_current:g} A in both"
     )
 
 
@@ -355,14 +334,14 @@ def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
             "currents of both coils"
         )
     factor = found.bandwidth / drive.bandwidth
-    if not 1.0 / (_BEYOND * ranges.amplifier) <= factor <= _BEYOND * ranges.amplifier:
+    if not 1.0 / (TOLERANCE * ranges.amplifier) <= factor <= TOLERANCE * ranges.amplifier:
         return (
             f"the amplifier has {found.bandwidth:.0f} Hz, {factor:.2g} times what is described; allowed by "
             f"'stage.uncertainty.amplifier': within a factor of {ranges.amplifier:g}; look at its tuning and its supply"
         )
     # One that is shorter than described makes no law less stable, and what was found replaces the description.
     latest = ranges.longest_delay * drive.delay
-    if found.delay > latest * _BEYOND:
+    if found.delay > latest * TOLERANCE:
         return (
             f"commands act {found.delay:.2f} samples after theirs; allowed by 'stage.drive.delay' and "
             f"'stage.uncertainty.longest_delay': up to {latest:.2g}"

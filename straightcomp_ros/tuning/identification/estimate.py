@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +118,16 @@ class Estimate:
     def advice(self) -> dict[str, str]:
         """For each poorly determined parameter, the excitation that would help."""
         return {name: HELP[name] for name, found in self.parameters.items() if found.poor and name in HELP}
+
+    def to_display(self) -> dict[str, Any]:
+        """Figures of the current path, the centre, and what the record leaves open, with units in the names."""
+        return {
+            "amplifier_bandwidth_deviation_Hz": self.path.rate_deviation / (2.0 * math.pi),
+            "delay_us": self.path.delay * 1e6,
+            "delay_spread_us": [delay * 1e6 for delay in self.path.delay_spread],
+            "centre_um": self.centre.to_display() if self.centre else None,
+            "untold": self.not_identifiable,
+        }
 
     @property
     def not_identifiable(self) -> list[str]:

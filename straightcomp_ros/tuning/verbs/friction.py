@@ -85,10 +85,7 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
         "prediction_error_um": estimate.fit.rms_error_m * 1e6,
         "prediction_error_ratio": estimate.fit.rms_error,
         "amplifier_bandwidth_Hz": estimate.path.rate / (2.0 * math.pi) if estimate.path.rate_found else None,
-        "amplifier_bandwidth_deviation_Hz": estimate.path.rate_deviation / (2.0 * math.pi),
-        "delay_us": estimate.path.delay * 1e6,
-        "delay_spread_us": [delay * 1e6 for delay in estimate.path.delay_spread],
-        "centre_um": estimate.centre.to_display() if estimate.centre else None,
+        **estimate.to_display(),
         "parameters": {
             name: {
                 "value": found.value,
@@ -102,7 +99,6 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
             for name, found in estimate.parameters.items()
         },
         "advice": estimate.advice,
-        "untold": estimate.not_identifiable,
     }
 
 
