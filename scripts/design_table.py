@@ -24,7 +24,7 @@ from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.gain_search import search
 from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import judge_of
+from straightcomp_ros.tuning.design.judged_gains import Judge
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke
 
 FOUND = STAGES / "found_gains.json"
@@ -63,7 +63,7 @@ def best_found(name: str, scenario: Scenario, gains: Mapping[str, float]) -> Fig
 def search_long(name: str, evaluations: int) -> None:
     """Search on one stage from several seeds and from the gains that are kept."""
     scenario = stage_scenario(name)
-    judge = judge_of(scenario, LAW, 0.0)
+    judge = Judge(scenario, LAW, 0.0)
     kept = found_gains().get(name)
     begin = starts(LAW, closed_form(scenario, LAW)) + ([kept] if kept else [])
     for seed in SEEDS:

@@ -26,8 +26,8 @@ from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budge
 from straightcomp_ros.tuning.design.feasible_gains import corrected_starts, feasible_gains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
 from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import Judge, judge_of
-from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, RunFigures, prepared_stroke
+from straightcomp_ros.tuning.design.judged_gains import Judge
+from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
 from straightcomp_ros.tuning.sweep.many_trials import LawSummary, summarise, sweep
 
@@ -35,7 +35,7 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it that is done."""
 
 SHIPPED_QUIET = 0.3
-"""Between accuracy and quiet coils as the shipped gains."""
+"""Weight of quiet coils against accuracy, unless another one is asked for."""
 _EVALUATIONS = 400
 _MACHINES = 200
 _ROUNDS = 3
@@ -131,23 +131,37 @@ def design_gains(
     if tighter is None:
         raise refusal(scenario, law, demands, seed=seed)
     progress("feasible", 1.0)
-    full = prepared_stroke(scenario)
-    kept: tuple[LawSummary, Found, Judge] | None = None
+    full, base, stage = prepared_stroke(scenario), next(iter(scenario.controls.values())), scenario.description
+
+    def runs(gains: Mapping[str, float]) -> list[RunFigures]:
+        made = make_law(with_gains(base, law, gains), stage)
+        return [full.run(made, stage.drive.delay * stage.period, number) for number in range(_FINAL_STARTS)]
+
+    def figures(gains: Mapping[str, float]) -> DesignFigures:
+        found = runs(gains)
+        return DesignFigures(*(spread(getattr(run, name) for run in found) for name in DesignFigures._fields))
+
+    def cost(one: Found) -> float:
+        """Of a finalist, on the whole stroke: short strokes may have flattered it."""
+        pp = spread(run.pp for run in runs(one.gains)).median
+        return one.judgement.cost + math.log(pp / one.judgement.pp) if math.isfinite(pp) else math.inf
+
+    kept: tuple[LawSummary, Mapping[str, float]] | None = None
     rounds, held, begin = 0, demands, starts(law, start)
     for rounds in range(1, _ROUNDS + 1):
-        judge = judge_of(scenario, law, quiet, held)
         found = search(
-            judge,
+            Judge(scenario, law, quiet, held),
             corrected_starts(scenario, law, [*begin, tighter], held, seed=seed),
             evaluations=evaluations if rounds == 1 else evaluations // 2,
             seed=seed + rounds - 1,
             jobs=jobs,
             progress=lambda fraction: progress("search", fraction),
         )
-        best = _best_on_the_whole_stroke(judge, full, found, start)
-        control = with_gains(judge.control, law, best.gains)
+        first = [one for one in found if one.gains == start]
+        finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
+        best = min(finalists, key=cost, default=found[0]).gains
         trials = sweep(
-            dataclasses.replace(scenario, controls={law: control}),
+            dataclasses.replace(scenario, controls={law: with_gains(base, law, best)}),
             seed,
             range(machines),
             jobs=jobs,
@@ -155,54 +169,25 @@ def design_gains(
         )
         (verification,) = summarise(trials)
         if kept is None or len(verification.not_in_order) < len(kept[0].not_in_order):
-            kept = verification, best, judge
-            demands = held
+            kept, demands = (verification, best), held
         if not verification.not_in_order:
             break
-        held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best.gains)]
+        held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best)]
         tighter = feasible_gains(scenario, law, start, held, seed=seed)
         if tighter is None:
             break
     assert kept is not None  # there is a first round
-    verification, best, judge = kept
-    control = with_gains(judge.control, law, best.gains)
-    budget = error_budget(scenario, law, best.gains, seed=seed, progress=lambda fraction: progress("budget", fraction))
+    verification, best = kept
     return Design(
         law=law,
-        values=best.gains,
-        figures=_figures(judge, full, best.gains),
+        values=best,
+        figures=figures(best),
         start_values=start,
-        start_figures=_figures(judge, full, start),
+        start_figures=figures(start),
         quiet=quiet,
         demands=demands,
         verification=verification,
-        budget=budget,
-        limits=failing_limits(scenario, control),
+        budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),
+        limits=failing_limits(scenario, with_gains(base, law, best)),
         rounds=rounds,
     )
-
-
-def _best_on_the_whole_stroke(
-    judge: Judge, full: PreparedStroke, found: Sequence[Found], rule_gains: Mapping[str, float]
-) -> Found:
-    """The best of the first candidates and the closed form: short strokes may have flattered one of them."""
-
-    def cost(one: Found) -> float:
-        pp = spread(run.pp for run in _runs(judge, full, one.gains)).median
-        if not math.isfinite(pp):
-            return math.inf
-        return one.judgement.cost + math.log(pp / one.judgement.pp)
-
-    first = [one for one in found if one.gains == rule_gains]
-    finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
-    return min(finalists, key=cost) if finalists else found[0]
-
-
-def _runs(judge: Judge, full: PreparedStroke, gains: Mapping[str, float]) -> list[RunFigures]:
-    law = make_law(with_gains(judge.control, judge.law, gains), judge.stage)
-    return [full.run(law, judge.delay, start) for start in range(_FINAL_STARTS)]
-
-
-def _figures(judge: Judge, full: PreparedStroke, gains: Mapping[str, float]) -> DesignFigures:
-    runs = _runs(judge, full, gains)
-    return DesignFigures(*(spread(getattr(run, name) for run in runs) for name in ("pp", "rms", "work", "rest_work")))

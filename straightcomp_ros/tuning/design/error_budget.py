@@ -7,7 +7,7 @@ would be faster without the cause, the gains that are rates are made faster in t
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,10 +37,9 @@ class BudgetEntry(NamedTuple):
     rms: float
 
 
-class _Variant(NamedTuple):
-    """One run of the budget: the law has the description ``stage``; the delay in s."""
+class _Run(NamedTuple):
+    """What runs: the law has the description ``stage``; the delay in s."""
 
-    cause: str
     stroke: PreparedStroke
     plant: PlantParameters
     control: ControlParameters
@@ -57,72 +56,60 @@ def error_budget(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[BudgetEntry, ...]:
     """The budget of ``gains``, by dotted name; the first entry is the stage as described. ``seed`` draws the jitter."""
-    found = []
-    variants = _variants(scenario, law, gains, seed)
-    for number, variant in enumerate(variants, 1):
-        made = make_law(variant.control, variant.stage)
-        runs = [variant.stroke.run(made, variant.delay, start, variant.plant) for start in range(_STARTS)]
+    found, causes = [], _causes(scenario, law, gains, seed)
+    for number, (cause, one) in enumerate(causes.items(), 1):
+        made = make_law(one.control, one.stage)
+        runs = [one.stroke.run(made, one.delay, start, one.plant) for start in range(_STARTS)]
         pp, rms = (float(np.median([getattr(run, name) for run in runs])) for name in ("pp", "rms"))
-        found.append(BudgetEntry(variant.cause, pp, rms))
-        progress(number / len(variants))
+        found.append(BudgetEntry(cause, pp, rms))
+        progress(number / len(causes))
     return tuple(found)
 
 
-def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int) -> list[_Variant]:
+def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int) -> dict[str, _Run]:
     base, stage, plant = next(iter(scenario.controls.values())), scenario.description, scenario.driver.plant
-    stroke, delay = prepared_stroke(scenario), stage.drive.delay * stage.period
     control = with_gains(base, law, gains)
+    own = _Run(prepared_stroke(scenario), plant, control, stage, stage.drive.delay * stage.period)
     fine = scaled_facts(plant, ("encoder.y_resolution",), _FINE)
     converter = dataclasses.replace(plant.drive, dac_bits=_DAC_BITS)
-    known, unheld = gains, gains
+    known, free = control, control
     if law == "smc_observer":
-        known = {**gains, "control.smc_observer.first_size": 1.0}
+        known = with_gains(base, law, {**gains, "control.smc_observer.first_size": 1.0})
         # An ideal encoder does not flicker: the command need not be held at rest, and no hold disturbs the start.
-        unheld = {**gains, "control.smc_observer.rest_band": 0.0}
-    free = with_gains(base, law, unheld)
-    at_once = scaled_facts(stage, ("drive.delay",), 0.0)
-    wide = scaled_facts(stage, ("drive.bandwidth",), _AMPLIFIER)
+        free = with_gains(base, law, {**gains, "control.smc_observer.rest_band": 0.0})
     # The misfit is relative to F_C: without friction it must not stiffen the law at the encoder's noise.
     observer = control.smc_observer
     calm = dataclasses.replace(observer, misfit=observer.misfit / _FRICTIONLESS)
     jitter = stage.uncertainty.jitter * stage.period
     stamps = sample_times(jitter, scenario.period_ns, scenario.samples, streams(seed, 0).clock)
 
-    def variant(cause: str, **changes: Any) -> _Variant:
-        return _Variant(cause, stroke, plant, control, stage, delay)._replace(**changes)
+    def faster(fact: str, factor: float) -> tuple[StageParameters, ControlParameters]:
+        """The stage with a fact of its drive changed, and gains for it as those for the stage."""
+        other = scaled_facts(stage, (fact,), factor)
+        quick = scaled(law, gains, stage.dead_time / other.dead_time)
+        if law == "smc_observer" and other.drive.delay == 0.0:
+            quick["control.smc_observer.delay"] = 0.0
+        return other, with_gains(base, law, quick)
 
-    return [
-        variant("as described"),
-        variant("ideal encoder of y", plant=fine, control=free),
-        variant("ideal D/A converter", plant=dataclasses.replace(plant, drive=converter)),
-        variant("ideal encoder of y and D/A converter", plant=dataclasses.replace(fine, drive=converter), control=free),
-        variant("friction known from the start", control=with_gains(base, law, known)),
-        variant(
-            "a hundredth of the friction",
+    at_once, of_at_once = faster("drive.delay", 0.0)
+    wide, of_wide = faster("drive.bandwidth", _AMPLIFIER)
+    return {
+        "as described": own,
+        "ideal encoder of y": own._replace(plant=fine, control=free),
+        "ideal D/A converter": own._replace(plant=dataclasses.replace(plant, drive=converter)),
+        "ideal encoder of y and D/A converter": own._replace(
+            plant=dataclasses.replace(fine, drive=converter), control=free
+        ),
+        "friction known from the start": own._replace(control=known),
+        "a hundredth of the friction": own._replace(
             plant=scaled_facts(plant, _FRICTION, _FRICTIONLESS),
             stage=scaled_facts(stage, _FRICTION, _FRICTIONLESS),
             control=dataclasses.replace(control, smc_observer=calm),
         ),
-        variant(
-            "commands that act at once, gains faster to match",
-            control=with_gains(base, law, _faster(law, gains, stage, at_once)),
-            stage=at_once,
-            delay=0.0,
+        "commands that act at once, gains faster to match": own._replace(stage=at_once, control=of_at_once, delay=0.0),
+        f"amplifier {_AMPLIFIER:g} times as fast, gains faster to match": own._replace(
+            plant=scaled_facts(plant, ("drive.bandwidth",), _AMPLIFIER), stage=wide, control=of_wide
         ),
-        variant(
-            f"amplifier {_AMPLIFIER:g} times as fast, gains faster to match",
-            plant=scaled_facts(plant, ("drive.bandwidth",), _AMPLIFIER),
-            control=with_gains(base, law, _faster(law, gains, stage, wide)),
-            stage=wide,
-        ),
-        variant("exact reference at each sample", stroke=prepared_stroke(scenario, ideal=True)),
-        variant("with the jitter of the uncertainty", stroke=prepared_stroke(scenario, stamps=stamps)),
-    ]
-
-
-def _faster(law: str, gains: Mapping[str, float], stage: StageParameters, other: StageParameters) -> dict[str, float]:
-    """``gains`` for ``stage`` as for ``other``, which has less dead time."""
-    faster = scaled(law, gains, stage.dead_time / other.dead_time)
-    if law == "smc_observer" and other.drive.delay == 0.0:
-        faster["control.smc_observer.delay"] = 0.0
-    return faster
+        "exact reference at each sample": own._replace(stroke=prepared_stroke(scenario, ideal=True)),
+        "with the jitter of the uncertainty": own._replace(stroke=prepared_stroke(scenario, stamps=stamps)),
+    }

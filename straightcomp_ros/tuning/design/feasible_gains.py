@@ -12,7 +12,6 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
@@ -57,11 +56,9 @@ def _least_change(
     ``possible(share, found)`` returns what was found on the stage with this share of the change, or None. It may begin
     at what was ``found`` with more of it: that is nearly right here.
     """
-    for good in tries:
-        found = possible(good, None)
-        if found is not None:
-            break
-    else:
+    tried = ((share, possible(share, None)) for share in tries)
+    good, found = next(((share, found) for share, found in tried if found is not None), (0.0, None))
+    if found is None:
         return None
     bad = 0.0
     for _ in range(halvings):
@@ -87,11 +84,9 @@ def feasible_gains(
     violation = _violation(scenario, law, demands)
     if violation(start) == 0.0:
         return dict(start)
-    for begin in sorted(starts(law, start), key=violation)[:_VALLEYS]:
-        found = _corrected(violation, law, begin, evaluations, seed)
-        if found is not None:
-            return found
-    return None
+    begins = sorted(starts(law, start), key=violation)[:_VALLEYS]
+    corrected = (_corrected(violation, law, begin, evaluations, seed) for begin in begins)
+    return next((found for found in corrected if found is not None), None)
 
 
 def corrected_starts(
@@ -167,25 +162,22 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
     )
 
 
-class _Feasible(NamedTuple):
-    """Gains that hold the demands on a stage, and its dead time in s."""
-
-    gains: dict[str, float]
-    lag: float
+_Feasible = tuple[dict[str, float], float]
+"""Gains that hold the demands on a stage, and its dead time in s."""
 
 
 def _possible(scenario: Scenario, law: str, demands: Demands, like: _Feasible | None, seed: int) -> _Feasible | None:
     """Gains that hold the demands; ``like`` held them on a stage that is a little easier."""
-    stage = scenario.description
-    gains = rule(law, stage)
-    tries = starts(law, gains)
+    lag = scenario.description.dead_time
+    gains = rule(law, scenario.description)
+    tries, evaluations = starts(law, gains), _EVALUATIONS
     if like is not None:
-        nearly = scaled(law, like.gains, like.lag / stage.dead_time)
+        evaluations = _IN_BISECTION
+        nearly = scaled(law, like[0], like[1] / lag)
         tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
     begin = min(tries, key=_violation(scenario, law, demands))
-    evaluations = _EVALUATIONS if like is None else _IN_BISECTION
     found = feasible_gains(scenario, law, begin, demands, evaluations=evaluations, seed=seed)
-    return None if found is None else _Feasible(found, stage.dead_time)
+    return None if found is None else (found, lag)
 
 
 def _outward(value: float, *, up: bool) -> float:
@@ -194,8 +186,7 @@ def _outward(value: float, *, up: bool) -> float:
     return round((math.ceil if up else math.floor)(value / unit - (1e-9 if up else -1e-9)) * unit, 12)
 
 
-@dataclass(frozen=True)
-class SafeLaw:
+class SafeLaw(NamedTuple):
     """A law that is stable at all corners.
 
     Attributes:
@@ -232,10 +223,9 @@ def safe_law(
         raise _safe_refusal(scenario, growth, seed)
     worst = sorted(zip(growths(scenario, corners, gains), corners, strict=True), key=lambda one: -one[0])
     law = make_law(with_gains(scenario.controls[LAW], LAW, gains), stage)
-    stroke = prepared_stroke(scenario, shortened(scenario, _SHORT))
-    excursion = pp = 0.0
+    stroke, runs = prepared_stroke(scenario, shortened(scenario, _SHORT)), []
     ends = (1.0 / stage.uncertainty.friction, stage.uncertainty.friction)
-    for number, ((_, corner), friction) in enumerate(itertools.product(worst[:_WORST], ends), 1):
+    for (_, corner), friction in itertools.product(worst[:_WORST], ends):
         plant = deviating(corner.plant, Factors(friction=friction))
         run = stroke.run(law, corner.stage.drive.delay * stage.period, plant=plant)
         oscillates = run.oscillation > 1.0
@@ -245,8 +235,9 @@ def safe_law(
                 f"the law that is stable at all corners without friction {what} at {corner.name}, friction × "
                 f"{friction:g}; friction must be known better ('stage.uncertainty.friction')"
             )
-        excursion, pp = max(excursion, run.excursion), max(pp, run.pp)
-        progress(0.3 + 0.7 * number / (2 * _WORST))
+        runs.append(run)
+        progress(0.3 + 0.7 * len(runs) / (2 * _WORST))
+    excursion, pp = max(run.excursion for run in runs), max(run.pp for run in runs)
     return SafeLaw(gains, -growth * stage.rate, worst[0][1].name, len(corners), excursion, pp)
 
 
@@ -280,15 +271,39 @@ def _calmest(
     return min(known, found, key=lambda one: one[1])
 
 
+_RANGES = {
+    "the mass within ± {mass:.2g} of it": ("mass",),
+    "the force within ± {force:.2g} of it": ("force",),
+    "the air gap within ± {air_gap:.2g} of it": ("air_gap",),
+    "the amplifier's bandwidth within a factor of {amplifier:.3g}": ("amplifier",),
+    "the delay within × {shortest_delay:.2g} to {longest_delay:.2g}": ("shortest_delay", "longest_delay"),
+}
+"""What could be known better, in words, and the parameters of the uncertainty that say how well it is known."""
+
+
+def _narrowed(ranges: UncertaintyParameters, names: Sequence[str], width: float) -> UncertaintyParameters:
+    """``ranges`` with those of ``names`` narrowed to the share ``width`` of them."""
+
+    def narrow(name: str) -> float:
+        value: float = getattr(ranges, name)
+        if name == "amplifier":
+            return value**width
+        # Factors of the delay lie around 1, the others are relative deviations.
+        middle = 1.0 if name.endswith("_delay") else 0.0
+        return middle + width * (value - middle)
+
+    return dataclasses.replace(ranges, **{name: narrow(name) for name in names})
+
+
 def _safe_refusal(scenario: Scenario, growth: float, seed: int) -> DesignError:
     """The error where no law is stable at all corners: which single range, if it were narrower, would allow one."""
     stage, helpful = scenario.description, []
-    for name, text, narrowed in _RANGES:
-        if narrowed(stage.uncertainty, 1.0) == narrowed(stage.uncertainty, 0.0):
+    for words, names in _RANGES.items():
+        if _narrowed(stage.uncertainty, names, 0.0) == stage.uncertainty:
             continue
 
-        def possible(share: float, _: bool | None, narrowed: _Narrowed = narrowed) -> bool | None:
-            changed = dataclasses.replace(stage, uncertainty=narrowed(stage.uncertainty, 1.0 - share))
+        def possible(share: float, _: bool | None, names: Sequence[str] = names) -> bool | None:
+            changed = dataclasses.replace(stage, uncertainty=_narrowed(stage.uncertainty, names, 1.0 - share))
             try:
                 corners = corners_of(changed)
             except ParameterError:
@@ -298,36 +313,9 @@ def _safe_refusal(scenario: Scenario, growth: float, seed: int) -> DesignError:
 
         share = _least_change(possible, halvings=4)
         if share is not None:
-            helpful.append(f"{name} {text(narrowed(stage.uncertainty, 1.0 - share))}")
+            helpful.append(words.format(**dataclasses.asdict(_narrowed(stage.uncertainty, names, 1.0 - share))))
     advice = f"must be known better: {', or '.join(helpful)}" if helpful else "no single fact would be enough"
     return DesignError(
         f"no gains of '{LAW}' are stable at all corners of 'stage.uncertainty' (at best the slowest "
         f"mode decays with {-growth * stage.rate:.3g} 1/s; allowed: >= {-_allowed(stage) * stage.rate:.3g}): {advice}"
     )
-
-
-_Narrowed = Callable[[UncertaintyParameters, float], UncertaintyParameters]
-
-
-def _of_fraction(name: str) -> _Narrowed:
-    return lambda ranges, width: dataclasses.replace(ranges, **{name: width * getattr(ranges, name)})
-
-
-def _delay(ranges: UncertaintyParameters, width: float) -> UncertaintyParameters:
-    """The range of the delay, narrowed to ``width`` of it around 1."""
-    shortest, longest = (1.0 + width * (one - 1.0) for one in (ranges.shortest_delay, ranges.longest_delay))
-    return dataclasses.replace(ranges, shortest_delay=shortest, longest_delay=longest)
-
-
-_RANGES: tuple[tuple[str, Callable[[UncertaintyParameters], str], _Narrowed], ...] = (
-    ("the mass", lambda ranges: f"within ± {ranges.mass:.2g} of it", _of_fraction("mass")),
-    ("the force", lambda ranges: f"within ± {ranges.force:.2g} of it", _of_fraction("force")),
-    ("the air gap", lambda ranges: f"within ± {ranges.air_gap:.2g} of it", _of_fraction("air_gap")),
-    (
-        "the amplifier's bandwidth",
-        lambda ranges: f"within a factor of {ranges.amplifier:.3g}",
-        lambda ranges, width: dataclasses.replace(ranges, amplifier=ranges.amplifier**width),
-    ),
-    ("the delay", lambda ranges: f"within × {ranges.shortest_delay:.2g} to {ranges.longest_delay:.2g}", _delay),
-)
-"""Each range by name, in words, and how it is narrowed to a share of its width."""

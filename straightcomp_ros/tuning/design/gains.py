@@ -71,8 +71,9 @@ SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
 """The gains that are searched, by law; all on a logarithmic scale."""
 
 
+_OF_ENDS = ("bandwidth", "surface", "reaching", "third_pole", "gain_allowance", "velocity_share")
 _ENDS = (
-    # Where searches ended on other stages: bandwidth, λ, κ relative to the rule; third pole, allowance, share m.
+    # Where searches ended on other stages; the first three relative to the rule.
     (0.51, 0.83, 2.63, 1.28, 1.76, 0.83),  # an encoder of 5 nm
     (0.21, 0.87, 2.86, 0.55, 1.41, 0.56),  # 20 kg
     (2.19, 1.09, 0.57, 2.07, 1.59, 0.29),  # 1 kHz
@@ -91,13 +92,10 @@ def starts(law: str, gains: Values) -> list[dict[str, float]]:
     """Gains from which a search may begin, the rule's ``gains`` first: the best of them is in the right valley."""
     if law != "smc_observer":
         return [dict(gains), *(scaled(law, gains, factor) for factor in _FACTORS)]
-    names = ("bandwidth", "surface", "reaching", "third_pole", "gain_allowance", "velocity_share")
-    found = [dict(gains)]
-    for end in _ENDS:
-        scales = (*(gains[_OBSERVER + name] for name in names[:3]), 1.0, 1.0, 1.0)
-        changed = {_OBSERVER + name: x * scale for name, x, scale in zip(names, end, scales, strict=True)}
-        found.append({**gains, **changed})
-    return found
+    names = [_OBSERVER + name for name in _OF_ENDS]
+    scales = [gains[name] for name in names[:3]] + [1.0] * 3
+    ends = ((x * scale for x, scale in zip(end, scales, strict=True)) for end in _ENDS)
+    return [dict(gains), *({**gains, **dict(zip(names, end, strict=True))} for end in ends)]
 
 
 def rule(law: str, stage: StageParameters) -> dict[str, float]:

@@ -9,19 +9,17 @@ sample; its scale is the current that carries Coulomb friction, F_C / K̄_i, whi
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.stage.description import Factors, StageParameters, deviating
+from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.tuning.design.gains import with_gains
-from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, RunFigures, prepared_stroke, shortened
+from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, StabilityCheck
 
 _STARTS = 3
@@ -40,137 +38,86 @@ _SILENT = 0.02
 
 
 class Judgement(NamedTuple):
-    """Cost, and the stage's figures in m and A; infinite where gains were not simulated."""
+    """Cost, and the stage's p-p in m and work in A; infinite where gains were not simulated."""
 
     cost: float
-    pp: float
-    rms: float
-    work: float
-    rest_work: float
+    pp: float = math.inf
+    work: float = math.inf
 
 
-@dataclass(frozen=True, eq=False)
 class Judge:
-    """Judges gains of ``law`` on one stage.
+    """Judges gains of ``law`` on the stage of ``scenario``; ``quiet``, from 0 to 1, is the weight of the coils' work.
 
-    Attributes:
-        control: of which the law and its gains are replaced.
-        check: the linear demands.
-        stroke, short: of the stage as described, and of the extreme machines.
-        quiet: weight of the coils' work, 0 to 1.
+    ``control`` is the controller's, of which the law and its gains are replaced, ``delay`` that of a command in s.
     """
 
-    control: ControlParameters
-    law: str
-    stage: StageParameters
-    check: StabilityCheck
-    stroke: PreparedStroke
-    short: PreparedStroke
-    extremes: list["Extreme"]
-    quiet: float
-
-    @property
-    def work_scale(self) -> float:
-        """Current in A that carries Coulomb friction."""
-        return self.stage.friction.coulomb / self.stage.actuator.current_stiffness
-
-    @property
-    def delay(self) -> float:
-        """Of a command, s."""
-        return self.stage.drive.delay * self.stage.period
+    def __init__(self, scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD) -> None:
+        self.law, self.stage, self._quiet = law, scenario.description, quiet
+        self.control = next(iter(scenario.controls.values()))
+        self.delay = self.stage.drive.delay * self.stage.period
+        self._check = StabilityCheck(self.stage, demands)
+        self._stroke = prepared_stroke(scenario, shortened(scenario, _LONGEST))
+        self._short = prepared_stroke(scenario, shortened(scenario, _SHORT))
+        self._extremes = extreme_machines(scenario)
+        self._work_scale = self.stage.friction.coulomb / self.stage.actuator.current_stiffness
 
     def judge(self, gains: Mapping[str, float], bar: float = math.inf) -> Judgement:
         """Judge ``gains``, by dotted name; by their first stroke alone if it costs more than ``bar``."""
-        infinite = (math.inf,) * 4
         try:
             control = with_gains(self.control, self.law, gains)
         except ParameterError:
-            return Judgement(3.0 * _UNSTABLE, *infinite)
-        violation = self.check.violation(control)
+            return Judgement(3.0 * _UNSTABLE)
+        violation = self._check.violation(control)
         if violation > 0.0:
-            return Judgement(_UNSTABLE + min(_UNSTABLE, violation), *infinite)
-        law = make_law(control, self.stage)
-        nominal = [self.stroke.run(law, self.delay)]
-        first = self._nominal(nominal)
-        if first.cost > bar:
-            return first
-        nominal += [self.stroke.run(law, self.delay, start) for start in range(1, _STARTS)]
-        found = self._nominal(nominal)
+            return Judgement(_UNSTABLE + min(_UNSTABLE, violation))
+        law, runs = make_law(control, self.stage), []
+        for start in range(_STARTS):
+            runs.append(self._stroke.run(law, self.delay, start))
+            if start == 0 and (first := self._nominal(runs)[0]).cost > bar:
+                return first
+        found, accuracy = self._nominal(runs)
         if not math.isfinite(found.pp):
             return found
-        return found._replace(cost=found.cost + self._extreme(law, _accuracy(found)))
+        extremes = [self._short.run(law, delay, plant=plant) for plant, delay in self._extremes]
+        if not all(math.isfinite(run.pp) for run in extremes):
+            return found._replace(cost=found.cost + 0.5 * _UNSTABLE)
+        mean = float(np.mean([math.log(run.pp) for run in extremes]))
+        return found._replace(cost=found.cost + (_SHARE_EXTREME * (mean - accuracy) + self._penalty(extremes)))
 
-    def _nominal(self, runs: list[RunFigures]) -> Judgement:
-        """The judgement of ``runs`` of the stage as described."""
-        pp, rms, work, rest = (_mean(runs, name) for name in ("pp", "rms", "work", "rest_work"))
-        found = Judgement(_UNSTABLE, pp, rms, work, rest)
+    def _nominal(self, runs: list[RunFigures]) -> tuple[Judgement, float]:
+        """The judgement of ``runs`` of the stage as described, and their accuracy."""
+        pp, rms, work, rest = (
+            float(np.mean([getattr(run, name) for run in runs])) for name in ("pp", "rms", "work", "rest_work")
+        )
         if not math.isfinite(pp):
-            return found
-        cost = _accuracy(found) + self.quiet * _WORK_WEIGHT * math.log1p(work / self.work_scale)
-        cost += self._penalty(runs)
-        if self.law == "smc_observer" and rest > _SILENT * self.work_scale:
-            cost += 0.1 + math.log(rest / (_SILENT * self.work_scale))
-        return found._replace(cost=cost)
-
-    def _extreme(self, law: Law, accuracy: float) -> float:
-        """What the extreme machines add to the cost."""
-        runs = [
-            self.short.run(law, machine.delay * self.stage.period, plant=machine.plant) for machine in self.extremes
-        ]
-        if not all(math.isfinite(run.pp) for run in runs):
-            return 0.5 * _UNSTABLE
-        mean = float(np.mean([math.log(run.pp) for run in runs]))
-        return _SHARE_EXTREME * (mean - accuracy) + self._penalty(runs)
+            return Judgement(_UNSTABLE, pp, work), math.inf
+        accuracy = (1.0 - _SHARE_RMS) * math.log(pp) + _SHARE_RMS * math.log(_PP_PER_RMS * rms)
+        cost = accuracy + self._quiet * _WORK_WEIGHT * math.log1p(work / self._work_scale) + self._penalty(runs)
+        if self.law == "smc_observer" and rest > _SILENT * self._work_scale:
+            cost += 0.1 + math.log(rest / (_SILENT * self._work_scale))
+        return Judgement(cost, pp, work), accuracy
 
     def _penalty(self, runs: list[RunFigures]) -> float:
         """For each oscillation by its size, for each platform that met its stop."""
         lines = sum(0.3 + math.log(run.oscillation) for run in runs if run.oscillation > 1.0)
-        return lines + sum(run.excursion >= self.stroke.plant.platform.stop for run in runs)
+        return lines + sum(run.excursion >= self._stroke.plant.platform.stop for run in runs)
 
 
-def _accuracy(found: Judgement) -> float:
-    return (1.0 - _SHARE_RMS) * math.log(found.pp) + _SHARE_RMS * math.log(_PP_PER_RMS * found.rms)
-
-
-def _mean(runs: list[RunFigures], name: str) -> float:
-    return float(np.mean([getattr(run, name) for run in runs]))
-
-
-def judge_of(scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD) -> Judge:
-    """The judge of gains of ``law`` on the stage of ``scenario``; ``quiet`` from 0 to 1."""
-    return Judge(
-        control=next(iter(scenario.controls.values())),
-        law=law,
-        stage=scenario.description,
-        check=StabilityCheck(scenario.description, demands),
-        stroke=prepared_stroke(scenario, shortened(scenario, _LONGEST)),
-        short=prepared_stroke(scenario, shortened(scenario, _SHORT)),
-        extremes=extreme_machines(scenario),
-        quiet=quiet,
-    )
-
-
-class Extreme(NamedTuple):
-    """A machine at an end of the uncertainty, on which a law must neither oscillate nor fail; its delay in samples."""
-
-    plant: PlantParameters
-    delay: float
-
-
-def extreme_machines(scenario: Scenario) -> list[Extreme]:
-    """The machines: each has the loop gain, the friction and the delay of one end of its range, or of its middle."""
-    ranges, delay = scenario.description.uncertainty, scenario.description.drive.delay
-    latest, soonest = delay * max(1.0, ranges.longest_delay), delay * min(1.0, ranges.shortest_delay)
+def extreme_machines(scenario: Scenario) -> list[tuple[PlantParameters, float]]:
+    """Machines on which a law must neither oscillate nor fail, and the delay of their commands in s: each has the loop
+    gain, the friction and the delay of one end of its range, or of its middle."""
+    stage, ranges = scenario.description, scenario.description.uncertainty
+    latest, soonest = max(1.0, ranges.longest_delay), min(1.0, ranges.shortest_delay)
     ends = (
         (1.0, -1.0, latest),
         (1.0, 1.0, latest),
-        (-1.0, 1.0, delay),
+        (-1.0, 1.0, 1.0),
         (-1.0, -1.0, soonest),
         (0.0, 1.0, latest),
-        (0.0, -1.0, delay),
+        (0.0, -1.0, 1.0),
     )
     return [
-        Extreme(
+        (
             deviating(
                 scenario.driver.plant,
                 Factors(
@@ -180,7 +127,7 @@ def extreme_machines(scenario: Scenario) -> list[Extreme]:
                     friction=ranges.friction**friction,
                 ),
             ),
-            late,
+            stage.drive.delay * late * stage.period,
         )
         for gain, friction, late in ends
     ]

@@ -14,7 +14,7 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import Hold, PlantParameters, PlantState
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.scenario import Scenario, paired, readings, references
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -42,9 +42,6 @@ class RunFigures(NamedTuple):
     rest_work: float
     oscillation: float
     excursion: float
-
-
-_BROKEN = RunFigures(*(math.inf,) * 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,31 +72,29 @@ class PreparedStroke:
 
         Each command is ``delay`` s late; ``start`` counts as in :func:`~straightcomp_ros.offline.starts.offset`.
         """
-        plant = plant or self.plant
-        late, noise = np.full(self.stamps.size, round(delay * 1e9)), np.zeros(self.stamps.size)
-        conditions = Conditions(self.stamps, late, self.given, noise)
+        late, count = np.full(self.stamps.size, round(delay * 1e9)), self.plant.encoder.y_resolution
+        conditions = Conditions(self.stamps, late, self.given, np.zeros(self.stamps.size))
         # The stroke's own count, so that an ideal encoder gets the same starts.
-        initial = PlantState(y=self.initial_y + offset(start, _PITCH * self.plant.encoder.y_resolution))
-        cycle = run_cycle(law, plant, conditions, initial, self.hold)
+        initial = PlantState(y=self.initial_y + offset(start, _PITCH * count))
+        cycle = run_cycle(law, plant or self.plant, conditions, initial, self.hold)
         if cycle.current.size < self.stamps.size:
-            return _BROKEN
+            return RunFigures(*(math.inf,) * 6)
         target = self.target[self.motion]
         error = target - cycle.true_y[self.motion]
         period = float(self.stamps[-1] - self.stamps[0]) * 1e-9 / (self.stamps.size - 1)
+        amplitude = sustained_oscillation(error, target, period).amplitude
         return RunFigures(
-            peak_to_peak(error),
-            float(np.sqrt(np.mean(error * error))),
-            _rms_step(cycle.current[self.motion]),
-            _rms_step(cycle.current[self.rest]),
-            sustained_oscillation(error, target, period).amplitude
-            / tolerated_amplitude(error, self.plant.encoder.y_resolution, peak_to_peak(target)),
-            float(np.abs(cycle.true_y).max()),
+            pp=peak_to_peak(error),
+            rms=_rms(error),
+            work=_rms(np.diff(cycle.current[self.motion])),
+            rest_work=_rms(np.diff(cycle.current[self.rest])),
+            oscillation=amplitude / tolerated_amplitude(error, count, peak_to_peak(target)),
+            excursion=float(np.abs(cycle.true_y).max()),
         )
 
 
-def _rms_step(current: NDArray[np.float64]) -> float:
-    steps = np.diff(current)
-    return float(np.sqrt(np.mean(steps * steps))) if steps.size else 0.0
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values * values))) if values.size else 0.0
 
 
 def prepared_stroke(
@@ -115,36 +110,21 @@ def prepared_stroke(
         ideal: the law is given r, ṙ and r̈ of the true motion at each sample, without the encoder of x, the filter and
             the lead.
     """
-    moved = dataclasses.replace(scenario, trajectory=trajectory or scenario.trajectory)
-    if stamps is None:
-        stamps = np.arange(moved.samples, dtype=np.int64) * moved.period_ns
-    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
-    true_x = moved.positions(stamps)
-    r, slope, curvature = straightness.evaluate(true_x)
-    time = np.asarray(stamps * 1e-9, dtype=np.float64)
+    stroke = dataclasses.replace(scenario, trajectory=trajectory or scenario.trajectory).stroke(stamps)
+    r, slope, curvature = stroke.map.evaluate(stroke.true_x)
+    time, x, given = np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x, stroke.given
     if ideal:
-        x = true_x
-        speed = np.gradient(true_x, time)
+        x = stroke.true_x
+        speed = np.gradient(x, time)
         given = np.column_stack([r, slope * speed, curvature * speed * speed + slope * np.gradient(speed, time)])
-    else:
-        x = readings(scenario.description.encoder.x_resolution, true_x)
-        measured = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
-        given = paired(measured, stamps, scenario.lead_ns)
-    strokes = motion_of(time, x)
-    resting = math.ceil(_RESTING * 1e9 / moved.period_ns)
+    motion = motion_of(time, x)
     rest = slice(0, 0)
-    if len(strokes.strokes) > 1:
-        begin = strokes.strokes[0].stop + resting
-        rest = slice(begin, max(begin, strokes.strokes[1].start))
+    if len(motion.strokes) > 1:
+        begin = motion.strokes[0].stop + math.ceil(_RESTING * 1e9 / scenario.period_ns)
+        rest = slice(begin, max(begin, motion.strokes[1].start))
+    driver = scenario.driver
     return PreparedStroke(
-        stamps,
-        given,
-        r,
-        strokes.window,
-        rest,
-        scenario.driver.plant,
-        scenario.driver.hold,
-        scenario.driver.simulated.initial_y,
+        stroke.stamps, given, r, motion.window, rest, driver.plant, driver.hold, driver.simulated.initial_y
     )
 
 
@@ -163,8 +143,6 @@ def shortened(scenario: Scenario, duration: float) -> Trajectory:
     # Reversals of r make friction turn over, slopes make it large: the part with the most of both.
     wanted = np.abs(slope) / np.abs(slope).max() + np.abs(curvature) / np.abs(curvature).max()
     count = max(1, round(length / full.stroke * x.size))
-    sums = np.convolve(wanted, np.ones(count), mode="valid")
-    start = float(x[int(sums.argmax())])
-    return Trajectory(
-        forward_and_back(dataclasses.replace(full, start=start, stroke=length, settle=settle, pause=pause))
-    )
+    start = float(x[int(np.convolve(wanted, np.ones(count), mode="valid").argmax())])
+    part = dataclasses.replace(full, start=start, stroke=length, settle=settle, pause=pause)
+    return Trajectory(forward_and_back(part))

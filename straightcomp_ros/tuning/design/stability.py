@@ -91,21 +91,24 @@ class StabilityCheck:
         self._stage, self._phase = stage, demands.phase
         latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
         self._nominal = plain = _sampled(stage)
-        corners = [_Case(f"corner {one.name}", one.sampled) for one in corners_of(stage, MECHANICS)]
+
+        def cases(low: float, high: float, amplifier: float, spare: float, where: str = "") -> tuple[_Case, ...]:
+            less = 1.0 / amplifier
+            return (
+                _Case(f"least gain{where}", plain, low),
+                _Case(f"most gain{where}", plain, high),
+                _Case(f"amplifier's gain × {less:.2g}{where}", plain, less, with_current=True),
+                _Case(f"amplifier's gain × {amplifier:.2g}{where}", plain, amplifier, with_current=True),
+                _Case(f"late commands{where}", _sampled(stage, latest + spare)),
+            )
+
         self._quiet = (
             _Case("nominal", plain, decay=demands.decay),
-            _Case("least gain", plain, demands.gain_low),
-            _Case("most gain", plain, demands.gain_high),
-            *_amplifiers(plain, demands.amplifier_gain, ""),
-            _Case("late commands", _sampled(stage, latest + demands.spare_delay)),
-            *corners,
+            *cases(demands.gain_low, demands.gain_high, demands.amplifier_gain, demands.spare_delay),
+            *(_Case(f"corner {one.name}", one.sampled) for one in corners_of(stage, MECHANICS)),
         )
-        self._stiff = (
-            _Case("least gain, stiffest", plain, demands.stiff_gain_low),
-            _Case("most gain, stiffest", plain, demands.stiff_gain_high),
-            *_amplifiers(plain, math.sqrt(demands.amplifier_gain), ", stiffest"),
-            _Case("late commands, stiffest", _sampled(stage, latest + demands.spare_delay / 3.0)),
-        )
+        root, spare = math.sqrt(demands.amplifier_gain), demands.spare_delay / 3.0
+        self._stiff = cases(demands.stiff_gain_low, demands.stiff_gain_high, root, spare, ", stiffest")
 
     def violation(self, control: ControlParameters) -> float:
         """By how much the gains miss the demands, 0 if they hold them all; a smooth measure for a search."""
@@ -114,16 +117,12 @@ class StabilityCheck:
 
     def missed(self, control: ControlParameters) -> list[str]:
         """Names of the demands that the gains miss, the worst first."""
-        misses = [(miss, name) for name, miss in self._misses(control) if miss > 0.0]
-        return [name for _, name in sorted(misses, reverse=True)]
+        misses = sorted(((miss, name) for name, miss in self._misses(control) if miss > 0.0), reverse=True)
+        return [name for _, name in misses]
 
     def _misses(self, control: ControlParameters) -> list[tuple[str, float]]:
-        stiff = stiffened(control)
-        ends = [(control, self._quiet)]
-        if stiff is not control:
-            ends.append((stiff, self._stiff))
-        misses = []
-        for one, cases in ends:
+        misses: list[tuple[str, float]] = []
+        for state, one in _states(control).items():
             law = make_law(one, self._stage)
             try:
                 laws = tuple(linearised(law, with_current=measured) for measured in (False, True))
@@ -131,6 +130,7 @@ class StabilityCheck:
                 # The current limit is nearer than any step of the differences.
                 misses.append(("linear at rest", _NOT_LINEAR))
                 continue
+            cases = self._quiet if state == "quiet" else self._stiff
             misses += [(case.name, self._missing(case, laws[case.with_current])) for case in cases]
             for linear, how in zip(laws, ("", ", current measured"), strict=True):
                 phase = phase_margin(self._nominal, linear, self._stage.period, _GRID)
@@ -140,14 +140,6 @@ class StabilityCheck:
     def _missing(self, case: _Case, law: StateSpace) -> float:
         radius = spectral_radius(closed_loop(case.plant, law, case.gain))
         return max(0.0, math.log(radius) * self._stage.dead_time / self._stage.period + case.decay)
-
-
-def _amplifiers(plant: StateSpace, factor: float, where: str) -> tuple[_Case, _Case]:
-    """The amplifier with less and with more gain by ``factor``."""
-    return (
-        _Case(f"amplifier's gain × {1.0 / factor:.2g}{where}", plant, 1.0 / factor, with_current=True),
-        _Case(f"amplifier's gain × {factor:.2g}{where}", plant, factor, with_current=True),
-    )
 
 
 def _sampled(stage: StageParameters, delay: float | None = None) -> StateSpace:
@@ -208,13 +200,15 @@ class FailingLimits(NamedTuple):
 
 def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, FailingLimits]:
     """The limits of a law by its state: ``quiet``, and for a law that stiffens ``stiff``."""
+    return {state: _limits(scenario.description, one) for state, one in _states(control).items()}
+
+
+def _states(control: ControlParameters) -> dict[str, ControlParameters]:
     stiff = stiffened(control)
-    ends = {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
-    return {name: _limits(scenario, one) for name, one in ends.items()}
+    return {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
 
 
-def _limits(scenario: Scenario, control: ControlParameters) -> FailingLimits:
-    stage = scenario.description
+def _limits(stage: StageParameters, control: ControlParameters) -> FailingLimits:
     law = make_law(control, stage)
     margins, measured = loop_margins(law, stage), loop_margins(law, stage, with_current=True)
     controller = linearised(law)
@@ -223,9 +217,7 @@ def _limits(scenario: Scenario, control: ControlParameters) -> FailingLimits:
         platform = dataclasses.replace(stage.platform, mass=factor * stage.platform.mass)
         return spectral_radius(closed_loop(_sampled(dataclasses.replace(stage, platform=platform)), controller)) < 1.0
 
-    low = high = 1.0
-    if stable(1.0):
-        low, high = last_stable(stable, 1.0, _LIGHTEST), last_stable(stable, 1.0, _HEAVIEST)
+    low, high = (last_stable(stable, 1.0, end) if stable(1.0) else 1.0 for end in (_LIGHTEST, _HEAVIEST))
     return FailingLimits(
         gain_low=margins.gain_low,
         gain_high=margins.gain_high,

@@ -13,10 +13,11 @@ from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.error_budget import error_budget
 from straightcomp_ros.tuning.design.gain_search import search
 from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
-from straightcomp_ros.tuning.design.judged_gains import Judgement, extreme_machines, judge_of
+from straightcomp_ros.tuning.design.judged_gains import Judge, Judgement, extreme_machines
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import StabilityCheck
 
+LAW = "smc_observer"
 FEW = {"evaluations": 18, "machines": 4, "jobs": 1}
 
 
@@ -31,7 +32,7 @@ def design(shipped, reported):
 
 
 def test_a_designed_stage_keeps_its_margins_and_is_silent_at_rest(design, shipped):
-    control = with_gains(shipped.controls["smc_observer"], "smc_observer", design.values)
+    control = with_gains(shipped.controls[LAW], LAW, design.values)
     assert StabilityCheck(shipped.description, design.demands).missed(control) == []
     assert missing_margin(control, shipped.description) is None
     quiet, stiff, demands = design.limits["quiet"], design.limits["stiff"], design.demands
@@ -51,39 +52,41 @@ def test_progress_passes_through_every_step(design, reported):
     assert reported[-1] == ("budget", 1.0)
 
 
-def test_the_budget_begins_with_the_stage_and_knows_what_its_encoder_costs(design):
+def test_the_budget_begins_with_the_stage_and_has_the_same_causes_for_every_law(design, shipped):
     left = {entry.cause: entry for entry in design.budget}
     assert design.budget[0].cause == "as described" and len(left) == len(design.budget) == 10
     stage = left["as described"]
     assert left["ideal encoder of y and D/A converter"].rms < stage.rms
     assert left["friction known from the start"] != stage and left["a hundredth of the friction"].pp != stage.pp
     assert all(math.isfinite(entry.pp) and entry.pp > 0.0 for entry in design.budget)
-
-
-def test_the_budget_of_a_law_without_a_friction_model_has_the_same_causes(design, shipped):
+    # That of a law without a friction model.
     plain = error_budget(shipped, "linear", closed_form(shipped, "linear"))
-    assert [entry.cause for entry in plain] == [entry.cause for entry in design.budget]
+    assert [entry.cause for entry in plain] == list(left)
 
 
 @pytest.fixture(scope="module")
 def judge(shipped):
-    return judge_of(shipped, "smc_observer", 0.0)
+    return Judge(shipped, LAW, 0.0)
 
 
 @pytest.fixture(scope="module")
 def begin(shipped):
-    return closed_form(shipped, "smc_observer")
+    return closed_form(shipped, LAW)
 
 
 @pytest.fixture(scope="module")
 def law(judge, begin):
-    return make_law(with_gains(judge.control, "smc_observer", begin), judge.stage)
+    return make_law(with_gains(judge.control, LAW, begin), judge.stage)
 
 
-def test_the_same_seed_gives_the_same_design_and_another_seed_another(judge, begin):
+@pytest.mark.parametrize("law", LAWS)
+def test_a_search_of_any_law_never_ends_behind_its_start_and_repeats_with_its_seed(shipped, law):
+    judge, begin = Judge(shipped, law, 0.5), closed_form(shipped, law)
     one, same, other = (search(judge, [begin], evaluations=8, seed=seed, jobs=1) for seed in (3, 3, 4))
-    assert one == same
-    assert [found.gains for found in other] != [found.gains for found in one]
+    assert one == same and [found.gains for found in other] != [found.gains for found in one]
+    costs = [found.judgement.cost for found in one]
+    assert math.isfinite(one[0].judgement.pp) and costs == sorted(costs)
+    assert begin in [found.gains for found in one] and {gain.name for gain in SEARCHED[law]} <= set(begin)
 
 
 class TwoValleys:
@@ -93,50 +96,33 @@ class TwoValleys:
 
     def judge(self, gains, bar=math.inf):
         phi, frequency = (math.log(gains[f"control.smc.{name}"] / 100.0) for name in ("phi", "natural_frequency"))
-        shallow = (phi - 1.0) ** 2 + frequency**2
-        deep = 4.0 * ((phi + 1.0) ** 2 + frequency**2) - 1.0
-        return Judgement(min(shallow, deep), 0.0, 0.0, 0.0, 0.0)
+        return Judgement(min((phi - 1.0) ** 2 + frequency**2, 4.0 * ((phi + 1.0) ** 2 + frequency**2) - 1.0))
 
 
 def test_a_search_finds_a_deeper_valley_than_that_of_its_best_start():
-    def gains(phi, frequency):
-        return {"control.smc.phi": 100.0 * math.exp(phi), "control.smc.natural_frequency": 100.0 * math.exp(frequency)}
-
-    begins, judge = [gains(1.2, 0.3), gains(-0.6, 0.4)], TwoValleys()
+    judge = TwoValleys()
+    begins = [
+        {"control.smc.phi": 100.0 * math.exp(phi), "control.smc.natural_frequency": 100.0 * math.exp(frequency)}
+        for phi, frequency in ((1.2, 0.3), (-0.6, 0.4))
+    ]
     assert judge.judge(begins[0]).cost < judge.judge(begins[1]).cost
-    assert search(judge, begins[:1], evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(0.0, abs=0.01)
-    assert search(judge, begins, evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(-1.0, abs=0.01)
+    for starts, depth in ((begins[:1], 0.0), (begins, -1.0)):
+        assert search(judge, starts, evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(depth, abs=0.01)
 
 
-def test_of_gains_whose_first_stroke_is_hopeless_nothing_else_is_run(shipped, judge, begin, law):
-    first = prepared_stroke(shipped).run(law, judge.delay)
-    known = judge.judge(begin)
+def test_gains_that_are_hopeless_or_unstable_are_not_simulated_further_and_quiet_trades_error_for_work(
+    shipped, judge, begin, law
+):
+    first, known = prepared_stroke(shipped).run(law, judge.delay), judge.judge(begin)
     assert judge.judge(begin, bar=known.cost - 10.0).pp == pytest.approx(first.pp) != known.pp
     assert judge.judge(begin, bar=known.cost + 10.0) == known
-
-
-def test_an_oscillation_is_what_a_verdict_calls_one(shipped, law):
-    # Commands later than the loop bears.
-    for samples, oscillates in ((1.0, False), (5.0, True)):
-        stroke = prepared_stroke(shipped).run(law, samples * shipped.description.period)
-        assert (stroke.oscillation > 1.0) == oscillates
-
-
-def test_quiet_trades_error_for_the_work_of_the_coils(shipped, judge, begin):
-    quiet = judge_of(shipped, "smc_observer", 1.0)
-    slow, fast = (scaled("smc_observer", begin, factor) for factor in (0.8, 1.05))
+    bad, worse = (judge.judge(scaled(LAW, begin, factor)) for factor in (2.0, 4.0))
+    assert known.cost < bad.cost < worse.cost
+    assert math.isinf(bad.pp) and math.isfinite(known.pp)
+    slow, fast = (scaled(LAW, begin, factor) for factor in (0.8, 1.05))
     assert judge.judge(slow).work < judge.judge(fast).work
-    gained = [one.judge(slow).cost - one.judge(fast).cost for one in (judge, quiet)]
-    assert gained[1] < gained[0]
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_every_law_is_searched_and_a_search_never_ends_behind_its_start(shipped, law):
-    judge, begin = judge_of(shipped, law, 0.5), closed_form(shipped, law)
-    found = search(judge, [begin], evaluations=8, jobs=1)
-    costs = [one.judgement.cost for one in found]
-    assert math.isfinite(found[0].judgement.pp) and costs == sorted(costs)
-    assert begin in [one.gains for one in found] and {gain.name for gain in SEARCHED[law]} <= set(begin)
+    loud, quiet = (one.judge(slow).cost - one.judge(fast).cost for one in (judge, Judge(shipped, LAW, 1.0)))
+    assert quiet < loud
 
 
 @pytest.mark.parametrize("wrong", [{"law": "pid"}, {"quiet": 1.5}, {"quiet": math.nan}])
@@ -154,27 +140,22 @@ def test_a_shortened_motion_lies_inside_the_stroke_and_is_as_short_as_was_asked_
     assert shortened(long, 60.0) is long.trajectory
 
 
-def test_a_run_depends_on_start_and_machine_and_on_nothing_else(shipped, judge, law):
+def test_a_run_depends_on_start_machine_and_delay_alone_and_oscillates_where_a_verdict_says_so(shipped, judge, law):
     stroke = prepared_stroke(shipped)
     heavy = dataclasses.replace(stroke.plant, platform=dataclasses.replace(stroke.plant.platform, mass=4.0))
     found = stroke.run(law, judge.delay)
     assert found == prepared_stroke(shipped).run(law, judge.delay)
     assert found.pp not in (stroke.run(law, judge.delay, 1).pp, stroke.run(law, judge.delay, plant=heavy).pp)
+    # Commands later than the loop bears.
+    assert found.oscillation <= 1.0 < stroke.run(law, 5.0 * judge.delay).oscillation
 
 
 def test_the_extreme_machines_lie_at_the_ends_of_the_uncertainty(shipped):
-    machines = extreme_machines(shipped)
-    plant, ranges = shipped.driver.plant, shipped.description.uncertainty
-    gains = [one.plant.actuator.current_stiffness / one.plant.platform.mass for one in machines]
+    machines, delays = zip(*extreme_machines(shipped), strict=True)
+    plant, stage, ranges = shipped.driver.plant, shipped.description, shipped.description.uncertainty
+    gains = [one.actuator.current_stiffness / one.platform.mass for one in machines]
     nominal = plant.actuator.current_stiffness / plant.platform.mass
     most = (1 + ranges.force) / (1 - ranges.mass) / (1 - ranges.air_gap) ** 2
     assert max(gains) == pytest.approx(most * nominal) and min(gains) < nominal
-    assert {one.delay for one in machines} == {ranges.shortest_delay, 1.0, ranges.longest_delay}
-    frictions = {round(one.plant.friction.coulomb / plant.friction.coulomb, 9) for one in machines}
-    assert frictions == {0.5, 2.0}
-
-
-def test_gains_that_are_unstable_are_not_simulated_and_cost_more_than_any_that_are(judge, begin):
-    good, bad, worse = (judge.judge(scaled("smc_observer", begin, factor)) for factor in (1.0, 2.0, 4.0))
-    assert good.cost < bad.cost < worse.cost
-    assert math.isinf(bad.pp) and math.isfinite(good.pp)
+    assert set(delays) == {one * stage.period for one in (ranges.shortest_delay, 1.0, ranges.longest_delay)}
+    assert {round(one.friction.coulomb / plant.friction.coulomb, 9) for one in machines} == {0.5, 2.0}

@@ -66,20 +66,14 @@ def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infea
     assert rate > 1000.0 and feasible_gains(faster, "linear", closed_form(faster, "linear")) is not None
 
 
-def test_nothing_is_lost_of_a_file_that_has_parameters_of_the_controller(stage, capsys):
-    stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {trigger: timer}}\n")
-    assert main(["design", str(stage), "-o", str(stage), *FEW]) == 2
-    assert "has a section '/**/controller' of its own" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
+def test_what_is_wrong_or_would_lose_something_is_said_before_the_work(stage, capsys):
+    for words, expected in (
         (["--quiet", "2"], "--quiet 2; allowed: 0 to 1"),
         (["--machines", "0"], "--machines 0; allowed: 1 to"),
         (["-o", "/tmp/gains.yaml"], "is in another folder than"),
-    ],
-)
-def test_what_is_wrong_is_said_before_the_work(stage, capsys, words, expected):
-    assert main(["design", str(stage), *words]) == 2
-    assert expected in capsys.readouterr().err
+    ):
+        assert main(["design", str(stage), *words]) == 2
+        assert expected in capsys.readouterr().err
+    stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {trigger: timer}}\n")
+    assert main(["design", str(stage), "-o", str(stage)]) == 2
+    assert "has a section '/**/controller' of its own" in capsys.readouterr().err

@@ -13,32 +13,19 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.tuning.design import feasible_gains as module
-from straightcomp_ros.tuning.design.feasible_gains import (
-    LAW,
-    DesignError,
-    feasible_gains,
-    growths,
-    refusal,
-    safe_law,
-)
+from straightcomp_ros.tuning.design.feasible_gains import LAW, DesignError, feasible_gains, growths, refusal, safe_law
 from straightcomp_ros.tuning.design.gains import closed_form, scaled, with_gains
 from straightcomp_ros.tuning.design.stability import StabilityCheck, corners_of
 
-HARDLY_KNOWN = {
-    "mass": 0.4,
-    "force": 0.4,
-    "air_gap": 0.4,
-    "friction": 3.0,
-    "amplifier": 2.0,
-    "shortest_delay": 0.6,
-    "longest_delay": 1.4,
-}
+HARDLY_KNOWN = {**dict.fromkeys(("mass", "force", "air_gap"), 0.4), "friction": 3.0, "amplifier": 2.0}
+DELAYS = {"shortest_delay": 0.6, "longest_delay": 1.4}
 
 
 def scenario(**changed):
     values = shipped_parameters()
     values["stage"]["platform.stop"] = 8e-4
-    values["stage"] |= {f"uncertainty.{name}": value for name, value in {**HARDLY_KNOWN, **changed}.items()}
+    ranges = {**HARDLY_KNOWN, **DELAYS, **changed}
+    values["stage"] |= {f"uncertainty.{name}": value for name, value in ranges.items()}
     return make_scenario(values, [LAW])
 
 
@@ -61,34 +48,27 @@ def test_the_law_is_stable_on_machines_anywhere_within_the_uncertainty(found):
     assert max(radii) <= np.exp(-found.decay * stage.period) + 1e-9
 
 
-def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go(found):
+def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go_and_gains_beyond_their_ranges_are_no_law(
+    found,
+):
     assert found.corners == 32 and found.decay > 3.0
     assert re.fullmatch(r"mass × 1.4, force × 0.6, gap × \S+, amplifier × \S+, delay × 1.4", found.worst)
     assert 1e-6 < found.excursion < 1e-4 and found.pp > 1e-6
+    usual = make_scenario(shipped_parameters(), [LAW])
+    corners = corners_of(usual.description)
+    assert max(growths(usual, corners, found.values)) < 0.0
+    assert set(growths(usual, corners, {**found.values, "control.smc.velocity_bandwidth": 2e6})) == {math.inf}
 
 
-def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help():
+def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help_and_known_facts_are_no_corners():
     with pytest.raises(DesignError, match=r"must be known better: the mass within ± 0\.\d+ of it, or the air gap"):
         safe_law(scenario(mass=0.7, force=0.7, longest_delay=2.4))
-
-
-def test_facts_without_uncertainty_are_no_corners():
-    known = dict.fromkeys(("mass", "force"), 0.0)
-    assert safe_law(scenario(**known, amplifier=1.0)).corners == 4
-
-
-def test_gains_beyond_their_ranges_are_no_candidates(found):
-    scenario = make_scenario(shipped_parameters(), [LAW])
-    corners = corners_of(scenario.description)
-    far = {**found.values, "control.smc.velocity_bandwidth": 2e6}
-    assert max(growths(scenario, corners, found.values)) < 0.0
-    assert set(growths(scenario, corners, far)) == {math.inf}
+    assert safe_law(scenario(mass=0.0, force=0.0, amplifier=1.0)).corners == 4
 
 
 def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped):
     fast = scaled("smc_observer", closed_form(shipped, "smc_observer"), 1.5)
-    check = StabilityCheck(shipped.description)
-    control = shipped.controls["smc_observer"]
+    check, control = StabilityCheck(shipped.description), shipped.controls["smc_observer"]
     assert check.violation(with_gains(control, "smc_observer", fast)) > 0.0
     found = feasible_gains(shipped, "smc_observer", fast)
     assert found is not None and check.violation(with_gains(control, "smc_observer", found)) == 0.0

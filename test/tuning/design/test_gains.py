@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from scripts.stage_files import stage_names, stage_scenario
-from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law, stiffened
+from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, following, rule, scaled, starts, with_gains
@@ -13,6 +13,7 @@ from straightcomp_ros.tuning.design.stability import StabilityCheck
 
 STAGE = StageParameters()
 OBSERVER = "control.smc_observer."
+RATES = {OBSERVER + name for name in ("bandwidth", "surface", "reaching")}
 
 
 def test_the_rule_gives_the_gains_that_are_shipped_for_the_shipped_stage():
@@ -21,23 +22,27 @@ def test_the_rule_gives_the_gains_that_are_shipped_for_the_shipped_stage():
         assert value == pytest.approx(getattr(shipped, name.removeprefix(OBSERVER)), rel=2e-3), name
 
 
-def test_a_later_command_or_a_slower_rate_makes_the_gains_slower():
-    def of(**facts):
-        return rule("smc_observer", from_mapping(StageParameters, facts))
-
-    fast = of(**{"drive.delay": 0.5})
-    for slow in (of(**{"drive.delay": 1.0}), of(**{"drive.delay": 0.5, "rate": 1000})):
-        assert all(slow[OBSERVER + name] < fast[OBSERVER + name] for name in ("bandwidth", "surface", "reaching"))
+def test_a_later_command_or_a_slower_rate_makes_the_gains_slower_and_scaling_leaves_what_is_no_rate():
+    gains, soon, slow = (
+        rule("smc_observer", from_mapping(StageParameters, facts))
+        for facts in ({}, {"drive.delay": 0.5}, {"drive.delay": 0.5, "rate": 1000})
+    )
+    assert all(max(gains[name], slow[name]) < soon[name] for name in RATES)
+    faster = scaled("smc_observer", gains, 2.0)
+    assert {name for name in gains if faster[name] != gains[name]} == RATES
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_every_searched_gain_is_one_that_the_rule_gives_and_the_law_takes(law):
+def test_what_is_searched_starts_at_the_rule_and_at_others_of_the_same_names_and_the_law_takes_it(law):
     gains = rule(law, STAGE)
     assert {gain.name for gain in SEARCHED[law]} <= set(gains)
-    for name in gains:
-        other = with_gains(ControlParameters(), law, {**gains, name: 1.1 * gains[name]})
-        plain = with_gains(ControlParameters(), law, gains)
-        assert make_law(other, STAGE).gains != make_law(plain, STAGE).gains, name
+    plain = make_law(with_gains(ControlParameters(), law, gains), STAGE)
+    for name, value in gains.items():
+        other = with_gains(ControlParameters(), law, {**gains, name: 1.1 * value})
+        assert make_law(other, STAGE).gains != plain.gains, name
+    first, *others = starts(law, gains)
+    assert first == gains and others
+    assert all(set(other) == set(gains) and other != gains for other in others)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -52,28 +57,7 @@ def test_the_closed_form_holds_the_demands_or_is_close(law, name):
         assert StabilityCheck(scenario.description).missed(control) == []
 
 
-def test_scaling_leaves_what_is_no_rate():
-    gains = rule("smc_observer", STAGE)
-    faster = scaled("smc_observer", gains, 2.0)
-    changed = {name for name in gains if faster[name] != gains[name]}
-    assert changed == {OBSERVER + name for name in ("bandwidth", "surface", "reaching")}
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_a_search_starts_at_the_rule_and_at_others_of_the_same_names(law):
-    gains = rule(law, STAGE)
-    first, *others = starts(law, gains)
-    assert first == gains and others
-    assert all(set(other) == set(gains) and other != gains for other in others)
-
-
-def test_only_the_law_with_a_friction_model_stiffens():
-    assert stiffened(ControlParameters(law="linear")) == ControlParameters(law="linear")
-    stiff = stiffened(ControlParameters()).smc_observer
-    assert stiff.bandwidth == pytest.approx(1.4 * ControlParameters().smc_observer.bandwidth)
-
-
-def test_friction_that_is_known_better_is_believed_from_the_start(shipped):
+def test_friction_that_is_known_better_is_believed_from_the_start_and_few_reversals_are_remembered_longer(shipped):
     def first_size(friction):
         ranges = dataclasses.replace(shipped.description.uncertainty, friction=friction)
         stage = dataclasses.replace(shipped.description, uncertainty=ranges)
@@ -81,12 +65,9 @@ def test_friction_that_is_known_better_is_believed_from_the_start(shipped):
 
     assert first_size(2.0) == pytest.approx(0.45)
     assert first_size(1.1) > first_size(2.0) > first_size(5.0)
-
-
-def test_a_stage_whose_reference_turns_over_less_often_remembers_longer():
-    memories = [
+    fast, usual, slow = (
         following(stage_scenario(name), "smc_observer")[OBSERVER + "memory"]
         for name in ("fast_motion", "shipped", "slow_motion")
-    ]
-    assert memories == sorted(memories) and memories[-1] > 2.0 * memories[1] > 2.0 * memories[0]
+    )
+    assert slow > 2.0 * usual > 2.0 * fast
     assert following(stage_scenario("shipped"), "linear") == {}
