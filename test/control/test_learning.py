@@ -420,9 +420,14 @@ def cycles_of(values, learn):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("law, seed, gained", [("smc_observer", 4, 1.0), ("smc", 3, 0.97), ("linear", 5, 0.7)])
-def test_no_machine_within_the_uncertainty_is_worse_off_than_without_learning(law, seed, gained):
-    ratios = []
+@pytest.mark.parametrize(
+    "law, seed, gained, chance", [("smc_observer", 4, 1.0, 1.1), ("smc", 3, 0.97, 1.04), ("linear", 5, 0.7, 1.04)]
+)
+def test_no_machine_within_the_uncertainty_is_worse_off_than_without_learning_but_by_chance(law, seed, gained, chance):
+    """`smc_observer` leaves 22 nm RMS, less than the encoder's rounding: there is nothing to learn, and means of eleven
+    cycles with and without learning differ by 4.7 % (standard deviation of 8 machines) around 0.97: `chance` is twice
+    that above 1."""
+    means, ratios = [], []
     for trial in range(4):
         machine = draw(StageParameters(), streams(seed, trial).machine)
         values = {
@@ -436,6 +441,7 @@ def test_no_machine_within_the_uncertainty_is_worse_off_than_without_learning(la
         learned, bare = ([cycle.true_rms for cycle in cycles_of(values, learn)] for learn in (True, False))
         # Two passes differ by chance by up to 10 %: it depends on the count at which the platform came to rest.
         assert max(learned) < 1.06 * max(bare), machine
-        assert np.mean(learned[1:]) < 1.04 * np.mean(bare), machine
+        means.append(np.mean(learned[1:]) / np.mean(bare))
+        assert means[-1] < chance, machine
         ratios.append(np.mean(learned[-2:]) / np.mean(bare))
-    assert np.mean(ratios) < gained
+    assert np.mean(means) < 1.0 and np.mean(ratios) < gained

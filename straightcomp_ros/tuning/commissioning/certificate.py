@@ -123,7 +123,7 @@ def _checks(work: Work) -> Iterator[Check]:
 
 def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     """The page with the ``content`` of `certificate.json`, and the PNG files by their captions."""
-    steps, sections = content["steps"], []
+    steps, sections = content["steps"], list[tuple[str, str]]()
 
     def figures(step: str) -> Mapping[str, Any]:
         found: Mapping[str, Any] = steps.get(step, {}).get("figures", {})

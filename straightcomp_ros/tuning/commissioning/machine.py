@@ -6,7 +6,7 @@ Each call leaves the amplifier off, whatever happens in it, and raises `Commissi
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -224,6 +224,5 @@ def excited(series: Series, travel: float, rate: float) -> Series:
     if left_at is not None:
         # The part in which the platform comes to rest.
         end = max(end, first + left_at + 1) + round(COASTING * rate)
-    command = np.nan_to_num(series.command)
-    columns: tuple[Any, ...] = (series.stamps, series.x, series.y, series.current, command, series.latency)
-    return Series(*(column[first:end] for column in columns), left_at)
+    cut = {one.name: getattr(series, one.name)[first:end] for one in fields(series) if one.name != "left_at"}
+    return Series(**{**cut, "command": np.nan_to_num(cut["command"])}, left_at=left_at)

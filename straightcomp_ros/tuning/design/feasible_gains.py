@@ -287,7 +287,7 @@ def _narrowed(ranges: UncertaintyParameters, names: Sequence[str], width: float)
     def narrow(name: str) -> float:
         value: float = getattr(ranges, name)
         if name == "amplifier":
-            return value**width
+            return math.pow(value, width)
         # Factors of the delay lie around 1, the others are relative deviations.
         middle = 1.0 if name.endswith("_delay") else 0.0
         return middle + width * (value - middle)

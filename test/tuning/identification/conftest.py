@@ -25,7 +25,7 @@ def stiff_bag(tmp_path_factory, excitation):
     return record(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def soft_bag(tmp_path_factory, excitation):
     return record(tmp_path_factory.mktemp("soft") / "bag", values(SOFT, law="smc", guide_file=excitation))
 

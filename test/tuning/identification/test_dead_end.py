@@ -29,27 +29,28 @@ class ScriptedSearch:
         return np.full(SAMPLES, 0.7)
 
 
-NONE_HOLDS = fitting.MISSED[1:]
-THIRD_FAILS, LAST_FAILS = fitting.MISSED[2:3], fitting.MISSED[3:]
+NONE, THIRD, LAST = fitting.MISSED[1:], fitting.MISSED[2:3], fitting.MISSED[3:]
+"""Assumptions that fail."""
+LIKELIER = {DESCRIBED: {DESCRIBED: -2.0, SLID: -1.0}, SLID: {DESCRIBED: -1.0, SLID: -2.0}}
 
 
 @pytest.mark.parametrize(
-    ("fails", "surprises", "found", "levels"),
+    ("fails", "likelier", "found", "levels"),
     [
-        ({DESCRIBED: NONE_HOLDS}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
-        ({DESCRIBED: NONE_HOLDS, SLID: NONE_HOLDS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 1),
-        ({DESCRIBED: LAST_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
-        ({DESCRIBED: LAST_FAILS, SLID: LAST_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 3),
-        ({DESCRIBED: THIRD_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
-        ({}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
-        ({}, {DESCRIBED: -1.0, SLID: -2.0}, SLID, 4),
+        ({DESCRIBED: NONE}, DESCRIBED, SLID, 4),
+        ({DESCRIBED: NONE, SLID: NONE}, DESCRIBED, DESCRIBED, 1),
+        ({DESCRIBED: LAST}, DESCRIBED, SLID, 4),
+        ({DESCRIBED: LAST, SLID: LAST}, DESCRIBED, DESCRIBED, 3),
+        ({DESCRIBED: THIRD}, DESCRIBED, DESCRIBED, 4),
+        ({}, DESCRIBED, DESCRIBED, 4),
+        ({}, SLID, SLID, 4),
     ],
 )
 def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(
-    monkeypatch, fails, surprises, found, levels
+    monkeypatch, fails, likelier, found, levels
 ):
     monkeypatch.setattr(ScriptedSearch, "fails", fails, raising=False)
-    monkeypatch.setattr(ScriptedSearch, "surprises", surprises, raising=False)
+    monkeypatch.setattr(ScriptedSearch, "surprises", LIKELIER[likelier], raising=False)
     monkeypatch.setattr(fitting, "Search", ScriptedSearch)
     monkeypatch.setattr(fitting, "sliding_start", lambda recording, unknowns: np.array([SLID]))
     recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=(0,))

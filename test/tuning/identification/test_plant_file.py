@@ -17,7 +17,6 @@ FIGURES = (
     "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters advice untold"
 )
 OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_from"
-SHORT_CYCLE = ("stage.motion.stroke=0.05", "stage.motion.settle=0.1", "stage.motion.pause=0.1")
 
 
 def test_json_names_every_parameter_with_its_interval(stiff_answer):
@@ -34,30 +33,26 @@ def test_json_names_every_parameter_with_its_interval(stiff_answer):
     assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
 
 
-@pytest.mark.parametrize("node", ["driver", "controller"])
-def test_the_file_describes_the_plant_to_all_nodes(stiff_answer, node):
+def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_answer, capsys):
     answer, file = stiff_answer
     values = read_parameter_file(file)
     assert {key for key, section in values.items() if section} == {STAGE}
-    described = to_mapping(node_parameters(node, values).stage)
-    for name, found in answer["parameters"].items():
-        if name not in DERIVED:
-            assert described[name] == pytest.approx(found["value"], rel=1e-5), name
+    for node in ("driver", "controller"):
+        described = to_mapping(node_parameters(node, values).stage)
+        for name, found in answer["parameters"].items():
+            if name not in DERIVED:
+                assert described[name] == pytest.approx(found["value"], rel=1e-5), name
+    short = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.1", "pause=0.1")]
+    for option in ("--stage", "--params-file"):
+        assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
+        assert json.loads(capsys.readouterr().out)["law"] == "linear"
 
 
-@pytest.mark.parametrize("option", ["--stage", "--params-file"])
-def test_simulate_takes_the_file_and_everything_else_from_the_declarations(stiff_answer, capsys, option):
-    _, file = stiff_answer
-    short = [word for assignment in SHORT_CYCLE for word in ("--set", assignment)]
-    assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
-    assert json.loads(capsys.readouterr().out)["law"] == "linear"
-
-
-def test_the_truth_is_never_read(soft_bag, monkeypatch):
+def test_the_truth_is_never_read(stiff_bag, monkeypatch):
     asked = []
     read = recording.read_streams
     monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
-    recording.read_recording(soft_bag)
+    recording.read_recording(stiff_bag)
     assert asked == [ENCODER.topic, COMMAND.topic]
 
 

@@ -55,12 +55,6 @@ def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     np.testing.assert_allclose(recording.y, MOVING[1011:])
 
 
-def test_the_command_says_it_in_one_sentence_and_fails(tmp_path, capsys):
-    bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
-    assert main(["friction", str(bag)]) == 1
-    assert capsys.readouterr().err.startswith("straightcomp friction: bag ")
-
-
 def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
     with pytest.raises(IdentificationError, match=r"platform.mass or actuator.turns .* common factor"):
         unknowns(StageParameters(), ["friction.coulomb"])
@@ -68,6 +62,11 @@ def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
         unknowns(StageParameters(), ["weight"])
 
 
-def test_only_a_bag_or_an_excitation_is_asked_for(capsys):
-    assert main(["friction"]) == 2
-    assert "either a BAG or --excitation" in capsys.readouterr().err
+def test_the_command_refuses_in_one_sentence(tmp_path, capsys):
+    bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
+    for options, code, words in (
+        ([str(bag)], 1, "straightcomp friction: bag "),
+        ([], 2, "either a BAG or --excitation"),
+    ):
+        assert main(["friction", *options]) == code
+        assert words in capsys.readouterr().err
