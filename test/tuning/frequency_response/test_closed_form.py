@@ -41,16 +41,13 @@ def test_margins_of_the_response_are_those_of_the_closed_loops_poles(law):
 
 
 def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it():
-    with_current = loop_response(make_law(ControlParameters(), STAGE), STAGE, GRID)
-    blind = response_margins(GRID, with_current.open_loop).gain_high
-    assert blind is not None
-    # The observer sees a current that is too large and takes back what it did: the margin is another than without.
-    assert abs(blind / loop_margins(make_law(ControlParameters(), STAGE), STAGE).gain_high - 1.0) > 0.02
-
-
-def test_sensitivity_and_open_loop_belong_together():
-    loop = loop_response(make_law(ControlParameters(), STAGE), STAGE, GRID)
+    law = make_law(ControlParameters(), STAGE)
+    loop = loop_response(law, STAGE, GRID)
     np.testing.assert_allclose(loop.sensitivity * (1.0 + loop.open_loop), 1.0)
+    seeing = response_margins(GRID, loop.open_loop).gain_high
+    assert seeing is not None
+    # The observer sees a current that is too large and takes back what it did: the margin is another than without.
+    assert abs(seeing / loop_margins(law, STAGE).gain_high - 1.0) > 0.02
 
 
 def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does():

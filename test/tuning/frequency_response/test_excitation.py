@@ -37,24 +37,17 @@ def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_
     np.testing.assert_allclose(excitation.frequencies, excitation.bins * 1.0)
 
 
-def test_draws_differ_in_their_phases_and_follow_each_other_without_a_step():
-    excitation = multisine(MultisineParameters(lowest=2.0, highest=20.0, lines=8), RATE, flat)
-    used = excitation.used(excitation.currents)
-    assert np.abs(used[0] - used[1]).max() > 0.1
-    steps = np.abs(np.diff(excitation.currents))
-    assert steps.max() < 1.5 * np.abs(np.diff(used, axis=1)).max()
-    assert excitation.currents[0] == 0.0
-
-
-@pytest.mark.parametrize(("period", "lead"), [(0.2, 400), (0.8, 1000), (1.0, 1000), (4.0, 8000 // 2)])
-def test_a_draw_begins_before_its_period_and_goes_over_into_it(period, lead):
-    parameters = MultisineParameters(lowest=5.0, period=period, draws=3)
+@pytest.mark.parametrize(("period", "lead"), [(0.2, 400), (0.8, 1000), (1.0, 1000), (4.0, 4000)])
+def test_a_draw_of_other_phases_begins_before_its_period_and_goes_over_into_it_without_a_step(period, lead):
+    parameters = MultisineParameters(lowest=5.0, highest=20.0, lines=8, period=period, draws=3)
     excitation = multisine(parameters, RATE, flat)
-    each = lead + excitation.samples
-    assert excitation.currents.size == 3 * each == round(parameters.seconds * RATE)
-    for draw, used in enumerate(excitation.used(excitation.currents)):
-        settled = excitation.currents[draw * each + lead // 2 : draw * each + lead]
-        np.testing.assert_allclose(settled, used[-settled.size :], atol=1e-12)
+    currents, used, each = excitation.currents, excitation.used(excitation.currents), lead + excitation.samples
+    assert currents.size == 3 * each == round(parameters.seconds * RATE) and currents[0] == 0.0
+    for draw, one in enumerate(used):
+        settled = currents[draw * each + lead // 2 : draw * each + lead]
+        np.testing.assert_allclose(settled, one[-settled.size :], atol=1e-12)
+    assert np.abs(used[0] - used[1]).max() > 0.1
+    assert np.abs(np.diff(currents)).max() < 1.5 * np.abs(np.diff(used, axis=1)).max()
 
 
 def amplitudes_under(parameters, loop):
@@ -64,21 +57,18 @@ def amplitudes_under(parameters, loop):
     return excitation.frequencies, np.abs(spectrum)[excitation.bins] / 1000.0
 
 
-def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor():
+def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor_and_within_the_travel():
     def loop(frequencies):
         sensitivity = np.minimum(1.0, frequencies / 100.0).astype(complex)
         return LoopResponse(flat(frequencies).plant, 1.0 / sensitivity - 1.0, sensitivity)
+
+    def soft(frequencies):
+        return LoopResponse(1.0 / frequencies.astype(complex) ** 2, 0j * frequencies, 1.0 + 0j * frequencies)
 
     frequencies, amplitudes = amplitudes_under(MultisineParameters(), loop)
     assert amplitudes[0] / amplitudes[-1] == pytest.approx(3.0)
     middle = int(np.argmin(np.abs(frequencies - 60.0)))
     assert amplitudes[middle] / amplitudes[-1] == pytest.approx(100.0 / frequencies[middle])
-
-
-def test_a_soft_plant_is_not_moved_beyond_the_travel():
-    def soft(frequencies):
-        return LoopResponse(1.0 / frequencies.astype(complex) ** 2, 0j * frequencies, 1.0 + 0j * frequencies)
-
     frequencies, amplitudes = amplitudes_under(MultisineParameters(travel=6e-4), soft)
     assert np.sqrt(0.5 * np.sum((amplitudes / frequencies**2) ** 2)) <= 1e-4 * (1.0 + 1e-9)
 

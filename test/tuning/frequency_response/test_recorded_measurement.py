@@ -50,17 +50,13 @@ def whole(tmp_path_factory):
     return bag, *recorded(bag)
 
 
-def test_a_whole_excitation_gives_what_is_measured_at_once(whole):
+def test_a_whole_excitation_gives_what_is_measured_at_once_and_late_commands_are_reported(whole):
     bag, values, control, stage = whole
     found = response_from_bag(bag, EXCITATION, control, stage)
     at_once = measure_simulated(values, EXCITATION)
     ratio = found.measured.response.plant / at_once.measured.response.plant
     assert np.abs(ratio[found.measured.coherent] - 1.0).max() < 0.05 and found.explained
     assert found.late_share < 1e-3 and found.lateness == ""
-
-
-def test_commands_that_came_late_are_reported(whole):
-    bag, _, control, stage = whole
     # Of a host whose commands are due sooner than they came.
     soon = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
     found = response_from_bag(bag, EXCITATION, control, soon)
