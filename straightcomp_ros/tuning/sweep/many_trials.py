@@ -117,26 +117,22 @@ class LawSummary:
         return Verdict(word, f"{counts} of {self.trials} machines; machine {example.trial}: {example.verdict.reason}")
 
     def to_display(self) -> dict[str, Any]:
-        """The figures with lengths in µm; None where they are infinite."""
+        """The figures with lengths in µm; infinite where a cycle broke off."""
         units = {"pp_um": 1e6, "rms_um": 1e6, "control_activity_A": 1.0, "control_rms_step_A": 1.0}
         return {
             **self.verdict._asdict(),
             **{
-                name: {key: _shown(value, unit) for key, value in self.percentiles(name.rpartition("_")[0]).items()}
+                name: {key: value * unit for key, value in self.percentiles(name.rpartition("_")[0]).items()}
                 for name, unit in units.items()
             },
             "not_in_order": len(self.not_in_order),
             "verdicts": self.verdicts,
             "machines_not_in_order": [
-                {"trial": one.trial, "pp_um": _shown(one.pp, 1e6), **one.verdict._asdict()} for one in self.not_in_order
+                {"trial": one.trial, "pp_um": one.pp * 1e6, **one.verdict._asdict()} for one in self.not_in_order
             ],
             "worst_trial": max(self.results, key=lambda one: one.pp).trial,
-            "outliers": [{"trial": trial, "pp_um": _shown(pp, 1e6)} for trial, pp in self.outliers.items()],
+            "outliers": [{"trial": trial, "pp_um": pp * 1e6} for trial, pp in self.outliers.items()],
         }
-
-
-def _shown(value: float, unit: float) -> float | None:
-    return value * unit if math.isfinite(value) else None
 
 
 def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
@@ -147,8 +143,8 @@ def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
     return [LawSummary(law, tuple(trials)) for law, trials in by_law.items()]
 
 
-def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], path: str | Path, title: str) -> Path:
-    """Draw the empirical distribution of each law's true peak-to-peak error, and return the path.
+def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
+    """Draw the empirical distribution of each law's true peak-to-peak error.
 
     A curve ends below 100 % if cycles broke off. ``path`` (PNG, SVG or PDF) is replaced if it exists.
     """
@@ -162,16 +158,17 @@ def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], 
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    finite = np.sort([result.pp * 1e6 for result in results if math.isfinite(result.pp)])
+    known = []
     for summary, colour, style in zip(summaries, cycle(_COLOURS), cycle(_STYLES), strict=False):
-        errors_um = np.sort([one.pp * 1e6 for one in results if one.law == summary.law and math.isfinite(one.pp)])
+        errors_um = np.sort([one.pp * 1e6 for one in summary.results if math.isfinite(one.pp)])
+        known += errors_um.tolist()
         # A step curve that starts at its foot, on the first value.
         x = np.concatenate([errors_um[:1], errors_um])
         fraction = np.arange(x.size) / summary.trials
         p50, p95 = (summary.percentiles("pp")[name] * 1e6 for name in ("p50", "p95"))
         label = f"{summary.law}: p50 {p50:.2f} µm, p95 {p95:.2f} µm, {len(summary.not_in_order)} not in order"
         axes.step(x, fraction, where="post", color=colour, linestyle=style, linewidth=1.6, label=label)
-    if finite.size and finite[-1] > _WIDE * finite[0] > 0.0:
+    if known and max(known) > _WIDE * min(known) > 0.0:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -186,5 +183,4 @@ def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], 
     axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.set_axisbelow(True)
     axes.legend(loc="lower right", fontsize=9)
-    save_whole(figure, Path(path))
-    return Path(path)
+    save_whole(figure, path)

@@ -47,53 +47,6 @@ class TrialResult:
     verdict: Verdict
 
 
-def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int) -> list[TrialResult]:
-    """One result for each of ``laws``, all on the same machine; depends on nothing but the arguments.
-
-    Raises:
-        SurveyError: the survey with its errors gives no map within the platform's travel.
-        MetricsError: the stage does not move.
-    """
-    random, stage = streams(seed, trial), scenario.description
-    deviation = draw(stage, random.machine)
-    plant = deviating(scenario.driver.plant, deviation.factors)
-    stamps = sample_times(stage.uncertainty.jitter * stage.period, scenario.period_ns, scenario.samples, random.clock)
-    stroke = scenario.stroke(stamps, mismeasured(scenario.survey, stage.uncertainty.map_noise, random.survey))
-    noise = deviation.sensor_noise * random.sensor.standard_normal(stamps.size)
-    cycles = {name: scenario.cycle(law, stroke, deviation.delay, noise, plant) for name, law in laws.items()}
-    time = np.asarray(stamps * 1e-9, dtype=np.float64)
-    window, target = motion_of(time, stroke.x).window, stroke.map.evaluate(stroke.true_x)[0]
-    drive = scenario.driver.plant
-    first, last = stroke.map.span
-    bounds = {
-        "current_limit": min(stage.actuator.current_limit, drive.drive.largest_current),
-        "stop": drive.platform.stop,
-        "span": (first - stage.guide.runout, last + stage.guide.runout),
-    }
-    results = []
-    for name, cycle in cycles.items():
-        if cycle.current.size < stamps.size:
-            broken = Verdict(INACCURATE, "position or current not finite")
-            results.append(TrialResult(trial, name, *(math.inf,) * 4, broken))
-            continue
-        y, r, current = cycle.true_y[window], target[window], cycle.current[window]
-        count = drive.encoder.y_resolution
-        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
-        steps = np.diff(current)
-        results.append(
-            TrialResult(
-                trial=trial,
-                law=name,
-                pp=judged.pp,
-                rms=float(np.sqrt(np.mean(judged.error * judged.error))),
-                control_activity=float(np.abs(steps).sum()),
-                control_rms_step=float(np.sqrt(np.mean(steps * steps))),
-                verdict=verdict_of(judged),
-            )
-        )
-    return results
-
-
 class Streams(NamedTuple):
     """Random numbers of one trial, by purpose."""
 
@@ -103,22 +56,42 @@ class Streams(NamedTuple):
     survey: Generator
 
 
-class Deviation(NamedTuple):
-    """One machine: factors of mass, force, air gap and friction; sensor noise in m; command delay in samples; factor of
-    the amplifier's bandwidth."""
+def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int) -> list[TrialResult]:
+    """One result for each of ``laws``, all on the same machine; depends on nothing but the arguments.
 
-    mass: float
-    force: float
-    air_gap: float
-    friction: float
-    sensor_noise: float
-    delay: float
-    amplifier: float
-
-    @property
-    def factors(self) -> Factors:
-        """The machine relative to its description."""
-        return Factors(self.mass, self.force, self.air_gap, self.friction, self.amplifier)
+    Raises:
+        SurveyError: the survey with its errors gives no map within the platform's travel.
+        MetricsError: the stage does not move.
+    """
+    random, stage, nominal = streams(seed, trial), scenario.description, scenario.driver.plant
+    factors, sensor_noise, delay = draw(stage, random.machine)
+    plant = deviating(nominal, factors)
+    stamps = sample_times(stage.uncertainty.jitter * stage.period, scenario.period_ns, scenario.samples, random.clock)
+    stroke = scenario.stroke(stamps, mismeasured(scenario.survey, stage.uncertainty.map_noise, random.survey))
+    noise = sensor_noise * random.sensor.standard_normal(stamps.size)
+    time = np.asarray(stamps * 1e-9, dtype=np.float64)
+    window, target = motion_of(time, stroke.x).window, stroke.map.evaluate(stroke.true_x)[0]
+    first, last = stroke.map.span
+    bounds = {
+        "current_limit": min(stage.actuator.current_limit, nominal.drive.largest_current),
+        "stop": nominal.platform.stop,
+        "span": (first - stage.guide.runout, last + stage.guide.runout),
+    }
+    results = []
+    for name, law in laws.items():
+        cycle = scenario.cycle(law, stroke, delay, noise, plant)
+        if cycle.current.size < stamps.size:
+            broken = Verdict(INACCURATE, "position or current not finite")
+            results.append(TrialResult(trial, name, *(math.inf,) * 4, broken))
+            continue
+        y, r, current = cycle.true_y[window], target[window], cycle.current[window]
+        count = nominal.encoder.y_resolution
+        judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
+        steps = np.diff(current)
+        rms, rms_step = (float(np.sqrt(np.mean(values * values))) for values in (judged.error, steps))
+        activity = float(np.abs(steps).sum())
+        results.append(TrialResult(trial, name, judged.pp, rms, activity, rms_step, verdict_of(judged)))
+    return results
 
 
 def streams(seed: int, trial: int) -> Streams:
@@ -127,19 +100,21 @@ def streams(seed: int, trial: int) -> Streams:
     return Streams(*map(default_rng, children))
 
 
-def draw(stage: StageParameters, random: Generator) -> Deviation:
-    """A machine within the uncertainty of ``stage``."""
+def draw(stage: StageParameters, random: Generator) -> tuple[Factors, float, float]:
+    """A machine within the uncertainty of ``stage``: relative to its description, the noise of its sensor in m, and the
+    delay of its commands in samples."""
     ranges = stage.uncertainty
-    u = random.random(len(Deviation._fields)).tolist()
-    return Deviation(
+    u = random.random(7).tolist()
+    factors = Factors(
         mass=1.0 + ranges.mass * (2.0 * u[0] - 1.0),
         force=1.0 + ranges.force * (2.0 * u[1] - 1.0),
         air_gap=1.0 + ranges.air_gap * (2.0 * u[2] - 1.0),
         friction=ranges.friction ** (2.0 * u[3] - 1.0),
-        sensor_noise=ranges.sensor_noise * stage.encoder.y_resolution * u[4],
-        delay=stage.drive.delay * (ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]),
         amplifier=ranges.amplifier ** (2.0 * u[6] - 1.0),
     )
+    sensor_noise = ranges.sensor_noise * stage.encoder.y_resolution * u[4]
+    late = ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]
+    return factors, sensor_noise, stage.drive.delay * late
 
 
 def sample_times(jitter: float, period_ns: int, count: int, random: Generator) -> NDArray[np.int64]:

@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> None:
     seconds = time.perf_counter() - started
     summaries = summarise(results)
     if plot is not None:
-        plot_sweep(results, summaries, plot, f"{machines}, seed {options.seed}")
+        plot_sweep(summaries, plot, f"{machines}, seed {options.seed}")
     verdict = _verdict(summaries)
     if options.json:
         shown = {summary.law: summary.to_display() for summary in summaries}

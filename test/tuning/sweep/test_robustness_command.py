@@ -10,14 +10,15 @@ import pytest
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.workers import WorkersError
+from straightcomp_ros.parameters.output_files import plain
 from straightcomp_ros.tuning.sweep.many_trials import plot_sweep, run_trials, summarise, sweep
 from straightcomp_ros.tuning.sweep.trial import TrialResult
 
 SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]
 
 
-def result(trial: int, pp: float, word: str = "in_order", law: str = "linear") -> TrialResult:
-    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
+def result(trial: int, pp: float, word: str = "in_order") -> TrialResult:
+    return TrialResult(trial, "linear", pp, pp / 6.0, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
 
 
 def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_path):
@@ -44,36 +45,37 @@ def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (
-            ["--set", "stage.uncertainty.mess=0.1"],
-            "uncertainty.mess' is unknown; did you mean 'stage.uncertainty.mass'",
-        ),
-        (["--set", "stage.uncertainty.mass=heavy"], "uncertainty.mass': 'heavy' is not a number"),
-        (["--set", "stage.motion.stroke=0.0"], "parameter 'stage.motion.stroke': 0.0 m"),
+        ("--set stage.uncertainty.mess=0.1", "mess' is unknown; did you mean 'stage.uncertainty.mass'"),
+        ("--set stage.uncertainty.mass=heavy", "uncertainty.mass': 'heavy' is not a number"),
+        ("--set stage.motion.stroke=0.0", "parameter 'stage.motion.stroke': 0.0 m"),
+        ("--trials 0", "0"),
+        ("--seed -1", "-1"),
+        ("--law magic", "magic"),
     ],
 )
-def test_wrong_parameters_are_named(capsys, arguments, message):
-    assert main(["robustness", "--trials", "1", *arguments]) == 2
-    assert message in capsys.readouterr().err
+def test_wrong_parameters_and_options_are_named(capsys, arguments, message):
+    try:
+        code = main(["robustness", "--trials", "1", *arguments.split()])
+    except SystemExit as refused:
+        code = refused.code
+    assert code == 2 and message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [["--trials", "0"], ["--seed", "-1"], ["--law", "magic"]])
-def test_wrong_options_are_refused(capsys, arguments):
-    with pytest.raises(SystemExit):
-        main(["robustness", *arguments])
-    assert arguments[1] in capsys.readouterr().err
+def summary_of(errors, *words):
+    """The only summary of machines with these errors in µm, and these words of verdicts, in order by default."""
+    (summary,) = summarise(result(trial, 1e-6 * pp, *words[trial : trial + 1]) for trial, pp in enumerate(errors))
+    return summary
 
 
 def test_every_percentile_is_a_trial_that_was_run():
-    errors = [1e-6, 2e-6, 4e-6, 8e-6]
-    (summary,) = summarise(result(trial, pp) for trial, pp in enumerate(errors))
-    assert set(summary.percentiles("pp").values()) <= set(errors)
+    summary = summary_of([1, 2, 4, 8])
+    assert set(summary.percentiles("pp").values()) <= {1e-6, 2e-6, 4e-6, 8e-6}
     assert summary.percentiles("pp")["max"] == 8e-6 and summary.to_display()["worst_trial"] == 3
 
 
 def test_machines_above_twice_the_median_are_named_worst_first():
-    (summary,) = summarise(result(trial, pp) for trial, pp in enumerate([2.1e-6, 1e-6, 1e-6, 2e-6, 3e-6, 1e-6, 1e-6]))
-    assert summary.outliers == {4: 3e-6, 0: 2.1e-6}
+    summary = summary_of([2.1, 1, 1, 2, 3, 1, 1])
+    assert list(summary.outliers.items()) == [(4, pytest.approx(3e-6)), (0, pytest.approx(2.1e-6))]
     assert [outlier["trial"] for outlier in summary.to_display()["outliers"]] == [4, 0]
 
 
@@ -95,30 +97,27 @@ def test_the_table_tells_how_to_run_an_outlier_alone(capsys, monkeypatch):
 
 
 def test_a_cycle_that_broke_off_counts_and_is_null_in_json(tmp_path):
-    results = [result(0, 1e-6), result(1, math.inf, "inaccurate")]
-    (summary,) = summarise(results)
-    shown = summary.to_display()
+    summary, none_ended = summary_of([1, math.inf], "in_order", "inaccurate"), summary_of([math.inf], "inaccurate")
+    shown = plain(summary.to_display())
     assert shown["pp_um"]["p50"] == pytest.approx(1.0) and shown["pp_um"]["max"] is None
     assert shown["not_in_order"] == 1 and shown["verdicts"] == {"inaccurate": 1}
     assert shown["machines_not_in_order"][0]["pp_um"] is None
-    assert plot_sweep(results, [summary], tmp_path / "a.png", "broken off").is_file()
-    assert plot_sweep(results[1:], summarise(results[1:]), tmp_path / "b.png", "none ended").is_file()
+    for number, one in enumerate((summary, none_ended)):
+        plot_sweep([one], tmp_path / f"{number}.png", "broken off")
+        assert (tmp_path / f"{number}.png").is_file()
 
 
 def test_the_verdict_on_a_law_is_its_most_frequent_one_and_names_a_machine():
-    words = ["in_order", "at_stop", "oscillates", "oscillates"]
-    (summary,) = summarise(result(trial, 1e-6 * (trial + 1), word) for trial, word in enumerate(words))
+    summary = summary_of([1, 2, 3, 4], "in_order", "at_stop", "oscillates", "oscillates")
     assert summary.verdict.verdict == "oscillates"
     assert summary.verdict.reason == "oscillates 2, at_stop 1 of 4 machines; machine 2: error of machine 2"
     assert [one.trial for one in summary.not_in_order] == [1, 2, 3]
-    (good,) = summarise([result(0, 1e-6)])
+    good = summary_of([1])
     assert good.verdict.in_order and "1 machines" in good.verdict.reason and good.doubtful == set()
 
 
 def test_a_percentile_of_a_machine_that_is_not_in_order_is_doubtful():
-    words = ["in_order"] * 9 + ["oscillates"]
-    (summary,) = summarise(result(trial, 1e-6 * (trial + 1), word) for trial, word in enumerate(words))
-    assert summary.doubtful == {"p95", "max"}
+    assert summary_of(range(1, 11), *["in_order"] * 9, "oscillates").doubtful == {"p95", "max"}
 
 
 def test_a_machine_that_is_not_in_order_fails_the_command_and_is_marked_and_named(capsys):

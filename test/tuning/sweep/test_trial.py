@@ -11,14 +11,14 @@ from numpy.random import SeedSequence, default_rng
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.scenario import laws_of, make_scenario
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
-from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters, deviating
+from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.sweep.many_trials import run_trials
-from straightcomp_ros.tuning.sweep.trial import draw, mismeasured, run_trial, sample_times, streams
+from straightcomp_ros.tuning.sweep.trial import draw, mismeasured, sample_times, streams
 
 STAGE = StageParameters()
 EXACT = UncertaintyParameters(
@@ -28,6 +28,7 @@ EXACT = UncertaintyParameters(
 """The machine that the controller was designed for."""
 HIGH_GAIN = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
 EXACT_STAGE = replace(STAGE, uncertainty=EXACT)
+SURVEY = read_survey(find_survey(MapParameters().file))
 
 
 def within(uncertainty: UncertaintyParameters, values: dict[str, dict], delay: float = 0.5) -> dict[str, dict]:
@@ -45,42 +46,38 @@ def test_the_random_numbers_of_a_trial_are_those_of_the_seeds_child():
 
 @given(st.integers(0, 2**32), st.integers(0, 10**6))
 def test_every_machine_lies_within_the_ranges(seed, trial):
-    machine = draw(STAGE, streams(seed, trial).machine)
-    assert 0.8 <= machine.mass <= 1.2
-    assert 0.8 <= machine.force <= 1.2
-    assert 0.9 <= machine.air_gap <= 1.1
-    assert 0.5 <= machine.friction <= 2.0
-    assert 0.0 <= machine.sensor_noise <= 0.05e-6
-    assert 0.2 <= machine.delay <= 1.5
+    factors, sensor_noise, delay = draw(STAGE, streams(seed, trial).machine)
+    for name, low, high in (("mass", 0.8, 1.2), ("force", 0.8, 1.2), ("air_gap", 0.9, 1.1), ("friction", 0.5, 2.0)):
+        assert low <= getattr(factors, name) <= high
+    assert 0.0 <= sensor_noise <= 0.05e-6 and 0.2 <= delay <= 1.5
 
 
 def test_half_of_the_machines_have_less_than_nominal_friction():
-    frictions = [draw(STAGE, streams(1, trial).machine).friction for trial in range(400)]
+    frictions = [draw(STAGE, streams(1, trial).machine)[0].friction for trial in range(400)]
     assert 160 < sum(friction < 1.0 for friction in frictions) < 240
 
 
 def test_without_uncertainty_machine_clock_and_survey_are_nominal():
     random = streams(1, 1)
-    assert deviating(PlantParameters(), draw(EXACT_STAGE, random.machine).factors) == PlantParameters()
+    factors, sensor_noise, delay = draw(EXACT_STAGE, random.machine)
+    assert deviating(PlantParameters(), factors) == PlantParameters() and (sensor_noise, delay) == (0.0, 1.0)
     assert sample_times(EXACT.jitter, 500_000, 4, random.clock).tolist() == [0, 500_000, 1_000_000, 1_500_000]
-    survey = read_survey(find_survey(MapParameters().file))
-    for run, same in zip(survey.runs, mismeasured(survey, EXACT.map_noise, random.survey).runs, strict=True):
+    for run, same in zip(SURVEY.runs, mismeasured(SURVEY, EXACT.map_noise, random.survey).runs, strict=True):
         np.testing.assert_array_equal(run.deviation, same.deviation)
 
 
 def test_force_and_gap_change_the_stiffness_as_equation_3_says():
     nominal = PlantParameters().actuator
-    machine = draw(EXACT_STAGE, default_rng(1))._replace(force=1.2, air_gap=0.9)
-    changed = deviating(PlantParameters(), machine.factors).actuator
+    changed = deviating(PlantParameters(), Factors(force=1.2, air_gap=0.9)).actuator
     assert changed.current_stiffness / nominal.current_stiffness == pytest.approx(1.2 / 0.9**2)
     assert changed.position_stiffness / nominal.position_stiffness == pytest.approx(1.2 / 0.9**3)
 
 
 def test_another_range_of_one_quantity_leaves_the_others_as_they_were():
-    machines = [
+    uncertain, exact = (
         draw(from_mapping(StageParameters, given), streams(2, 7).machine) for given in ({}, {"uncertainty.mass": 0.0})
-    ]
-    assert machines[1] == machines[0]._replace(mass=1.0)
+    )
+    assert exact == (uncertain[0]._replace(mass=1.0), *uncertain[1:])
 
 
 def test_jitter_does_not_add_up():
@@ -90,37 +87,26 @@ def test_jitter_does_not_add_up():
 
 
 def test_each_point_of_the_survey_errs_on_its_own():
-    survey = read_survey(find_survey(MapParameters().file))
-    wrong = mismeasured(survey, 0.02e-6, default_rng(4))
-    errors = np.concatenate([b.deviation - a.deviation for a, b in zip(survey.runs, wrong.runs, strict=True)])
+    wrong = mismeasured(SURVEY, 0.02e-6, default_rng(4))
+    errors = np.concatenate([b.deviation - a.deviation for a, b in zip(SURVEY.runs, wrong.runs, strict=True)])
     assert errors.std() == pytest.approx(0.02e-6, rel=0.1)
     assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < 0.15
 
 
 @pytest.mark.parametrize(
-    "ranges, message",
-    [
-        ({"mass": 1.5}, "mass'.*<= 0.9"),
-        ({"friction": 0.5}, "friction'.*>= 1"),
-        ({"shortest_delay": 2.0}, "longest_delay'.*>= 2.0 \\('"),
-        ({"air_gap": 0.5}, "air gap × 0.5: 0.00075 m does not hold the stop"),
-        ({"jitter": 0.5}, "jitter'.*<= 0.4 samples"),
-    ],
-)
-def test_ranges_that_no_machine_can_have_are_refused(ranges, message):
-    with pytest.raises(ParameterError, match=message):
-        make_scenario({"stage": {f"uncertainty.{name}": value for name, value in ranges.items()}}, ["linear"])
-
-
-@pytest.mark.parametrize(
     "values, message",
     [
+        ({"stage": {"uncertainty.mass": 1.5}}, "mass'.*<= 0.9"),
+        ({"stage": {"uncertainty.friction": 0.5}}, "friction'.*>= 1"),
+        ({"stage": {"uncertainty.shortest_delay": 2.0}}, "longest_delay'.*>= 2.0 \\('"),
+        ({"stage": {"uncertainty.air_gap": 0.5}}, "air gap × 0.5: 0.00075 m does not hold the stop"),
+        ({"stage": {"uncertainty.jitter": 0.5}}, "jitter'.*<= 0.4 samples"),
         ({"controller": {"stage.rate": 1000}}, "1000 Hz; allowed: 2000 Hz"),
         ({"stage": {"rate": 50}}, "50 Hz; allowed in a sweep: >= 100"),
         ({"driver": {"simulated.command_timeout": 0.5e-3}}, "command_timeout.*>= 0.00054 s"),
     ],
 )
-def test_a_scenario_that_the_kernel_does_not_hold_for_is_refused(values, message):
+def test_a_range_that_no_machine_can_have_and_a_scenario_that_the_kernel_does_not_hold_for_are_refused(values, message):
     with pytest.raises(ParameterError, match=message):
         make_scenario(values, ["linear"])
 
@@ -147,21 +133,15 @@ def test_a_trial_draws_its_machine_with_the_friction_beyond_lugre(values):
     assert result.pp == expected.true_pp != plain.pp
 
 
-def test_trials_do_not_depend_on_their_order(scenario):
+def test_a_machine_depends_on_seed_and_number_and_not_on_the_order_of_trials_or_on_other_laws(
+    values, scenario
+):
     forward, backward = run_trials(scenario, 3, [0, 1, 2]), run_trials(scenario, 3, [2, 1, 0])
     assert sorted(forward, key=repr) == sorted(backward, key=repr)
     assert len({result.pp for result in forward}) == len(forward)
-
-
-def test_a_law_meets_the_same_machine_whichever_laws_run_with_it(values, scenario):
-    alone = run_trials(make_scenario(values, ["smc"]), 3, [4])
-    assert alone == [result for result in run_trials(scenario, 3, [4]) if result.law == "smc"]
-
-
-def test_another_seed_is_another_machine(scenario):
-    laws = laws_of(scenario)
-    first, second = (run_trial(scenario, laws, seed, 0)[0] for seed in (1, 2))
-    assert first.pp != second.pp
+    alone = run_trials(make_scenario(values, ["smc"]), 3, [1])
+    assert alone == [result for result in forward if (result.law, result.trial) == ("smc", 1)]
+    assert run_trials(make_scenario(values, ["smc"]), 2, [1])[0].pp != alone[0].pp
 
 
 WEAK = {"actuator.current_limit": 1e-3}
