@@ -6,12 +6,13 @@ import inspect
 import itertools
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
 
 import cantools
 
 from straightcomp_ros import contract
-from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, columns_of
+from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, is_nullable
 from straightcomp_ros.fleet.history.store import BAGS, STROKES
 from straightcomp_ros.hardware.can import can_parameters, emulator_frames
 from straightcomp_ros.messages.cdr import BATCH_TYPE
@@ -93,8 +94,8 @@ def _history_tables() -> list[str]:
     ]
     for table, row in ((STROKES, StrokeRow), (BAGS, BagRow)):
         lines += [f"### Table {table}", "", "| column | | content |", "|---|---|---|"]
-        for one in columns_of(row):
-            lines.append(f"| `{one.name}` | {'∅' if one.nullable else ''} | {_cell(one.description)} |")
+        for one in fields(row):
+            lines.append(f"| `{one.name}` | {'∅' if is_nullable(one) else ''} | {_cell(one.metadata['description'])} |")
         lines.append("")
     return lines
 

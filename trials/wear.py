@@ -18,7 +18,6 @@ import numpy as np
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, table_of
-from straightcomp_ros.fleet.history.strokes_of_bag import Recorded
 from straightcomp_ros.fleet.maintenance.advice import advice_of, changes_of
 from straightcomp_ros.fleet.maintenance.day_levels import DayLevels
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
@@ -169,7 +168,7 @@ def followed_map(
     write_survey(fresh, mismeasured(Survey(tuple(runs), str(fresh)), _SURVEY_NOISE, random), ["survey of that guide"])
     # Of the written file: the moved guide as the simulated machine has it.
     truth = load_map(MapParameters(file=str(true)))
-    recorded = Recorded(stage="moved", map_checksum=checksum_of([old.read_bytes()]))
+    recorded = {"map_checksum": checksum_of([old.read_bytes()])}
     rows: list[StrokeRow] = []
     for cycle in range(cycles):
         advance("strokes for the map", 0.5 * cycle / cycles)

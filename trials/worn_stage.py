@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.fleet.history.rows import StrokeRow, parquet
 from straightcomp_ros.fleet.history.store import STROKES
-from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, levels_of
 from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.hardware.interface import Hardware
@@ -49,7 +49,7 @@ _LATENCY = {"latency_p50_us": (122.0, 10.0), "latency_p99_us": (281.0, 24.0)}
 """Mean and standard deviation from run to run of a graph on two shared cores, measured in six runs."""
 _SLOWER = {"latency_p50_us": 36.0, "latency_p99_us": 60.0}
 """What another transport of the messages added there, mean of three pairs of runs."""
-_RECORDED = Recorded(stage="simulated", map_checksum="first")
+_RECORDED = {"map_checksum": "first"}
 _READING_UM = 0.025
 """Standard deviation of the mean of a bin by the displacement sensor, as of a point of the shipped survey."""
 
@@ -155,7 +155,7 @@ class _Scaled:
 
 def simulated_rows(
     values: Values,
-    recorded: Recorded = _RECORDED,
+    recorded: Mapping[str, Any] = _RECORDED,
     readings: Callable[[Array], Array] | None = None,
     wiring: Any = None,
 ) -> list[StrokeRow]:
@@ -163,7 +163,7 @@ def simulated_rows(
 
     Args:
         values: parameters by node and dotted name.
-        recorded: what the bag would say beside its samples.
+        recorded: columns of the rows that the bag would state apart from its samples.
         readings: of a displacement sensor on the slider in m, at true x (n,) in m; None without one.
         wiring: between machine and driver.
     """
@@ -253,7 +253,8 @@ def levels_of_months(strokes: Months, x: Array) -> DayLevels:
     constant = ["first"] * len(strokes.software)
     error = np.full((strokes.day.size, 0), np.nan)
     profiles = {"guide_change_um": strokes.guide, "error_bins_um": np.broadcast_to(np.nan, (error.shape[0], x.size))}
-    return levels_of(strokes.day, strokes.forward, strokes.figures, x, profiles, [strokes.software, constant, constant])
+    settings = {"software": strokes.software, "map": constant, "parameters": constant}
+    return levels_of(strokes.day, strokes.forward, strokes.figures, x, profiles, settings)
 
 
 def rows_of_months(pool: StrokePool, strokes: Months, stage: str) -> list[StrokeRow]:

@@ -13,7 +13,7 @@ from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.fleet.history.adding import evaluate_bag
-from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 
 S = 1_000_000_000
 LAW = (REFERENCE.topic, COMMAND.topic, "controller_state")
@@ -50,7 +50,7 @@ def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_coun
     limits = tmp_path / "limits.yaml"
     limits.write_text("true_pp_um: 5\n")
     assert judged(bag, capsys, "--limits", str(limits))[0] == 1
-    rows = rows_of(evaluate_bag(bag), Recorded())
+    rows = rows_of(evaluate_bag(bag), {})
     assert rows[-1].verdict == "interrupted" and {row.verdict for row in rows[:-1]} <= {"in_order"}
 
 

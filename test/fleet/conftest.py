@@ -44,25 +44,21 @@ def alone(months, tmp_path_factory):
 def make_levels():
     """``make(friction_A=(n,) factors, guide=(n, m) µm, software=…)``: months that scatter by half a percent."""
 
-    def make(guide=None, software=None, days=DAYS, **factors):
+    def make(guide=None, software=None, **factors):
         random = np.random.default_rng(3)
-        figures = {}
+        columns = {}
         for name in FIGURES:
             level = 0.0 if name == "lost_samples" else LEVELS.get(name, 1.0)
-            figures[name] = level * (1.0 + 0.005 * random.standard_normal(days)) * factors.pop(name, np.ones(days))
+            columns[name] = level * (1.0 + 0.005 * random.standard_normal(DAYS)) * factors.pop(name, np.ones(DAYS))
         assert not factors
-        x = (np.arange(BINS) + 0.5) * 0.01
-        noise = 0.005 * random.standard_normal((days, BINS))
-        profile = np.full((days, BINS), np.nan) if guide is None else guide + noise
+        noise = 0.005 * random.standard_normal((DAYS, BINS))
+        profile = np.full((DAYS, BINS), np.nan) if guide is None else guide + noise
         return DayLevels(
-            day=TWENTY_THOUSAND + np.arange(days),
-            strokes=np.full(days, 48),
-            figures=figures,
-            x=x,
+            day=TWENTY_THOUSAND + np.arange(DAYS),
+            columns=columns,
+            x=(np.arange(BINS) + 0.5) * 0.01,
             profiles={"guide_change_um": profile, "error_bins_um": noise},
-            software=tuple(software or ["1.1"] * days),
-            map=("a",) * days,
-            parameters=("b",) * days,
+            settings={"software": software or ["1.1"] * DAYS, "map": ["a"] * DAYS, "parameters": ["b"] * DAYS},
         )
 
     return make

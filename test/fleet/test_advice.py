@@ -62,12 +62,12 @@ def test_a_guide_that_moved_has_a_place_and_if_it_moved_at_once_its_bolts_are_lo
 def of_two_strokes_a_day(make_levels, guide, maps):
     """Months whose days have a stroke forward, then one backward, with these profiles (2 n, m) and maps."""
     sound = make_levels()
-    twice = {name: np.repeat(values, 2) for name, values in sound.figures.items()}
+    twice = {name: np.repeat(values, 2) for name, values in sound.columns.items()}
     forward = np.tile([True, False], DAYS)
     noise = 0.005 * np.random.default_rng(4).standard_normal(guide.shape)
     profiles = {"guide_change_um": guide + noise, "error_bins_um": np.zeros(guide.shape)}
-    constant = ["1"] * len(maps)
-    return levels_of(np.repeat(sound.day, 2), forward, twice, sound.x, profiles, [constant, maps, constant])
+    settings = {"software": ["1"] * len(maps), "map": maps}
+    return levels_of(np.repeat(sound.day, 2), forward, twice, sound.x, profiles, settings)
 
 
 def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels):
@@ -116,7 +116,7 @@ def test_what_went_back_does_not_hide_what_lasts(make_levels):
     """Lost samples of a week long ago are no explanation of a latency of today."""
     days = np.arange(DAYS)
     levels = make_levels(latency_p50_us=1.0 + 0.3 * (days >= 80), encoder_rms_um=1.0 + 0.3 * (days >= 100))
-    levels.figures["lost_samples"][40:50] = 500.0
+    levels.columns["lost_samples"][40:50] = 500.0
     due, lapsed = advice_of(levels)
     assert due.due and due.changes[0].figure == "latency_p50_us"
     assert [change.figure for change in due.changes[1:]] == ["encoder_rms_um"]

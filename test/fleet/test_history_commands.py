@@ -205,7 +205,7 @@ def test_each_stage_has_a_folder_of_its_own_whatever_it_is_called(named):
     store, folders = Store(str(folder)), list((folder / "strokes").iterdir())
     assert (tally.added, tally.refused) == (len(NAMES), 0)
     assert store.stages() == sorted(map(stored_name, NAMES)) and len(set(store.stages())) == len(NAMES)
-    assert all(store.strokes(name, ["stroke"]).num_rows == 2 for name in NAMES)
+    assert all(store.strokes(name).num_rows == 2 for name in NAMES)
     assert len(folders) == len(NAMES) and max(len(os.fsencode(folder.name)) for folder in folders) < 255
 
 

@@ -14,7 +14,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
 from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
 from straightcomp_ros.contract import DISPLACEMENT
-from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, bins_over, recorded_facts, recorded_name, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import binned, recorded_facts, recorded_name, rows_of
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -31,7 +31,7 @@ def evaluation():
 
 @pytest.fixture(scope="module")
 def rows(evaluation):
-    return rows_of(evaluation, recorded_facts(BAG, "key", evaluation))
+    return rows_of(evaluation, recorded_facts(BAG, "key", evaluation)[1])
 
 
 def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_parameters_and_map(evaluation, rows):
@@ -53,9 +53,10 @@ def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_paramete
 def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum(evaluation):
     def checksum(node, name, value):
         parameters = {**evaluation.parameters, node: {**evaluation.parameters[node], name: value}}
-        return recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters=parameters)).parameters_checksum
+        _, facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters=parameters))
+        return facts["parameters_checksum"]
 
-    same = recorded_facts(BAG, "key", evaluation).parameters_checksum
+    same = recorded_facts(BAG, "key", evaluation)[1]["parameters_checksum"]
     assert checksum("logger", "output", "another folder") == same
     assert checksum("controller", "control.law", "linear") != same
 
@@ -68,18 +69,18 @@ def test_a_recording_keeps_its_name_in_a_folder_of_another_name(tmp_path):
 
 def test_a_description_that_this_version_cannot_read_has_no_identity(evaluation):
     driver = {**evaluation.parameters["driver"], "stage.platform.colour": "blue"}
-    facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={"driver": driver}))
-    assert facts.identity is None and facts.stage == "synthetic"
-    assert recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={})).stage == "unknown"
+    stage, facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={"driver": driver}))
+    assert facts["identity"] is None and stage == "synthetic"
+    assert recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={}))[0] == "unknown"
 
 
 def test_the_latency_of_a_stroke_is_that_of_its_own_samples(evaluation):
     stamps, latency = evaluation.latency_stamps, evaluation.latency
     middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
     slow = dataclasses.replace(evaluation, latency=np.where(stamps < middle, latency, 3e-4))
-    assert [row.latency_p50_us for row in rows_of(slow, Recorded())] == pytest.approx([250.0, 300.0])
+    assert [row.latency_p50_us for row in rows_of(slow, {})] == pytest.approx([250.0, 300.0])
     without = dataclasses.replace(evaluation, latency=latency[:0], latency_stamps=stamps[:0])
-    assert [row.latency_p99_us for row in rows_of(without, Recorded())] == [None, None]
+    assert [row.latency_p99_us for row in rows_of(without, {})] == [None, None]
 
 
 def without(evaluation, lost, unanswered):
@@ -99,7 +100,7 @@ def without(evaluation, lost, unanswered):
 
 
 def test_lost_and_unanswered_samples_count_in_the_stroke_in_which_they_are_missing(evaluation):
-    rows = rows_of(without(evaluation, lost=(1000, 1001, 1002), unanswered=(5000, 5001)), Recorded())
+    rows = rows_of(without(evaluation, lost=(1000, 1001, 1002), unanswered=(5000, 5001)), {})
     assert [row.lost_samples for row in rows] == [3, 0]
     assert [row.unanswered_samples for row in rows] == [0, 2]
     assert [row.expected_samples for row in rows] == [3987, 3987]
@@ -111,7 +112,7 @@ def test_samples_with_the_amplifier_off_or_the_current_at_its_limit_are_counted(
     current[6000:6004] = -0.9
     record = dataclasses.replace(evaluation.record, current=current)
     run = evaluation.encoder._replace(off=~on)
-    rows = rows_of(dataclasses.replace(evaluation, amplifier_on=on, record=record, encoder=run), Recorded())
+    rows = rows_of(dataclasses.replace(evaluation, amplifier_on=on, record=record, encoder=run), {})
     assert [row.amplifier_off_samples for row in rows] == [10, 0]
     assert [row.verdict for row in rows] == ["interrupted", "in_order"]
     assert [row.saturated_samples for row in rows] == [0, 4]
@@ -127,7 +128,7 @@ def test_a_fault_belongs_to_the_stroke_in_which_it_was_latched_or_after_which(ev
         Report(begin + 3_000_000_000, {}),
     ]
     faults = latched_faults({"driver": reports}, begin)
-    rows = rows_of(dataclasses.replace(evaluation, faults=faults), Recorded())
+    rows = rows_of(dataclasses.replace(evaluation, faults=faults), {})
     assert [row.faults for row in rows] == [labels, []]
     assert [row.verdict for row in rows] == ["interrupted", "in_order"]
 
@@ -139,7 +140,7 @@ def test_the_verdict_is_that_on_the_stroke_alone(evaluation):
     y[second] += wave[second]
     true_y[second] += wave[second]
     record = dataclasses.replace(evaluation.record, y=y, true_y=true_y)
-    rows = rows_of(dataclasses.replace(evaluation, record=record), Recorded())
+    rows = rows_of(dataclasses.replace(evaluation, record=record), {})
     assert [row.verdict for row in rows] == ["in_order", "oscillates"]
     assert "100 Hz" in rows[1].reason
 
@@ -166,15 +167,15 @@ def test_bins_have_the_same_edges_in_all_strokes_and_the_mean_of_the_samples_wit
 )
 def test_only_bins_that_a_stroke_covers_by_half_count(low, high, first, count):
     x = np.linspace(low, high, 10_001)
-    bins = bins_over(x)
-    means, edges = bins.means(x), first * 1e-3 + 0.01 * np.arange(count + 1)
-    assert bins.count == len(means) == count and (bins.from_mm == first or not count)
+    bins, edges = binned(x, {"means": x}), first * 1e-3 + 0.01 * np.arange(count + 1)
+    means = bins["means"]
+    assert len(means) == count and (bins["bins_from_mm"] == first or not count)
     assert (edges[:-1] <= means).all() and (means <= edges[1:]).all()
 
 
 def test_a_bin_without_a_sample_is_null_and_not_zero():
     x = np.concatenate([np.linspace(0.0, 0.01, 50, endpoint=False), np.linspace(0.02, 0.03, 50)])
-    assert bins_over(x).means(np.ones(100)) == [1.0, None, 1.0]
+    assert binned(x, {"ones": np.ones(100)})["ones"] == [1.0, None, 1.0]
 
 
 BUMP_UM = 0.8
@@ -204,7 +205,7 @@ def coarse(tmp_path_factory):
 
 def test_the_bandwidth_comes_from_commands_as_the_converter_of_that_bag_rounded_them(coarse):
     def bandwidths(evaluation):
-        return [row.amplifier_bandwidth_Hz for row in rows_of(evaluation, Recorded())]
+        return [row.amplifier_bandwidth_Hz for row in rows_of(evaluation, {})]
 
     assert bandwidths(coarse) == pytest.approx([500.0, 500.0], rel=0.02)
     driver = {**coarse.parameters["driver"], "stage.drive.dac_bits": 12}
@@ -213,7 +214,7 @@ def test_the_bandwidth_comes_from_commands_as_the_converter_of_that_bag_rounded_
 
 
 def test_the_guide_has_changed_where_the_sensor_saw_it(coarse):
-    rows = rows_of(coarse, Recorded())
+    rows = rows_of(coarse, {})
     assert [row.direction for row in rows] == ["forward", "backward"]
     for row in rows:
         middles = row.bins_from_mm + 10.0 * (np.arange(len(row.guide_change_um)) + 0.5)

@@ -20,7 +20,7 @@ from stores import COUNT, SAMPLES, added, files_of, strokes_of
 from straightcomp_ros.fleet.history import HistoryError, adding
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.queries import query
-from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, columns_of, schema_of, table_of
+from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, is_nullable, schema_of, table_of
 from straightcomp_ros.fleet.history.store import Store
 
 
@@ -233,12 +233,11 @@ def test_duckdb_polars_pandas_and_arrow_read_the_same_strokes(alone):
     assert all(table.sort_by(order).to_pylist() == rows for table in (by_polars, by_pandas, by_arrow))
 
 
-def test_the_strokes_of_a_stage_come_in_the_order_of_time_with_the_columns_that_were_asked_for(alone):
+def test_the_strokes_of_a_stage_come_in_the_order_of_time(alone):
     store = Store(str(alone[0]))
-    table = store.strokes("stage_1", ["start", "direction"])
-    assert table.column_names == ["start", "direction"] and table.num_rows == COUNT
+    table = store.strokes("stage_1")
+    assert table.column_names == schema_of(StrokeRow).names and table.num_rows == COUNT
     assert table["start"].to_pylist() == sorted(table["start"].to_pylist())
-    assert store.strokes("stage_0").column_names == schema_of(StrokeRow).names
     with pytest.raises(HistoryError, match="has no stage 'stage_7'; its stages are: stage_0, stage_1"):
         store.strokes("stage_7")
 
@@ -246,17 +245,16 @@ def test_the_strokes_of_a_stage_come_in_the_order_of_time_with_the_columns_that_
 @pytest.mark.parametrize("name", ["A/B 1", "ständer=ä%2F", "007", ".."])
 def test_any_name_of_a_stage_comes_back(tmp_path, name, monkeypatch):
     facts = adding.recorded_facts
-    monkeypatch.setattr(adding, "recorded_facts", lambda *given: dataclasses.replace(facts(*given), stage=name))
+    monkeypatch.setattr(adding, "recorded_facts", lambda *given: (name, facts(*given)[1]))
     added(tmp_path / "store", SAMPLES / "smc")
     store = Store(str(tmp_path / "store"))
-    assert store.stages() == [name] and store.strokes(name, ["stroke"]).num_rows == 2
+    assert store.stages() == [name] and store.strokes(name).num_rows == 2
     found = query(store, "SELECT DISTINCT stage FROM strokes").to_pylist()
     assert found == [{"stage": name}] and query(store, "SELECT stage FROM bags").to_pylist() == found
 
 
 @pytest.mark.parametrize("row", [StrokeRow, BagRow])
 def test_every_column_says_what_it_is_and_keeps_its_type(row):
-    assert all(one.description for one in columns_of(row))
     assert table_of(row, []).schema == schema_of(row)
-    for one, field in zip(columns_of(row), schema_of(row), strict=True):
-        assert field.nullable == one.nullable
+    for one, field in zip(dataclasses.fields(row), schema_of(row), strict=True):
+        assert one.metadata["description"] and field.nullable == is_nullable(one)

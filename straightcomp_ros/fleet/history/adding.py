@@ -18,7 +18,7 @@ from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
-from straightcomp_ros.fleet.history.rows import BagRow, EvaluatedBag, StrokeRow, checksum_of, parquet
+from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, checksum_of, parquet
 from straightcomp_ros.fleet.history.store import Store
 from straightcomp_ros.fleet.history.strokes_of_bag import recorded_facts, rows_of
 from straightcomp_ros.offline.workers import spread
@@ -65,15 +65,15 @@ def add(
         return
     # Other processes take longer to start than one bag takes.
     jobs = jobs if len(first) > 1 else 1
-    for bag in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
+    for row, strokes in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
         with _whole():
-            store.put(bag)
-            if bag.row.reason is None:
+            store.put(row, strokes)
+            tally.strokes += row.strokes
+            if row.reason is None:
                 tally.added += 1
-                tally.strokes += bag.row.strokes
             else:
                 tally.refused += 1
-        on_added(bag.row)
+        on_added(row)
 
 
 @contextmanager
@@ -97,38 +97,33 @@ def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator
             yield place
 
 
-def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> EvaluatedBag:
-    """Evaluate a bag. One that cannot be evaluated is refused with the reason, whatever that is: among thousands of
-    bags a single one must not end the work. ``remap`` has the bag's topic for each of ours with another name there."""
+def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[BagRow, bytes | None]:
+    """Evaluate a bag: its row, and its strokes as a Parquet file. One that cannot be evaluated is refused with the
+    reason, whatever that is: among thousands of bags a single one must not end the work. ``remap`` has the bag's topic
+    for each of ours with another name there."""
     row = BagRow(place.location, place.size, place.modified, evaluated_by=_this_program())
     try:
         with _on_this_machine(place) as bag:
-            return _evaluated(bag, row, remap)
+            try:
+                files, _ = found_files(bag)
+                row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
+                _check_finished(files)
+                evaluation = evaluate_bag(bag, remap)
+                stage, facts = recorded_facts(bag, str(row.checksum), evaluation)
+                strokes = rows_of(evaluation, facts)
+                month = f"{strokes[0].start:%Y-%m}"
+                data = parquet(StrokeRow, strokes)
+                return replace(row, stage=stage, month=month, strokes=len(strokes)), data
+            except (OSError, ImportError):
+                raise
+            except (BagError, MetricsError) as error:
+                reason = str(error)
+            except Exception as error:
+                reason = f"cannot be evaluated: {type(error).__name__}: {error}; please report this bag"
+            # Where a copy of a remote bag lay says nothing.
+            return replace(row, reason=reason.replace(str(bag), row.location)), None
     except OSError as error:
-        return EvaluatedBag(replace(row, reason=f"cannot be read: {error.strerror or error}"), None)
-
-
-def _evaluated(bag: Path, row: BagRow, remap: Mapping[str, str] | None) -> EvaluatedBag:
-    try:
-        files, _ = found_files(bag)
-        row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
-        _check_finished(files)
-        evaluation = evaluate_bag(bag, remap)
-        facts = recorded_facts(bag, str(row.checksum), evaluation)
-        strokes = rows_of(evaluation, facts)
-        data = parquet(StrokeRow, strokes)
-    except (OSError, ImportError):
-        raise
-    except (BagError, MetricsError) as error:
-        reason = str(error)
-    except Exception as error:
-        reason = f"cannot be evaluated: {type(error).__name__}: {error}; please report this bag"
-    else:
-        month = f"{strokes[0].start:%Y-%m}"
-        row = replace(row, stage=facts.stage, month=month, strokes=len(strokes))
-        return EvaluatedBag(row, data)
-    # Where a copy of a remote bag lay says nothing.
-    return EvaluatedBag(replace(row, reason=reason.replace(str(bag), row.location)), None)
+        return replace(row, checksum=None, reason=f"cannot be read: {error.strerror or error}"), None
 
 
 def _check_finished(files: Sequence[Path]) -> None:
@@ -158,9 +153,9 @@ def _on_this_machine(place: BagPlace) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="straightcomp_history_") as folder:
         bag = Path(folder, Path(path).name)
+        if place.names:
+            bag.mkdir()
         with reaching(place.location):
-            if place.names:
-                bag.mkdir()
             for name in place.names:
                 files.get_file(f"{path}/{name}", str(bag / name))
             if not place.names:

@@ -45,12 +45,6 @@ class BagPlace(NamedTuple):
         return [f"{self.location}/{name}" for name in self.names] or [self.location]
 
 
-class _Entry(NamedTuple):
-    name: str
-    size: int
-    modified: datetime | None
-
-
 def file_system(url: str) -> tuple[Any, str, bool]:
     """The fsspec file system of a path or URL, the path on it, and whether it is this machine's own. Raises
     HistoryError when there is none for such URLs."""
@@ -90,7 +84,16 @@ def bags_in(url: str) -> Iterator[BagPlace]:
         StorageError: it cannot be listed.
     """
     with reaching(url):
-        yield from _found(url)
+        files, path, local = file_system(url)
+        if not files.exists(path):
+            raise HistoryError(
+                f"{url} does not exist; give a bag, a folder of bags, or a URL such as s3://BUCKET/FOLDER"
+            )
+        if files.isdir(path):
+            yield from _below(files, path.rstrip("/") or path, local)
+        else:
+            state = _state_of(os.stat(path)) if local else _state_there(files.info(path))
+            yield BagPlace(_location(files, path, local), (), *state)
 
 
 def is_finished(place: BagPlace) -> bool:
@@ -106,80 +109,58 @@ def is_finished(place: BagPlace) -> bool:
     return True
 
 
-def _found(url: str) -> Iterator[BagPlace]:
-    files, path, local = file_system(url)
-    if not files.exists(path):
-        raise HistoryError(f"{url} does not exist; give a bag, a folder of bags, or a URL such as s3://BUCKET/FOLDER")
-    if files.isdir(path):
-        yield from _below(files, path.rstrip("/") or path, local)
-    elif local:
-        status = os.stat(path)
-        yield BagPlace(_location(files, path, local), (), status.st_size, _changed(status))
-    else:
-        info = files.info(path)
-        yield BagPlace(_location(files, path, local), (), info["size"], _modified(info))
-
-
 def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
     try:
-        folders, entries = _listed(files, path, local)
+        entries = sorted(_listed(files, path, local))
     except FileNotFoundError:
         return  # removed meanwhile
-    messages = [entry for entry in entries if STORED.fullmatch(entry.name)]
-    numbered = [name for name, number, _ in (split_number(Path(entry.name)) for entry in messages) if number >= 0]
+    messages = [name for name, folder, *_ in entries if not folder and STORED.fullmatch(name)]
+    numbered = [name for name, number, _ in (split_number(Path(name)) for name in messages) if number >= 0]
     splits = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
-    if messages and (splits or any(entry.name == _METADATA for entry in entries)):
-        own = [entry for entry in entries if entry.name == _METADATA or entry in messages]
-        yield _place(_location(files, path, local), own)
+    known = {name: state for name, folder, *state in entries if not folder}
+    if messages and (splits or _METADATA in known):
+        names = tuple(name for name in known if name == _METADATA or name in messages)
+        sizes, times = zip(*(known[name] for name in names), strict=True)
+        newest = max((time for time in times if time is not None), default=None)
+        yield BagPlace(_location(files, path, local), names, sum(sizes), newest)
         return
-    for entry in messages:
-        yield BagPlace(_location(files, f"{path}/{entry.name}", local), (), entry.size, entry.modified)
-    for name in folders:
-        yield from _below(files, f"{path}/{name}", local)
+    for name in messages:
+        yield BagPlace(_location(files, f"{path}/{name}", local), (), *known[name])
+    for name, folder, *_ in entries:
+        if folder:
+            yield from _below(files, f"{path}/{name}", local)
 
 
-def _place(location: str, entries: list[_Entry]) -> BagPlace:
-    times = [entry.modified for entry in entries if entry.modified is not None]
-    names = tuple(entry.name for entry in entries)
-    return BagPlace(location, names, sum(entry.size for entry in entries), max(times, default=None))
-
-
-def _listed(files: Any, path: str, local: bool) -> tuple[list[str], list[_Entry]]:
-    """Names of the folders, and the files, in a folder; each in the order of the names."""
-    folders, entries = list[str](), list[_Entry]()
-    if local:
-        # fsspec's own listing has a kilobyte for each entry.
-        with os.scandir(path) as found:
-            for one in found:
-                if one.is_dir(follow_symlinks=False):
-                    folders.append(one.name)
-                elif one.is_file():
-                    # One that was removed since the folder was listed says nothing of the others.
-                    with suppress(FileNotFoundError):
-                        status = one.stat()
-                        entries.append(_Entry(one.name, status.st_size, _changed(status)))
-    else:
+def _listed(files: Any, path: str, local: bool) -> Iterator[tuple[str, bool, int, datetime | None]]:
+    """Of what is in a folder the name, whether it is a folder, and the state."""
+    if not local:
         for info in files.ls(path, detail=True):
-            name = PurePosixPath(info["name"]).name
-            if info["type"] == "directory":
-                folders.append(name)
-            elif info["name"].rstrip("/") != path:
-                entries.append(_Entry(name, info["size"], _modified(info)))
-    return sorted(folders), sorted(entries)
+            if info["type"] == "directory" or info["name"].rstrip("/") != path:
+                yield PurePosixPath(info["name"]).name, info["type"] == "directory", *_state_there(info)
+        return
+    # fsspec's own listing has a kilobyte for each entry.
+    with os.scandir(path) as found:
+        for one in found:
+            folder = one.is_dir(follow_symlinks=False)
+            if folder or one.is_file():
+                # One that was removed since the folder was listed says nothing of the others.
+                with suppress(FileNotFoundError):
+                    yield one.name, folder, *_state_of(one.stat())
 
 
 def _location(files: Any, path: str, local: bool) -> str:
     return os.path.abspath(path) if local else str(files.unstrip_protocol(path))
 
 
-def _changed(status: os.stat_result) -> datetime:
-    return datetime.fromtimestamp(status.st_mtime, timezone.utc)
+def _state_of(status: os.stat_result) -> tuple[int, datetime | None]:
+    """Size in bytes and time of change of a file here."""
+    return status.st_size, datetime.fromtimestamp(status.st_mtime, timezone.utc)
 
 
-def _modified(info: Mapping[str, Any]) -> datetime | None:
-    """Storages name the time differently: S3 as the first, Azure and Google as the others."""
+def _state_there(info: Mapping[str, Any]) -> tuple[int, datetime | None]:
+    """The same elsewhere. Storages name the time differently: S3 as the first, Azure and Google as the others."""
     known = (info.get(name) for name in ("LastModified", "last_modified", "updated"))
-    return next((one.astimezone(timezone.utc) for one in known if isinstance(one, datetime)), None)
+    return info["size"], next((one.astimezone(timezone.utc) for one in known if isinstance(one, datetime)), None)
 
 
 class GrowingFolders:

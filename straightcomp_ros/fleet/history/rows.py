@@ -12,7 +12,7 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 if TYPE_CHECKING:
@@ -23,29 +23,14 @@ BIN_MM = 10
 PARTITIONS = ("stage", "month")
 """Columns that the folders of the store name, so that a file does not repeat them: name of the stage, and month
 YYYY-MM in which the bag's first stroke began, UTC."""
-_DESCRIPTION = "description"
 _LONGEST_NAME = 240
 """Bytes; file systems allow 255, of which `stage=` or `.html.part` take some."""
 
 
-class Column(NamedTuple):
-    """A column: its name, the type of its values as in the dataclass, and what it means."""
-
-    name: str
-    kind: str
-    description: str
-
-    @property
-    def nullable(self) -> bool:
-        """Whether it may be null."""
-        return self.kind.endswith("| None")
-
-
 def column(description: str, default: Any = dataclasses.MISSING) -> Any:
-    """Declare a field of a row; the unit is at the end of the field's name."""
-    return dataclasses.field(
-        default=default, kw_only=default is not dataclasses.MISSING, metadata={_DESCRIPTION: description}
-    )
+    """Declare a column: a field of a row, nullable if its type allows None; the unit is at the end of its name."""
+    kw_only = default is not dataclasses.MISSING
+    return dataclasses.field(default=default, kw_only=kw_only, metadata={"description": description})
 
 
 @dataclass(frozen=True)
@@ -67,11 +52,11 @@ class BagRow:
 class StrokeRow:
     """The row; its partition is (stage, month)."""
 
-    checksum: str = column("BLAKE2b of the bag's files: the bag's key, the same wherever the bag lies")
-    bag: str = column("name under which the bag was recorded")
+    checksum: str = column("BLAKE2b of the bag's files: the bag's key, the same wherever the bag lies", "")
+    bag: str = column("name under which the bag was recorded", "")
     stroke: int = column("number of the stroke in its bag, from 1")
     start: datetime = column("when the stroke began, UTC, by the stamps of the samples")
-    identity: str | None = column("name and checksum of the stage's description")
+    identity: str | None = column("name and checksum of the stage's description", None)
     law: str = column("control law")
     direction: str = column("forward or backward")
     duration_s: float = column("duration of the stroke")
@@ -110,47 +95,36 @@ class StrokeRow:
     guide_change_um: list[float | None] | None = column(
         "deviation of the guide by the displacement sensor, minus the map's, in each bin; null without a sensor"
     )
-    parameters_checksum: str | None = column("BLAKE2b of the parameters of driver, feedforward and controller")
-    map_checksum: str | None = column("BLAKE2b of the attached map")
-    software_version: str | None = column("version of the package that recorded the bag")
-    software_revision: str | None = column("its git revision")
-    host: str | None = column("computer that recorded the bag")
+    parameters_checksum: str | None = column("BLAKE2b of the parameters of driver, feedforward and controller", None)
+    map_checksum: str | None = column("BLAKE2b of the attached map", None)
+    software_version: str | None = column("version of the package that recorded the bag", None)
+    software_revision: str | None = column("its git revision", None)
+    host: str | None = column("computer that recorded the bag", None)
 
 
-class EvaluatedBag(NamedTuple):
-    """The row of a bag, and its strokes as a Parquet file; None for a refused bag."""
-
-    row: BagRow
-    strokes: bytes | None
-
-
-@functools.cache
-def columns_of(row: type) -> tuple[Column, ...]:
-    """The columns of a row's class, in their order."""
-    return tuple(Column(one.name, str(one.type), one.metadata[_DESCRIPTION]) for one in dataclasses.fields(row))
+def is_nullable(one: dataclasses.Field[Any]) -> bool:
+    """Whether a column may be null."""
+    return str(one.type).endswith(" | None")
 
 
 @functools.cache
 def schema_of(row: type) -> pyarrow.Schema:
-    """The Arrow schema of a row's class. A column whose type allows None is nullable."""
+    """The Arrow schema of a row's class."""
     import pyarrow as pa
 
     types = {
-        str: pa.string(),
-        int: pa.int64(),
-        float: pa.float64(),
-        list[str]: pa.list_(pa.string()),
+        "str": pa.string(),
+        "int": pa.int64(),
+        "float": pa.float64(),
+        "datetime": pa.timestamp("us", tz="UTC"),
+        "list[str]": pa.list_(pa.string()),
         # Bins are many, and a µm needs no more than seven digits.
-        list[float | None]: pa.list_(pa.float32()),
+        "list[float | None]": pa.list_(pa.float32()),
     }
-    hints = get_type_hints(row)
-    fields = []
-    for one in columns_of(row):
-        kinds = [kind for kind in getattr(hints[one.name], "__args__", ()) if kind is not type(None)]
-        kind = kinds[0] if one.nullable else hints[one.name]
-        values = types.get(kind) or pa.timestamp("us", tz="UTC")
-        fields.append(pa.field(one.name, values, nullable=one.nullable))
-    return pa.schema(fields)
+    columns = dataclasses.fields(row)
+    return pa.schema(
+        [pa.field(one.name, types[one.type.removesuffix(" | None")], nullable=is_nullable(one)) for one in columns]
+    )
 
 
 def table_of(row: type, rows: Sequence[Any]) -> pyarrow.Table:

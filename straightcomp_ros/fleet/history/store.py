@@ -26,7 +26,6 @@ from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, rea
 from straightcomp_ros.fleet.history.rows import (
     PARTITIONS,
     BagRow,
-    EvaluatedBag,
     StrokeRow,
     checksum_of,
     parquet,
@@ -84,21 +83,20 @@ class Store:
         same = (found["size"], found["modified"]) == (place.size, place.modified)
         return same and place.modified is not None and found["checksum"] is not None
 
-    def put(self, bag: EvaluatedBag) -> None:
-        """Write what a bag gives.
+    def put(self, row: BagRow, strokes: bytes | None) -> None:
+        """Write the row of a bag, and its strokes, a Parquet file, if it has not been refused.
 
         Raises:
             OSError: the store cannot be written.
             HistoryError: the file of the bag's month is damaged.
         """
-        row = bag.row
-        if bag.strokes is not None:
+        if strokes is not None:
             folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
             month = "/".join((self.root, STROKES, *folders))
             if self.local:
-                self._add_to_month(Path(month), str(row.checksum), bag.strokes)
+                self._add_to_month(Path(month), str(row.checksum), strokes)
             else:
-                self._write(f"{month}/{row.checksum}.parquet", bag.strokes)
+                self._write(f"{month}/{row.checksum}.parquet", strokes)
         self._write(self._bag_file(row.location), parquet(BagRow, [row]))
 
     def stages(self) -> list[str]:
@@ -109,9 +107,8 @@ class Store:
         names = (str(path).rstrip("/").rpartition("/")[2] for path in self.files.ls(folder, detail=False))
         return sorted(unquote(name.removeprefix("stage=")) for name in names if name.startswith("stage="))
 
-    def strokes(self, stage: str, columns: list[str] | None = None) -> pyarrow.Table:
-        """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``: all columns of
-        :class:`straightcomp_ros.fleet.history.rows.StrokeRow`, or those named. Raises HistoryError for a stage
+    def strokes(self, stage: str) -> pyarrow.Table:
+        """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``. Raises HistoryError for a stage
         that the store does not have."""
         import pyarrow.dataset
 
@@ -120,9 +117,7 @@ class Store:
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
         data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=self.files)
-        wanted = data.schema.names if columns is None else columns
-        table = data.to_table(columns=list(dict.fromkeys([*wanted, *(name for name, _ in _ORDER)])))
-        return table.sort_by(_ORDER).select(wanted)
+        return data.to_table().sort_by(_ORDER)
 
     def clear_abandoned(self) -> None:
         """Remove what killed processes have left half-written."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -63,22 +64,18 @@ WATCHED = (
     Watched(ACTIVITY, "activity of the command", "A"),
 )
 BY_NAME = {one.name: one for one in WATCHED}
-_EPOCH = date(1970, 1, 1)
-_GUIDE = "guide_change_um"
-PROFILES = (_GUIDE, "error_bins_um")
-"""Columns of the store over x that are watched or shown."""
 FIGURES = tuple(one.name for one in WATCHED if one.name != GUIDE)
-COLUMNS = (
-    "start",
-    "direction",
-    "bins_from_mm",
-    *FIGURES,
-    *PROFILES,
-    "software_version",
-    "map_checksum",
-    "parameters_checksum",
-)
-"""Columns of the store that :func:`day_levels` reads."""
+"""Columns of the store that are watched."""
+GUIDE_BINS, ERROR_BINS = "guide_change_um", "error_bins_um"
+"""Columns of the store over x that are watched or shown."""
+SETTINGS = {"software": "software_version", "map": "map_checksum", "parameters": "parameters_checksum"}
+"""Columns of the store that say what people changed."""
+BASELINE = 28
+"""Days with strokes that make the baseline."""
+_EPOCH = date(1970, 1, 1)
+_SMOOTH = 5
+"""Bins over which a profile is averaged: guides move over centimetres, readings scatter from bin to bin."""
+_DEGREE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,22 +84,18 @@ class DayLevels:
 
     Attributes:
         day: (n,) days since 1970-01-01.
-        strokes: (n,) how many.
-        figures: by name, (n,) median of the day; NaN where no stroke has it.
+        columns: by name of :data:`FIGURES`, (n,) median of the day; NaN where no stroke has it.
         x: (m,) m, middles of the bins.
-        profiles: by name of :data:`PROFILES`, (n, m) median of the day in µm; NaN where not known. That of the guide is
-            known of the strokes with the last map alone: another map is another zero.
-        software, map, parameters: (n,) of the last stroke of the day, empty where unknown.
+        profiles: by name of the columns over x, (n, m) median of the day in µm; NaN where not known. That of the guide
+            is known of the strokes with the last map alone: another map is another zero.
+        settings: by name of :data:`SETTINGS`, (n,) of the last stroke of the day, empty where unknown.
     """
 
     day: NDArray[np.int64]
-    strokes: NDArray[np.int64]
-    figures: Mapping[str, Array]
+    columns: Mapping[str, Array]
     x: Array
     profiles: Mapping[str, Array]
-    software: tuple[str, ...]
-    map: tuple[str, ...]
-    parameters: tuple[str, ...]
+    settings: Mapping[str, Sequence[str]]
 
     def date(self, place: int) -> date:
         """Date of entry ``place``."""
@@ -110,22 +103,51 @@ class DayLevels:
 
     def until(self, count: int) -> DayLevels:
         """The first ``count`` entries: what was known then."""
-        profiles = {name: values[:count] for name, values in self.profiles.items()}
-        figures = {name: values[:count] for name, values in self.figures.items()}
-        columns = (self.software[:count], self.map[:count], self.parameters[:count])
-        return DayLevels(self.day[:count], self.strokes[:count], figures, self.x, profiles, *columns)
+        columns, profiles = ({name: one[:count] for name, one in of.items()} for of in (self.columns, self.profiles))
+        settings = {name: one[:count] for name, one in self.settings.items()}
+        return DayLevels(self.day[:count], columns, self.x, profiles, settings)
+
+    @cached_property
+    def shifts(self) -> Array:
+        """Change (n, m) in µm of the guide's profiles since their baseline, smooth and without its parabola; NaN
+        without a profile."""
+        profiles = self.profiles[GUIDE_BINS]
+        found = np.full(profiles.shape, np.nan)
+        inside = np.isfinite(profiles).any(axis=0)
+        days = np.flatnonzero(np.isfinite(profiles[:, inside]).all(axis=1)) if inside.any() else []
+        if not len(days) or np.count_nonzero(inside) <= _DEGREE:
+            return found
+        known = profiles[np.ix_(days, inside)]
+        change = known - known[:BASELINE].mean(axis=0)
+        at = self.x[inside]
+        powers = np.vander(at - at.mean(), _DEGREE + 1)
+        local = change - (powers @ np.linalg.lstsq(powers, change.T, rcond=None)[0]).T
+        kernel = np.ones(min(_SMOOTH, at.size))
+        # At the ends over the bins that are there.
+        weight = np.convolve(np.ones(at.size), kernel, mode="same")
+        found[np.ix_(days, inside)] = [np.convolve(one, kernel, mode="same") / weight for one in local]
+        return found
+
+    @property
+    def measured(self) -> NDArray[np.intp]:
+        """Places of the days on which the change of the guide is known."""
+        return np.flatnonzero(np.isfinite(self.shifts).any(axis=1))
+
+    @cached_property
+    def figures(self) -> dict[str, Array]:
+        """The levels of all watched figures, (n,) each, that of the guide among them."""
+        size, known = np.full(len(self.day), np.nan), self.shifts[self.measured]
+        size[self.measured] = np.nanmax(known, axis=1, initial=-np.inf) - np.nanmin(known, axis=1, initial=np.inf)
+        return {GUIDE: size, **self.columns}
 
 
 def day_levels(strokes: pyarrow.Table) -> DayLevels:
-    """The levels from the strokes of a stage in the order of their start, with at least :data:`COLUMNS`."""
-    day = np.array([(start.date() - _EPOCH).days for start in strokes["start"].to_pylist()], np.int64)
-    columns = {name: _floats(strokes[name].to_pylist()) for name in FIGURES}
-    begins = strokes["bins_from_mm"].to_pylist()
-    lists = {name: strokes[name].to_pylist() for name in PROFILES}
-    x, profiles = _on_one_grid(begins, lists)
-    words = [[value or "" for value in strokes[name].to_pylist()] for name in COLUMNS[-3:]]
-    forward = np.array([value == "forward" for value in strokes["direction"].to_pylist()], np.bool_)
-    return levels_of(day, forward, columns, x, profiles, words)
+    """The levels from the strokes of a stage in the order of their start, at least one."""
+    day = strokes["start"].to_numpy().astype("datetime64[D]").astype(np.int64)
+    columns = {name: strokes[name].to_numpy().astype(np.float64) for name in FIGURES}
+    x, profiles = _on_one_grid(strokes)
+    settings = {name: [value or "" for value in strokes[column].to_pylist()] for name, column in SETTINGS.items()}
+    return levels_of(day, strokes["direction"].to_numpy() == "forward", columns, x, profiles, settings)
 
 
 def levels_of(
@@ -134,29 +156,28 @@ def levels_of(
     columns: Mapping[str, Array],
     x: Array,
     profiles: Mapping[str, Array],
-    words: Sequence[Sequence[str]],
+    settings: Mapping[str, Sequence[str]],
 ) -> DayLevels:
-    """The levels of strokes by columns: ``day``, ``forward`` and ``columns`` (N,), ``profiles`` (N, m) over ``x`` (m,);
-    ``words`` are software, map and parameters of each stroke, in the order of time."""
+    """The levels of strokes in the order of time: as the attributes of :class:`DayLevels`, with an entry for each
+    stroke."""
     days, first, counts = np.unique(day, return_index=True, return_counts=True)
-    slices = [slice(int(a), int(a + n)) for a, n in zip(first, counts, strict=True)]
+
+    def levels(values: Array) -> Array:
+        """Of each day the mean of the medians of both directions, of those that are there."""
+        found = np.empty((days.size, *values.shape[1:]))
+        for k, (start, count) in enumerate(zip(first.tolist(), counts.tolist(), strict=True)):
+            one, ways = values[start : start + count], forward[start : start + count]
+            found[k] = median_of(np.array([median_of(one[way]) for way in (ways, ~ways) if way.any()]))
+        return found
+
     last = (first + counts - 1).tolist()
-    software, guide_map, parameters = (tuple(one[place] for place in last) for one in words)
-    profiles = {**profiles, _GUIDE: _with_last_map(profiles[_GUIDE], words[1])}
+    profiles = {**profiles, GUIDE_BINS: _with_last_map(profiles[GUIDE_BINS], settings["map"])}
     return DayLevels(
         day=days,
-        strokes=counts.astype(np.int64),
-        figures={
-            name: np.array([_level(values[one], forward[one]) for one in slices]) for name, values in columns.items()
-        },
+        columns={name: levels(values) for name, values in columns.items()},
         x=x,
-        profiles={
-            name: np.array([_level(values[one], forward[one]) for one in slices]).reshape(len(slices), x.size)
-            for name, values in profiles.items()
-        },
-        software=software,
-        map=guide_map,
-        parameters=parameters,
+        profiles={name: levels(values) for name, values in profiles.items()},
+        settings={name: [values[place] for place in last] for name, values in settings.items()},
     )
 
 
@@ -164,21 +185,9 @@ def _with_last_map(profiles: Array, maps: Sequence[str]) -> Array:
     """Profiles (N, m) of the guide, NaN up to the last stroke whose map is not that of the last one with a profile."""
     seen = np.flatnonzero(np.isfinite(profiles).any(axis=1)).tolist()
     others = [place for place in seen if maps[place] != maps[seen[-1]]]
-    if not others:
-        return profiles
     kept = profiles.copy()
-    kept[: others[-1] + 1] = np.nan
+    kept[: others[-1] + 1 if others else 0] = np.nan
     return kept
-
-
-def _level(values: Array, forward: NDArray[np.bool_]) -> Any:
-    """Mean of the medians of both directions, of those that are there."""
-    parts = [median_of(values[one]) for one in (forward, ~forward) if one.any()]
-    if len(parts) == 1:
-        return parts[0]
-    first, second = parts
-    middle = 0.5 * (first + second)
-    return np.where(np.isnan(middle), np.where(np.isnan(first), second, first), middle)
 
 
 def median_of(values: Array) -> Any:
@@ -190,24 +199,21 @@ def median_of(values: Array) -> Any:
     return np.where(empty, np.nan, np.nanmedian(np.where(empty, 0.0, values), axis=0))
 
 
-def _floats(values: Sequence[float | None]) -> Array:
-    return np.array([np.nan if value is None else value for value in values], np.float64)
-
-
-def _on_one_grid(
-    begins: Sequence[int], lists: Mapping[str, Sequence[Sequence[float | None] | None]]
-) -> tuple[Array, dict[str, Array]]:
+def _on_one_grid(strokes: pyarrow.Table) -> tuple[Array, dict[str, Array]]:
     """Middles of all bins that any stroke has, (m,) in m, and each profile on them, (N, m)."""
-    ends = [begin + BIN_MM * max(len(rows[k] or ()) for rows in lists.values()) for k, begin in enumerate(begins)]
-    low, high = (min(begins), max(ends)) if begins else (0, 0)
-    count = (high - low) // BIN_MM
-    x: Array = (low + BIN_MM * (np.arange(count, dtype=np.float64) + 0.5)) * 1e-3
-    profiles: dict[str, Array] = {}
-    for name, rows in lists.items():
-        values = np.full((len(begins), count), np.nan)
-        for k, row in enumerate(rows):
-            place = (begins[k] - low) // BIN_MM
-            if row is not None:
-                values[k, place : place + len(row)] = _floats(row)
-        profiles[name] = values
+    import pyarrow.compute as compute
+
+    begins = strokes["bins_from_mm"].to_numpy() // BIN_MM
+    cells = {}
+    for name in (GUIDE_BINS, ERROR_BINS):
+        lists = strokes[name].combine_chunks()
+        stroke = compute.list_parent_indices(lists).to_numpy()
+        bins = begins[stroke] + np.arange(stroke.size) - np.searchsorted(stroke, stroke)
+        cells[name] = stroke, bins, compute.list_flatten(lists).to_numpy(zero_copy_only=False)
+    low = begins.min()
+    count = max(begins.max(), *(bins.max(initial=low - 1) + 1 for _, bins, _ in cells.values())) - low
+    x: Array = (BIN_MM * low + BIN_MM * (np.arange(count, dtype=np.float64) + 0.5)) * 1e-3
+    profiles = {name: np.full((begins.size, count), np.nan) for name in cells}
+    for name, (stroke, bins, values) in cells.items():
+        profiles[name][stroke, bins - low] = values
     return x, profiles

@@ -8,25 +8,22 @@ from datetime import datetime
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.html_page import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
-from straightcomp_ros.fleet.maintenance.advice import Advice, all_figures
-from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, GUIDE, PROFILES, DayLevels, median_of
-from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelChange, baseline_of, guide_shifts
+from straightcomp_ros.fleet.maintenance.advice import Advice
+from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, GUIDE, Array, DayLevels, median_of
+from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelChange, baseline_of
 
-Array = NDArray[np.float64]
-_SMALL, _HEIGHT = 230, 360
+_SMALL, _MIDDLE, _HEIGHT = 230, 300, 360
 _FAULT = 34
 """Height in pixels of a line of marks."""
 _FAINT_NM = 20.0
 """Values that are less than this are pale: noise must not look like a matter."""
-_GUIDE, _ERROR = PROFILES
 
 
-def history_plot(levels: DayLevels, values: Array, name: str, changes: Sequence[LevelChange]) -> go.Figure:
-    """A figure (n,) from day to day, its baseline, and its changes."""
-    watched = BY_NAME[name]
+def history_plot(levels: DayLevels, name: str, changes: Sequence[LevelChange]) -> go.Figure:
+    """A figure from day to day, its baseline, and its changes."""
+    watched, values = BY_NAME[name], levels.figures[name]
     title = f"{watched.words} / {watched.unit}" if watched.unit else watched.words
     figure = line_figure("", "")
     heading = {"text": title, "font": {"size": 14}, "x": 0.01, "y": 0.97}
@@ -34,16 +31,11 @@ def history_plot(levels: DayLevels, values: Array, name: str, changes: Sequence[
     figure.update_yaxes(tickformat=".4~g")
     days = [levels.date(place).isoformat() for place in range(len(levels.day))]
     figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
-    figure.add_scatter(
-        x=days,
-        y=[float(median_of(values[max(0, k - 3) : k + 4])) for k in range(values.size)],
-        mode="lines",
-        line={"color": BLUE, "width": 1.5},
-        name="week",
-    )
+    weeks = [float(median_of(values[max(0, k - 3) : k + 4])) for k in range(values.size)]
+    figure.add_scatter(x=days, y=weeks, mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
     baseline = baseline_of(values, watched)
     if baseline is not None:
-        low, high = baseline.centre - SLACK * baseline.sigma, baseline.centre + SLACK * baseline.sigma
+        low, high = (baseline.centre + sign * SLACK * baseline.sigma for sign in (-1.0, 1.0))
         figure.add_hrect(low, high, fillcolor=GREEN, opacity=0.12, line_width=0)
     for change in changes:
         for place, colour, dash in ((change.begin, BLACK, "dot"), (change.found, VERMILION, "solid")):
@@ -55,15 +47,14 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
     """What speaks for the cause: the figure's history, or the guide's profiles."""
     first = advice.changes[0]
     if first.figure != GUIDE:
-        figure = history_plot(levels, all_figures(levels)[first.figure], first.figure, [first])
-        figure.update_layout(height=_HEIGHT - 60)
+        figure = history_plot(levels, first.figure, [first])
+        figure.update_layout(height=_MIDDLE)
         corner = {"xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}
         figure.add_annotation(text="green: baseline; dotted: began; red: alarm", **corner)
         return figure
-    shifts = guide_shifts(levels.profiles[_GUIDE], levels.x)
-    measured = np.flatnonzero(np.isfinite(shifts).any(axis=1))
+    measured = levels.measured
     figure = line_figure("slider position x / mm", "change of the guide / µm")
-    figure.update_layout(height=_HEIGHT - 60)
+    figure.update_layout(height=_MIDDLE)
     # From then to now, the last one strongest.
     chosen = np.unique(np.linspace(WEEK, len(measured), 5).astype(int))
     for number, stop in enumerate(chosen):
@@ -71,7 +62,7 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
         newest = number == len(chosen) - 1
         figure.add_scatter(
             x=levels.x * 1e3,
-            y=np.nanmedian(shifts[days], axis=0),
+            y=np.nanmedian(levels.shifts[days], axis=0),
             name=f"week until {levels.date(int(days[-1]))}",
             mode="lines",
             line={"color": VERMILION if newest else BLUE, "width": 2.5 if newest else 1},
@@ -80,16 +71,6 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
     if advice.place is not None:
         figure.add_vrect(advice.place.first, advice.place.last, fillcolor=VERMILION, opacity=0.1, line_width=0)
     return figure
-
-
-def error_map(levels: DayLevels) -> go.Figure | None:
-    """The mean error in each bin over x and time, by weeks; None without one."""
-    return _over_time(levels, levels.profiles[_ERROR] * 1e3)
-
-
-def guide_map_over_time(levels: DayLevels) -> go.Figure | None:
-    """The guide's change over x and time, by weeks; None without a sensor."""
-    return _over_time(levels, guide_shifts(levels.profiles[_GUIDE], levels.x) * 1e3)
 
 
 def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]) -> go.Figure | None:
@@ -115,18 +96,18 @@ def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]
     return figure
 
 
-def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
+def over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
+    """Profiles (n, m) in µm over x and time, by weeks; None without two of them."""
     if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
         return None
     week = (levels.day - levels.day[0]) // WEEK
-    weeks = np.unique(week)
-    values = np.array([median_of(profiles[week == one]) for one in weeks])
-    begins = [levels.date(int(np.flatnonzero(week == one)[0])).isoformat() for one in weeks]
+    weeks, first = np.unique(week, return_index=True)
+    values = np.array([median_of(1e3 * profiles[week == one]) for one in weeks])
     largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
     figure = line_figure("", "slider position x / mm")
     figure.update_layout(height=_HEIGHT)
     figure.add_heatmap(
-        x=begins,
+        x=[levels.date(place).isoformat() for place in first],
         y=levels.x * 1e3,
         z=values.T,
         zmin=-largest,

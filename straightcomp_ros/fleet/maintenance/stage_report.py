@@ -10,23 +10,14 @@ from markupsafe import Markup
 
 from straightcomp_ros.analysis.html_page import blocks, html_page, html_plot
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.fleet.maintenance import day_levels
-from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of, all_figures
-from straightcomp_ros.fleet.maintenance.day_levels import BY_NAME, WATCHED, DayLevels
-from straightcomp_ros.fleet.maintenance.history_plots import (
-    error_map,
-    evidence,
-    faults_over_time,
-    guide_map_over_time,
-    history_plot,
-)
-from straightcomp_ros.fleet.maintenance.level_change import BASELINE, LevelChange, trend_of
+from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of
+from straightcomp_ros.fleet.maintenance.day_levels import BASELINE, BY_NAME, ERROR_BINS, WATCHED, DayLevels, day_levels
+from straightcomp_ros.fleet.maintenance.history_plots import evidence, faults_over_time, history_plot, over_time
+from straightcomp_ros.fleet.maintenance.level_change import LevelChange, trend_of
 
 if TYPE_CHECKING:
     import pyarrow
 
-COLUMNS = (*day_levels.COLUMNS, "bag", "stroke", "verdict", "reason", "faults")
-"""Columns of the store that :func:`stage_report` reads."""
 _SHOWN = 20
 """Bags in a list."""
 _TREND_DAYS = 91
@@ -34,29 +25,30 @@ _TREND_DAYS = 91
 
 
 def stage_report(stage: str, strokes: pyarrow.Table) -> str:
-    """The page of a stage, from its strokes in the order of their start, at least one, with :data:`COLUMNS`."""
-    levels = day_levels.day_levels(strokes)
-    figures = all_figures(levels)
+    """The page of a stage, from its strokes in the order of their start, at least one."""
+    levels = day_levels(strokes)
     advice = advice_of(levels)
     begin, end = levels.date(0), levels.date(-1)
     count = f"{strokes.num_rows} strokes on {len(levels.day)} days, {begin} to {end}"
-    changes = {name: [change for one in advice for change in one.changes if change.figure == name] for name in figures}
+    changes: dict[str, list[LevelChange]] = {name: [] for name in levels.figures}
+    for change in (change for one in advice for change in one.changes):
+        changes[change.figure].append(change)
     plots = [
-        html_plot(history_plot(levels, values, name, changes[name]), bar=False)
-        for name, values in figures.items()
+        html_plot(history_plot(levels, name, changes[name]), bar=False)
+        for name, values in levels.figures.items()
         if np.count_nonzero(np.isfinite(values)) > 1
     ]
-    large = (
-        ("Error r − y over x and time, by the encoder", error_map(levels)),
-        ("Change of the guide over x and time, by the displacement sensor", guide_map_over_time(levels)),
-    )
     faults = faults_over_time(strokes["start"].to_pylist(), strokes["faults"].to_pylist())
     slopes = blocks.paragraph("Median of all slopes between weeks (Theil and Sen) with its 95 % interval.")
+    drawn = [
+        ("Error r − y over x and time, by the encoder", over_time(levels, levels.profiles[ERROR_BINS])),
+        ("Change of the guide over x and time, by the displacement sensor", over_time(levels, levels.shifts)),
+    ]
     sections = [
         _advice(levels, advice),
-        *((title, blocks.plots([html_plot(figure)])) for title, figure in large if figure is not None),
+        *((title, blocks.plots([html_plot(figure)])) for title, figure in drawn if figure is not None),
         ("Figures from day to day", blocks.plots(plots, "pair")),
-        ("Trends of the last quarter", blocks.table(_trends(levels, figures, changes)) + slopes),
+        ("Trends of the last quarter", blocks.table(_trends(levels, changes)) + slopes),
         ("Faults over time", "" if faults is None else blocks.plots([html_plot(faults)])),
         *_bags(strokes),
     ]
@@ -81,11 +73,11 @@ def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
     return f"What needs attention: {sum(one.due for one in advice)}", cards
 
 
-def _trends(levels: DayLevels, figures: Any, changes: dict[str, list[LevelChange]]) -> list[dict[str, Any]]:
+def _trends(levels: DayLevels, changes: dict[str, list[LevelChange]]) -> list[dict[str, Any]]:
     rows = []
     recent = levels.day > levels.day[-1] - _TREND_DAYS
     for watched in WATCHED:
-        trend = trend_of(levels.day[recent], figures[watched.name][recent])
+        trend = trend_of(levels.day[recent], levels.figures[watched.name][recent])
         if trend is None:
             continue
         percent = 100.0 / abs(trend.level) if trend.level else None

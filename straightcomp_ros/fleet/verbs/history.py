@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import date, datetime, timezone
@@ -181,13 +181,12 @@ def _advise(options: argparse.Namespace) -> None:
     show: run it once a day.
     """
     from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
-    from straightcomp_ros.fleet.maintenance.day_levels import COLUMNS, day_levels
-    from straightcomp_ros.fleet.maintenance.level_change import BASELINE
+    from straightcomp_ros.fleet.maintenance.day_levels import BASELINE, day_levels
     from straightcomp_ros.parameters.output_files import making
 
     folder = output_folder("--output", options.output) if options.output else None
     contents: dict[str, Any] = {}
-    for stage, strokes in _stored_stages(options, COLUMNS):
+    for stage, strokes in _stored_stages(options):
         levels = day_levels(strokes)
         days = len(levels.day)
         advice = advice_of(levels)
@@ -226,11 +225,11 @@ def _report(options: argparse.Namespace) -> None:
 
     Advice with its evidence, trends of all figures, the error over x and time, faults, and the bags to look at.
     """
-    from straightcomp_ros.fleet.maintenance.stage_report import COLUMNS, stage_report
+    from straightcomp_ros.fleet.maintenance.stage_report import stage_report
     from straightcomp_ros.parameters.output_files import making, write_whole
 
     folder = output_folder("--output", options.output)
-    pages = {stage: stage_report(stage, strokes) for stage, strokes in _stored_stages(options, COLUMNS)}
+    pages = {stage: stage_report(stage, strokes) for stage, strokes in _stored_stages(options)}
     files = {stage: str(folder / _file_of(stage, ".html")) for stage in pages}
     with making(folder, [Path(path).name for path in files.values()], force=options.force, anew=False):
         for stage, path in files.items():
@@ -261,7 +260,7 @@ def _map(options: argparse.Namespace) -> None:
     strokes. The encoders alone do not see the guide move.
     """
     from straightcomp_ros.fleet.history.store import Store
-    from straightcomp_ros.fleet.maintenance.map_proposal import COLUMNS, proposed_map
+    from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
     from straightcomp_ros.straightness.guide_map import find_survey
 
     check_range("--days", options.days, 0.01, 3650.0, "days")
@@ -269,7 +268,7 @@ def _map(options: argparse.Namespace) -> None:
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     if output is not None and output.resolve() == old:
         raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
-    proposal = proposed_map(Store(options.store).strokes(options.stage, COLUMNS), Path(old), options.days)
+    proposal = proposed_map(Store(options.store).strokes(options.stage), Path(old), options.days)
     if output is not None:
         proposal.built.write(output)
     if plot is not None:
@@ -310,7 +309,7 @@ def _day(text: str) -> datetime:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: a date as 2026-11-24") from error
 
 
-def _stored_stages(options: argparse.Namespace, columns: Sequence[str]) -> Iterator[tuple[str, pyarrow.Table]]:
+def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.Table]]:
     """Each chosen stage with its strokes; CommandFailed where there are none."""
     import pyarrow.compute
 
@@ -321,7 +320,7 @@ def _stored_stages(options: argparse.Namespace, columns: Sequence[str]) -> Itera
     if not names:
         raise CommandFailed(f"store {options.store} has no strokes; fill it by `straightcomp history add`")
     for name in names:
-        strokes = store.strokes(name, list(columns))
+        strokes = store.strokes(name)
         if options.since is not None:
             strokes = strokes.filter(pyarrow.compute.greater_equal(strokes["start"], options.since))
         if not strokes.num_rows:
