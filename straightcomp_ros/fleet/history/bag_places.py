@@ -117,7 +117,7 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
     messages = [name for name, folder, *_ in entries if not folder and STORED.fullmatch(name)]
     numbered = [name for name, number, _ in (split_number(Path(name)) for name in messages) if number >= 0]
     splits = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
-    known = {name: state for name, folder, *state in entries if not folder}
+    known = {name: (size, modified) for name, folder, size, modified in entries if not folder}
     if messages and (splits or _METADATA in known):
         names = tuple(name for name in known if name == _METADATA or name in messages)
         sizes, times = zip(*(known[name] for name in names), strict=True)

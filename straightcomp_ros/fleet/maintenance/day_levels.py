@@ -114,8 +114,8 @@ class DayLevels:
         profiles = self.profiles[GUIDE_BINS]
         found = np.full(profiles.shape, np.nan)
         inside = np.isfinite(profiles).any(axis=0)
-        days = np.flatnonzero(np.isfinite(profiles[:, inside]).all(axis=1)) if inside.any() else []
-        if not len(days) or np.count_nonzero(inside) <= _DEGREE:
+        days = np.flatnonzero(np.isfinite(profiles[:, inside]).all(axis=1))
+        if not days.size or np.count_nonzero(inside) <= _DEGREE:
             return found
         known = profiles[np.ix_(days, inside)]
         change = known - known[:BASELINE].mean(axis=0)
