@@ -18,6 +18,7 @@ from straightcomp_ros.parameters.declaration import (
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.yaml_text import load_yaml
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 
 
@@ -35,14 +36,11 @@ class Outer:
 
 
 def test_groups_are_addressed_with_a_dot_have_defaults_of_their_own_and_come_from_a_mapping_and_back():
-    assert [(d.name, d.default) for d in declarations(Outer)] == [
-        ("count", 3),
-        ("on", False),
-        ("inner.gain", 5.0),
-        ("inner.name", "a"),
-    ]
     # `ros2 param describe` shows one parameter alone.
-    assert [d.description for d in declarations(Outer)] == ["Count", "On", "Coil: Gain", "Coil: Name"]
+    assert [(one.name, one.default, one.description) for one in declarations(Outer)] == [
+        *(("count", 3, "Count"), ("on", False, "On")),
+        *(("inner.gain", 5.0, "Coil: Gain"), ("inner.name", "a", "Coil: Name")),
+    ]
     assert from_mapping(Outer, {}) == Outer()
     assert from_mapping(Outer, {"inner.gain": 4}).inner.gain == 4.0
     values = {"count": 7, "on": True, "inner.gain": 1.5, "inner.name": "b"}
@@ -114,46 +112,35 @@ def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
         read_parameter_file(tmp_path / "none.yaml")
 
 
-CAN = {"hardware": "can"}
-ENCRYPTED = {"opcua.security": "encrypted", "opcua.users": "users", "opcua.certificates": "folder"}
-TOGETHER = [
-    ("driver", {**CAN, "lockstep": True}, "lockstep", {"hardware"}),
-    ("driver", {**CAN, "stage.actuator.current_limit": 50.0}, "stage.actuator.current_limit", set()),
-    ("driver", {"can.log": "frames.txt"}, "can.log", set()),
-    ("driver", {"can.options": "bitrate"}, "can.options", set()),
-    ("driver", {"stage.platform.stop": 2e-3}, "stage.platform.stop", {"stage.actuator.air_gap"}),
-    (
-        "driver",
-        {"stage.friction.static": 0.1},
-        "stage.friction.static",
-        {"stage.friction.coulomb"},
-    ),
-    ("cell", {"stage.motion.speed": 1.5}, "stage.motion.highest_speed", {"stage.motion.speed"}),
-    (
-        "controller",
-        {"control.law": "smc", "control.smc.rho": 0.2},
-        "control.smc.rho",
-        {"control.smc.enforce_reaching"},
-    ),
-    ("opcua", {"opcua.security": "none", "opcua.host": "0.0.0.0"}, "opcua.security", {"opcua.host"}),
-    ("opcua", {**ENCRYPTED, "opcua.users": ""}, "opcua.users", set()),
-    ("opcua", {"opcua.trusted": "folder"}, "opcua.trusted", {"opcua.security"}),
-    ("uncertainty", {"longest_delay": 0.1, "shortest_delay": 0.2}, "longest_delay", {"shortest_delay"}),
-]
+TOGETHER = """
+driver | hardware=can lockstep=true | lockstep | hardware
+driver | hardware=can stage.actuator.current_limit=50.0 | stage.actuator.current_limit |
+driver | can.log=frames.txt | can.log |
+driver | can.options=bitrate | can.options |
+driver | stage.platform.stop=0.002 | stage.platform.stop | stage.actuator.air_gap
+driver | stage.friction.static=0.1 | stage.friction.static | stage.friction.coulomb
+cell | stage.motion.speed=1.5 | stage.motion.highest_speed | stage.motion.speed
+controller | control.law=smc control.smc.rho=0.2 | control.smc.rho | control.smc.enforce_reaching
+opcua | opcua.security=none opcua.host="0.0.0.0" | opcua.security | opcua.host
+opcua | opcua.security=encrypted opcua.certificates=folder | opcua.users |
+opcua | opcua.trusted=folder | opcua.trusted | opcua.security
+uncertainty | longest_delay=0.1 shortest_delay=0.2 | longest_delay | shortest_delay
+""".strip().splitlines()
 """Node, values of which one is refused because of others, the name that the message begins with, others in it."""
 SETS = {**NODE_PARAMETERS, "uncertainty": UncertaintyParameters}
 
 
-@pytest.mark.parametrize(("node", "values", "name", "others"), TOGETHER)
-def test_what_is_refused_together_with_other_parameters_is_named_as_it_is_set(node, values, name, others):
+@pytest.mark.parametrize("case", TOGETHER, ids=lambda case: " ".join(case.split()[:4:2]))
+def test_what_is_refused_together_with_other_parameters_is_named_as_it_is_set(case):
+    node, given, name, others = (cell.strip() for cell in case.split("|"))
     with pytest.raises(ParameterError) as refused:
-        from_mapping(SETS[node], values)
+        from_mapping(SETS[node], {one: load_yaml(text) for one, text in (word.split("=") for word in given.split())})
     message = str(refused.value)
     assert (message.startswith(f"parameter '{name}': ") and "allowed" in message) or "must" in message
     known = {declaration.name for declaration in declarations(SETS[node])}
-    assert set(re.findall(r"'([\w.]+)'", message)) & known == {name} | others
+    assert set(re.findall(r"'([\w.]+)'", message)) & known == {name, *others.split()}
     # Nor is one of them written without its group.
-    assert not {full.rpartition(".")[2] for full in others} & set(re.findall(r"'(\w+)'", message)) - known
+    assert not {full.rpartition(".")[2] for full in others.split()} & set(re.findall(r"'(\w+)'", message)) - known
 
 
 def checking(parameter_set):
@@ -174,12 +161,8 @@ def test_each_refusal_together_with_other_parameters_is_among_those():
 
 def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_last(tmp_path):
     # rcl would take Y and n for truth values, were they not in quotes.
-    values = {
-        "stage": {"name": "Y", "rate": 4000, "platform.mass": 5.0},
-        "driver": {"hardware": "can", "stage.platform.mass": 6.0},
-        "controller": {},
-        "logger": {"output": "n"},
-    }
+    values = {"stage": {"name": "Y", "rate": 4000, "platform.mass": 5.0}, "logger": {"output": "n"}, "controller": {}}
+    values["driver"] = {"hardware": "can", "stage.platform.mass": 6.0}
     path = tmp_path / "p.yaml"
     path.write_text(as_parameter_file(values))
     # A parameter on a node's command line joins those of all nodes, and must win over the node's section.
