@@ -26,32 +26,28 @@ def add_repeatable(
     parser.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; may be repeated", **more)
 
 
-_NAMESPACE = r"(/?[A-Za-z_]\w*)*/?"
+def _text(pattern: str, allowed: str) -> Callable[[str], str]:
+    """The type of an option that takes texts of this ``pattern``."""
+
+    def matching(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
+        return text
+
+    return matching
 
 
 def add_namespace(parser: argparse._ActionsContainer) -> None:
     """Declare ``--namespace``."""
-    parser.add_argument("--namespace", default="", metavar="NAME", type=_namespace, help="namespace of the graph")
-
-
-def _namespace(name: str) -> str:
-    if not re.fullmatch(_NAMESPACE, name):
-        allowed = "letters, digits and _, e.g. stage_1 or cell/stage_1"
-        raise argparse.ArgumentTypeError(f"{name!r}; allowed: {allowed}")
-    return name
+    kind = _text(r"(/?[A-Za-z_]\w*)*/?", "letters, digits and _, e.g. stage_1 or cell/stage_1")
+    parser.add_argument("--namespace", default="", metavar="NAME", type=kind, help="namespace of the graph")
 
 
 def add_dask(parser: argparse._ActionsContainer) -> None:
     """Declare ``--dask``, empty where it is not given."""
-    text = "run on the workers of this Dask scheduler"
-    parser.add_argument("--dask", default="", metavar="ADDRESS", type=_dask_address, help=text)
-
-
-def _dask_address(address: str) -> str:
     # Dask itself takes 40 s to be sure.
-    if not re.fullmatch(r"(.*:\d+)?", address):
-        raise argparse.ArgumentTypeError(f"{address!r}; allowed: HOST:PORT or tcp://HOST:PORT")
-    return address
+    kind, text = _text(r"(.*:\d+)?", "HOST:PORT or tcp://HOST:PORT"), "run on the workers of this Dask scheduler"
+    parser.add_argument("--dask", default="", metavar="ADDRESS", type=kind, help=text)
 
 
 def whole_number(least: int) -> Callable[[str], int]:
@@ -91,7 +87,7 @@ def output_file(
     Raises:
         CommandFailed: exit code 2: it would replace a file, cannot be written, or has another ending.
     """
-    name = _value(options, option)
+    name = getattr(options, option.strip("-").replace("-", "_"))
     if not name:
         return None
     path = Path(name)
@@ -128,10 +124,6 @@ def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
         words = re.findall(r":\s*[\"']?([^\s\"'#]+)", file.read_text(encoding="utf-8", errors="replace"))
         found += [place / word for word in words for place in (Path(), file.parent) if (place / word).is_file()]
     return found
-
-
-def _value(options: argparse.Namespace, option: str) -> Any:
-    return getattr(options, option.strip("-").replace("-", "_"))
 
 
 def output_folder(option: str, name: str, *, empty: bool = False) -> Path:

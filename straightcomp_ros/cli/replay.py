@@ -13,7 +13,7 @@ from typing import Any
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
-from straightcomp_ros.cli.results import fail_unless_in_order, in_json, marked, print_verdict, shown, titled_table
+from straightcomp_ros.cli.results import fail_unless_in_order, marked, print_verdict, shown, titled_table
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 PURPOSE = "judge"
@@ -81,12 +81,12 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
     with working("simulating"):
         result = what_if(bag, chosen_changes(options), remap, given)
     figures = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
-    columns = [{**one, **in_json(verdict)} for one, verdict in zip(figures, result.verdicts, strict=True)]
+    columns = [{**one, **verdict._asdict()} for one, verdict in zip(figures, result.verdicts, strict=True)]
     verdict = result.verdicts[-1]
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
         found = {name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)}
-        print_json({**found, **in_json(verdict)})
+        print_json({**found, **verdict._asdict()})
     else:
         words = ("recorded", "simulated\nas recorded", "what if")
         headings = [f"{word}\n{law}" for word, law in zip(words, result.laws, strict=False)]

@@ -128,11 +128,6 @@ def print_verdict(verdict: Verdict, of: str = "") -> None:
     console.print(f"Verdict{f' on {of}' if of else ''}: {verdict}", style=style, soft_wrap=True, highlight=False)
 
 
-def in_json(verdict: Verdict) -> dict[str, Any]:
-    """The entries ``verdict`` and ``reason``."""
-    return verdict._asdict()
-
-
 def fail_unless_in_order(verdict: Verdict) -> None:
     """Raise CommandFailed, exit code 1, for a run that is not in order."""
     if not verdict.in_order:

@@ -24,7 +24,6 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, work
 from straightcomp_ros.cli.results import (
     cycles_table,
     fail_unless_in_order,
-    in_json,
     print_verdict,
     results_table,
     warn_of_missing_margin,
@@ -90,11 +89,11 @@ def run(options: argparse.Namespace) -> None:
         from straightcomp_ros.analysis.pictures import plot_run
 
         plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
-    shown = [{**cycle.to_display(), **in_json(one)} for cycle, one in zip(cycles, verdicts, strict=True)]
+    shown = [{**cycle.to_display(), **one._asdict()} for cycle, one in zip(cycles, verdicts, strict=True)]
     controller = node_parameters("controller", values)
     missing = warn_of_missing_margin(controller.control, controller.stage)
     delay = node_parameters("driver", values).stage.drive.delay
-    figures = {"law": record.law, "delay_samples": delay, **shown[-1], **in_json(verdict), "missing_margin": missing}
+    figures = {"law": record.law, "delay_samples": delay, **shown[-1], **verdict._asdict(), "missing_margin": missing}
     if options.json:
         if over_starts:
             figures["starts"] = {"count": options.starts, **{k: one._asdict() for k, one in over_starts.items()}}

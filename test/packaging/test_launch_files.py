@@ -104,23 +104,20 @@ def named(nodes):
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
 def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on_this_computer(path):
-    arguments, found = declared(path), entities(path)
-    assert configurations(found) <= arguments
-    assert arguments >= {"namespace", "params_file"}
-    scripts = set(re.findall(r"\w+", re.search(r"for node in \((.*?)\)", (REPOSITORY / "setup.py").read_text())[1]))
-    nodes = of_kind("Node", path)
-    assert nodes
+    found, nodes = entities(path), of_kind("Node", path)
+    assert nodes and configurations(found) <= declared(path) >= {"namespace", "params_file"}
+    scripts = re.findall(r"\w+", re.search(r"for node in \((.*?)\)", (REPOSITORY / "setup.py").read_text())[1])
     for node in nodes:
         assert set(node.kwargs) <= NODE_KEYWORDS and node.kwargs["package"] == "straightcomp_ros"
-        assert node.kwargs["executable"] == f"{node.kwargs['name']}_node"
-        assert node.kwargs["name"] in scripts
+        assert node.kwargs["executable"] == f"{node.kwargs['name']}_node" and node.kwargs["name"] in scripts
     for argument in of_kind("DeclareLaunchArgument", path):
         either = argument.args[0] in ("record", "use_opcua")
         assert argument.kwargs["choices"] == (["true", "false"] if either else None), argument.args
 
     # What is launched stays on this computer unless the environment says otherwise.
-    setting = next(entity for entity in found if kind(entity) == "SetEnvironmentVariable")
-    assert found.index(setting) < min(found.index(entity) for entity in found if kind(entity) in STARTING)
+    [setting] = of_kind("SetEnvironmentVariable", path)[:1]
+    kinds = [kind(entity) for entity in found]
+    assert kinds.index("SetEnvironmentVariable") < min(place for place, one in enumerate(kinds) if one in STARTING)
     name, value = setting.args
     assert name == "ROS_AUTOMATIC_DISCOVERY_RANGE"
     assert (kind(value), value.args, value.kwargs) == ("EnvironmentVariable", (name,), {"default_value": "LOCALHOST"})
@@ -128,9 +125,8 @@ def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on
 
 def test_the_cell_takes_all_that_its_nodes_take():
     nodes = set().union(*(declared(path) for path in LAUNCH_FILES if path != CELL))
-    assert declared(CELL) == nodes
     common = {"namespace", "record", "rt_priority", "params_file", "stage", "output"}
-    assert nodes == common | {"law", "map", "hardware", "use_opcua", "opcua_users"}
+    assert declared(CELL) == nodes == common | {"law", "map", "hardware", "use_opcua", "opcua_users"}
 
 
 @pytest.mark.parametrize("record", ["true", "false"])
@@ -138,16 +134,16 @@ def test_the_cell_takes_all_that_its_nodes_take():
 def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_there(opcua, record):
     others = ["driver", "feedforward", "controller", *(["logger"] if record == "true" else [])]
     found = entities(CELL, {"use_opcua": opcua, "record": record, "rt_priority": "20"})
-    nodes = [entity for entity in found if kind(entity) == "Node"]
-    last = nodes[-1]
+    *_, last = nodes = [entity for entity in found if kind(entity) == "Node"]
     assert named(nodes) == [*others, "opcua" if opcua == "true" else "cell"]
     assert all(configurations(node.kwargs["namespace"]) == {"namespace"} for node in nodes)
     file, stage, *chosen = last.kwargs["parameters"]
     assert configurations(file) == {"params_file"} and configurations(stage) == {"stage"}
     waited = [given["nodes"].args for given in chosen if "nodes" in given]
     assert waited == ([] if record == "true" else [(" ".join(others),)])
-    given = [node.kwargs["parameters"][-1]["realtime.priority"] for node in nodes]
-    assert [(value.args, value.kwargs) for value in given] == [(("20",), {"value_type": int})] * len(nodes)
+    for node in nodes:
+        given = node.kwargs["parameters"][-1]["realtime.priority"]
+        assert (given.args, given.kwargs) == (("20",), {"value_type": int})
     # The whole launch ends when the last has ended; who watches for that is there before it starts.
     [handler] = [entity for entity in found if kind(entity) == "RegisterEventHandler"]
     [on_exit] = handler.args

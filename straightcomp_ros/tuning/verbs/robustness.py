@@ -24,7 +24,6 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, work
 from straightcomp_ros.cli.results import (
     doubtful,
     fail_unless_in_order,
-    in_json,
     print_verdict,
     titled_table,
     warn_of_missing_margin,
@@ -81,7 +80,7 @@ def run(options: argparse.Namespace) -> None:
     if options.json:
         shown = {summary.law: summary.to_display() for summary in summaries}
         run_of = {"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds}
-        print_json({**run_of, **in_json(verdict)})
+        print_json({**run_of, **verdict._asdict()})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
         columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "not in order")

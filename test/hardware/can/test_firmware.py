@@ -1,7 +1,6 @@
 """The firmware core against the emulated board: the same frames to the bit, whatever comes, and at whatever time."""
 
 import contextlib
-import importlib.util
 import json
 import random
 import re
@@ -16,6 +15,7 @@ from forgery import forged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scripts import make_firmware_frames
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
@@ -118,6 +118,14 @@ def repeated(reference, program, **options):
         yield run.called_as(reference)
 
 
+def judge_equal(reference, program, **options):
+    """The firmware, called as the emulator was, sends the same frames and currents and refuses as many commands."""
+    with repeated(reference, program, **options) as run:
+        assert run.sent == reference.sent and run.currents == reference.currents
+        assert run.board.refused_commands == reference.board.refused_commands
+        assert (run.board.amplifier, run.board.fault) == (reference.board.amplifier, reference.board.fault)
+
+
 def bad_loop(can, stage=STAGE, samples=3000, seed=1):
     """The closed loop on a moving stage over a bus that loses, damages and repeats; off, on and reset in between."""
     run, chance = Run(can, stage=stage), random.Random(seed)
@@ -158,10 +166,8 @@ def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(firmw
     amplifier = [amplifier for amplifier, _ in reference.states]
     # The run is worth comparing. Without a counter no command is refused as repeated.
     assert {Amplifier.OFF, Amplifier.ON, Amplifier.FAULT} == set(amplifier) and amplifier.count(Amplifier.ON) > 1000
-    with repeated(reference, firmware_of(can) / program, stage=stage) as run:
-        assert run.sent == reference.sent and run.currents == reference.currents
-        assert run.board.refused_commands == reference.board.refused_commands
-        assert run.board.refused_commands > 20 or can is BARE
+    assert reference.board.refused_commands > 20 or can is BARE
+    judge_equal(reference, firmware_of(can) / program, stage=stage)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -172,20 +178,14 @@ def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(firmware_of, tmp_p
     can = CanParameters(dbc=str(file), wire=meaning, simulated_stage=True)
     reference = bad_loop(can, samples=1500)
     assert [amplifier for amplifier, _ in reference.states].count(Amplifier.ON) > 300
-    with repeated(reference, firmware_of(can) / "board_sanitized") as run:
-        assert run.sent == reference.sent and run.currents == reference.currents
-        assert run.states == reference.states
-        assert run.board.refused_commands == reference.board.refused_commands
+    judge_equal(reference, firmware_of(can) / "board_sanitized")
 
 
 def encoders(run, begin=0):
     """The samples that the board sent, each from all its frames."""
     count, identifiers = len(run.wire.parts), {frames.identifier for frames in run.wire.parts}
-    found = [
-        run.wire.reports[identifier].unpack(data)
-        for identifier, data, _ in run.sent[begin:]
-        if identifier in identifiers
-    ]
+    sent = ((identifier, data) for identifier, data, _ in run.sent[begin:] if identifier in identifiers)
+    found = [run.wire.reports[identifier].unpack(data) for identifier, data in sent]
     return [together(found[k : k + count]) for k in range(0, len(found), count)]
 
 
@@ -201,9 +201,7 @@ def encoders(run, begin=0):
     ids=["1 kHz", "8 kHz, 2.5 samples, 16 bit", "no delay, 8 bit", "coarse encoders", "fine encoders"],
 )
 def test_on_other_stages_too(firmware, stage):
-    reference = bad_loop(FD, stage)
-    with repeated(reference, firmware / "board_posix", stage=stage) as run:
-        assert run.sent == reference.sent and run.currents == reference.currents
+    judge_equal(bad_loop(FD, stage), firmware / "board_posix", stage=stage)
 
 
 def test_with_a_holding_law_in_float_a_current_differs_by_one_step_of_the_converter_at_most(firmware):
@@ -225,23 +223,18 @@ def test_a_count_between_two_of_the_frames_is_rounded_to_one_of_them(firmware):
             assert own._replace(x=0, y=0) == others._replace(x=0, y=0)
 
 
-@st.composite
-def nonsense(draw):
-    """What comes to a board, with every kind of nonsense: (time since the last call in ns, frame or None)."""
-    command = st.tuples(
-        st.integers(0, 14),
-        st.sampled_from([0, 1, 1, 2, 2, 2, 3]),
-        st.sampled_from([0, 1, 1, 1, 2, 3]),
-        st.integers(-32767, 32767) | st.integers(-200, 200),
-        st.integers(-3, 260),
-    )
-    noise = st.tuples(st.sampled_from([0x200, 0x201, 0x301, 0x302, 0x7FF]), st.binary(max_size=16))
-    waits = st.sampled_from([0, 1, 100_000, 250_000, 500_000, 500_000, 2_000_000, 7_000_000])
-    return draw(st.lists(st.tuples(waits, st.none() | command | noise), min_size=1, max_size=80))
+COMMANDS = st.tuples(
+    *(st.integers(0, 14), st.sampled_from([0, 1, 1, 2, 2, 2, 3]), st.sampled_from([0, 1, 1, 1, 2, 3])),
+    *(st.integers(-32767, 32767) | st.integers(-200, 200), st.integers(-3, 260)),
+)
+NOISE = st.tuples(st.sampled_from([0x200, 0x201, 0x301, 0x302, 0x7FF]), st.binary(max_size=16))
+WAITS = st.sampled_from([0, 1, 100_000, 250_000, 500_000, 500_000, 2_000_000, 7_000_000])
+NONSENSE = st.lists(st.tuples(WAITS, st.none() | COMMANDS | NOISE), min_size=1, max_size=80)
+"""What comes to a board: time since the last call in ns, and frame or None."""
 
 
 @settings(max_examples=60)
-@given(calls=nonsense(), can=st.sampled_from([CLASSIC, FD]))
+@given(calls=NONSENSE, can=st.sampled_from([CLASSIC, FD]))
 def test_nothing_that_comes_makes_the_firmware_differ_from_the_emulator(firmware, calls, can):
     reference, now = Run(can), START
     waiting = 0
@@ -260,10 +253,7 @@ def test_nothing_that_comes_makes_the_firmware_differ_from_the_emulator(firmware
         else:
             reference.receive(*frame, now)
     reference.cycle_until(now + 10_000_000)
-    with repeated(reference, firmware / "board_sanitized") as run:
-        assert run.sent == reference.sent and run.currents == reference.currents
-        assert run.board.refused_commands == reference.board.refused_commands
-        assert (run.board.amplifier, run.board.fault) == (reference.board.amplifier, reference.board.fault)
+    judge_equal(reference, firmware / "board_sanitized")
 
 
 def test_of_more_commands_than_can_wait_the_last_are_refused_and_counted(firmware):
@@ -286,8 +276,7 @@ def test_the_sample_counter_wraps_as_the_emulators_does(firmware_of, tmp_path, c
     can = replace(can, dbc=str(short), wire=shipped_wire(can.fd))
     reference = bad_loop(can, samples=5000)
     assert reference.board.counter == 4999 - 3840
-    with repeated(reference, firmware_of(can) / "board_posix") as run:
-        assert run.sent == reference.sent
+    judge_equal(reference, firmware_of(can) / "board_posix")
 
 
 def test_a_command_timeout_is_reported_at_the_sample_at_which_the_emulator_reports_it(firmware):
@@ -298,23 +287,18 @@ def test_a_command_timeout_is_reported_at_the_sample_at_which_the_emulator_repor
         ((identifier, payload),) = reference.command(k, k == 1, False, 100)
         reference.receive(identifier, payload, START + k * STAGE.period_ns + 1000)
     reference.cycle_until(START + 100_000_000)
-    with repeated(reference, firmware / "board_sanitized", parameters=parameters) as run:
-        assert run.sent == reference.sent and run.board.fault is BoardFault.COMMAND_TIMEOUT
+    assert reference.board.fault is BoardFault.COMMAND_TIMEOUT
+    judge_equal(reference, firmware / "board_sanitized", parameters=parameters)
 
 
 def test_the_frames_in_c_are_those_of_the_dbc():
     """Remedy: python scripts/make_firmware_frames.py"""
-    spec = importlib.util.spec_from_file_location("frames_in_c", REPOSITORY / "scripts" / "make_firmware_frames.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     version = re.compile(r"generated by cantools version (\S+)\.$", re.MULTILINE)
-    for name, text in script.texts().items():
-        written = (script.FOLDER / name).read_text(encoding="utf-8")
+    for name, text in make_firmware_frames.texts().items():
+        written = (make_firmware_frames.FOLDER / name).read_text(encoding="utf-8")
         own, others = version.search(text), version.search(written)
         if own and own[1] != others[1]:
-            pytest.skip(
-                f"NOT TESTED: {name} is of cantools {others[1]}, this is {own[1]}, which may write it differently"
-            )
+            pytest.skip(f"NOT TESTED: {name} is of cantools {others[1]}; this is {own[1]}")
         assert written == text, name
 
 
