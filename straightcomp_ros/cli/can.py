@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -110,13 +110,7 @@ def _replay(options: argparse.Namespace) -> None:
     import can
 
     from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-    from straightcomp_ros.hardware.can.frame_log import (
-        DamagedLog,
-        check_times_and_buses,
-        of_the_board,
-        play,
-        recorded_frames,
-    )
+    from straightcomp_ros.hardware.can.frame_log import RecordedBus, check_times_and_buses, of_the_board, play
     from straightcomp_ros.hardware.can.link import check_interface, opened_bus
     from straightcomp_ros.hardware.interface import HardwareError
     from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -126,51 +120,38 @@ def _replay(options: argparse.Namespace) -> None:
     if not options.log.is_file():
         raise CommandFailed(f"{log}: No such file; name a recorded bus", exit_code=2)
     parameters = node_parameters("driver", chosen_parameters(options)).can
-    damage = ""
-
-    def frames() -> Iterator[can.Message]:
-        nonlocal damage
-        try:
-            for frame in recorded_frames(options.log):
-                if options.channel in (None, str(frame.channel)):
-                    yield frame
-        except DamagedLog as error:
-            damage = str(error)
-
     check_interface(parameters)
-    wire = parameters.make_wire()
+    recorded, wire = RecordedBus(options.log, options.channel), parameters.make_wire()
     identifiers = [*wire.identifiers, EmulatorFrames(parameters.node, wire).truth_id]
     try:
-        count, silences = check_times_and_buses(of_the_board(frames(), identifiers))
+        count, silences = check_times_and_buses(of_the_board(recorded, identifiers))
+        if not count:
+            raise HardwareError(recorded.damage or _without_frames(recorded, parameters))
     except HardwareError as error:
-        text = str(error)
-        raise CommandFailed(text if text.startswith("log ") else f"{log}: {text}", exit_code=2) from error
-    if not count:
-        raise CommandFailed(damage or f"{log}: {_without_frames(frames(), parameters)}", exit_code=2)
+        raise CommandFailed(f"{log}: {error}", exit_code=2) from error
     for silence in silences:
         notes.print(f"{log}: {silence}")
     try:
         with opened_bus(parameters) as bus, working("sending"):
-            sent = play(of_the_board(frames(), identifiers), bus, options.speed)
+            sent = play(of_the_board(recorded, identifiers), bus, options.speed)
     except (can.CanError, OSError) as error:
         place = f"CAN {parameters.interface} {parameters.channel}"
         raise CommandFailed(f"{place}: {error}; straightcomp doctor says what CAN this machine has") from error
-    if damage:
-        notes.print(f"{damage}; played up to there")
+    if recorded.damage:
+        notes.print(f"{log}: {recorded.damage}; played up to there")
     if options.json:
-        print_json({"sent": sent, "damaged": bool(damage)})
+        print_json({"sent": sent, "damaged": bool(recorded.damage)})
     else:
         notes.print(f"{sent} frames sent")
 
 
-def _without_frames(frames: Iterator[Any], parameters: Any) -> str:
+def _without_frames(frames: Iterable[Any], parameters: Any) -> str:
     """Why a log has no frame of the board: the package's own has other frames on the other kind of bus."""
     from straightcomp_ros.hardware.can.frame_log import of_the_board
 
     if not parameters.dbc:
         other = dataclasses.replace(parameters, fd=not parameters.fd).make_wire()
-        samples = {one.identifier for one in other.reports.values()}
-        seen = sorted({frame.arbitration_id for frame in of_the_board(frames, samples)})
+        seen = sorted({frame.arbitration_id for frame in of_the_board(frames, other.reports)})
         if seen:
             bus = "CAN FD" if other.fd else "the classic bus"
             names = ", ".join(f"{one:#x}" for one in seen)

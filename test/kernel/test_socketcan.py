@@ -25,7 +25,7 @@ from bus_of_the_kernel import (
 )
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frame_log import recorded_frames
+from straightcomp_ros.hardware.can.frame_log import RecordedBus
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
@@ -353,8 +353,8 @@ def test_candump_records_the_frames_that_the_drivers_own_log_has(board, driver, 
     with contextlib.closing(Driver(fd, **{"can.log": str(tmp_path / "own.log")})) as recorder:
         recorder.until(lambda: len(recorder.samples) > RATE)
     stop()
-    own = [bytes(one.data) for one in recorded_frames(tmp_path / "own.log") if one.arbitration_id == encoder]
-    foreign = [bytes(one.data) for one in recorded_frames(file) if one.arbitration_id == encoder]
+    own = [bytes(one.data) for one in RecordedBus(tmp_path / "own.log") if one.arbitration_id == encoder]
+    foreign = [bytes(one.data) for one in RecordedBus(file) if one.arbitration_id == encoder]
     both = foreign[foreign.index(own[0]) :]
     print(f"{len(own)} samples in the own log, {len(both)} from its first on in that of candump")
     # Each ends where it was stopped.

@@ -1,6 +1,5 @@
 """The graph with the board in a process of its own, and what is left of it when a process is killed."""
 
-import contextlib
 import math
 import signal
 import time
@@ -18,7 +17,7 @@ from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frame_log import DamagedLog, recorded_frames
+from straightcomp_ros.hardware.can.frame_log import RecordedBus
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
@@ -150,10 +149,8 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     # By the board's own count, so that a busy computer takes no part. No command acts before the sample it answers.
     assert (frame.counter - watch.answered) / RATE >= values["driver"]["simulated.command_timeout"]
     # What the killed driver had written is there.
-    frames = []
-    with contextlib.suppress(DamagedLog):
-        frames += recorded_frames(Path(frame_log))
-    assert {*wire.identifiers, wire.command.identifier} <= {frame.arbitration_id for frame in frames}
+    logged = {frame.arbitration_id for frame in RecordedBus(Path(frame_log))}
+    assert {*wire.identifiers, wire.command.identifier} <= logged
     assert graph.stop(["logger"]) == {"logger": 0}
     recorded = read_streams(bag, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp
     # From both sides of the board's death.

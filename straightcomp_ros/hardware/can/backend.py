@@ -272,4 +272,3 @@ class CanHardware(Hardware):
         if complete and self._wire.current is None:
             self._receiver.current = asked
         return complete
-

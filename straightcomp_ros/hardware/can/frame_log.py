@@ -132,44 +132,48 @@ class FrameLog:
                 time.sleep(0)
 
 
-class DamagedLog(Exception):
-    """A log is damaged, as after a crash; the message says from which frame on."""
+class RecordedBus:
+    """The frames of a log in any format that python-can reads; with ``channel`` those of one of its buses.
 
-
-def recorded_frames(file: Path) -> Iterator[can.Message]:
-    """All frames of a log in any format that python-can reads.
-
-    Raises:
-        HardwareError: no such file, or a format that is not known.
-        DamagedLog: after the last frame that can be read.
+    Iterating raises HardwareError if there is no such file, or its format is not known. A log that is damaged, as after
+    a crash, ends with the last frame that can be read.
     """
-    try:
-        with file.open("rb") as opened:
-            _refuse_another_kind(file, opened.read(4096))
-        asc = ".asc" in (suffix.lower() for suffix in file.suffixes[-2:])
-        reader = can.ASCReader(_plain_asc(file)) if asc else can.LogReader(file)
-    except NotImplementedError as error:
-        raise HardwareError(
-            f"log '{file}': MDF needs asammdf; install it by pip, or export the log as .blf or .asc"
-        ) from error
-    except (OSError, ValueError, BLFParseError, struct.error) as error:
-        raise HardwareError(f"log '{file}': {getattr(error, 'strerror', None) or error}") from error
-    number = 0
-    try:
-        with reader:
-            for message in reader:
-                number += 1
-                yield message
-    except (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError) as error:
-        raise DamagedLog(f"log '{file}': damaged after frame {number}") from error
+
+    damage = ""
+    """After which frame the log is damaged; known at its end."""
+
+    def __init__(self, file: Path, channel: str | None = None) -> None:
+        self._file, self._channel = file, channel
+
+    def __iter__(self) -> Iterator[can.Message]:
+        number = 0
+        try:
+            with self._reader() as reader:
+                for message in reader:
+                    number += 1
+                    if self._channel in (None, str(message.channel)):
+                        yield message
+        except (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError):
+            self.damage = f"damaged after frame {number}"
+
+    def _reader(self) -> Any:
+        try:
+            with self._file.open("rb") as opened:
+                _refuse_another_kind(self._file.suffix.lower(), opened.read(4096))
+            asc = ".asc" in (suffix.lower() for suffix in self._file.suffixes[-2:])
+            return can.ASCReader(_plain_asc(self._file)) if asc else can.LogReader(self._file)
+        except NotImplementedError as error:
+            raise HardwareError("MDF needs asammdf; install it by pip, or export the log as .blf or .asc") from error
+        except (OSError, ValueError, BLFParseError, struct.error) as error:
+            raise HardwareError(getattr(error, "strerror", None) or str(error)) from error
 
 
-def _refuse_another_kind(file: Path, head: bytes) -> None:
+def _refuse_another_kind(suffix: str, head: bytes) -> None:
     lines = [head, *head.removeprefix(b"\xef\xbb\xbf").splitlines()[:20]]
     for pattern, ending, kind in _KINDS:
         if any(re.match(pattern, line) for line in lines):
-            if file.suffix.lower() != ending:
-                raise HardwareError(f"log '{file}': is {kind}" + (f"; allowed: the ending {ending}" if ending else ""))
+            if suffix != ending:
+                raise HardwareError(f"is {kind}" + (f"; allowed: the ending {ending}" if ending else ""))
             return
 
 
@@ -203,13 +207,13 @@ def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]
     """
     number, notes, last = 0, [], None
     for number, frame in enumerate(frames, 1):
-        if last is not None and frame.channel != last.channel:
+        step_s = frame.timestamp - last.timestamp if last else 0.0
+        if last and frame.channel != last.channel:
             raise HardwareError(
                 f"has frames of the board on {last.channel} and {frame.channel}, which are two boards' or one's twice; "
                 "allowed: one bus (--channel)"
             )
-        step_s = frame.timestamp - last.timestamp if last is not None else 0.0
-        if step_s > _JUMP_S or step_s < -_BACK_S:
+        if not -_BACK_S <= step_s <= _JUMP_S:
             raise HardwareError(
                 f"the clock of the recorder jumped by {_duration(step_s)} after frame {number - 1} of the board; "
                 "allowed: a log that ends there, or begins"

@@ -1,14 +1,14 @@
 """Recorded buses: what the driver's link writes, what a crash leaves of it, and a driver that is fed from it."""
 
-import contextlib
 import itertools
 import shutil
-import threading
 import time
+from contextlib import suppress
 from types import SimpleNamespace
 
 import can
 import pytest
+from can_boards import GUIDE, STAGE
 from waiting import comes_true
 
 from straightcomp_ros.cli.main import main
@@ -17,50 +17,36 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frame_log import DamagedLog, FrameLog, of_the_board, play, recorded_frames
-from straightcomp_ros.hardware.can.hub import Hub, addressed
-from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
+from straightcomp_ros.hardware.can.frame_log import FrameLog, RecordedBus, of_the_board, play
+from straightcomp_ros.hardware.can.hub import addressed
+from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
-GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FORMATS = pytest.mark.parametrize("ending", [".log", ".blf"])
 START_S = 1_700_000_000.0
 SAMPLES = 1000
+BUS = {"driver.can.interface": "virtual", "driver.can.channel": "frame log"}
 
 
-@contextlib.contextmanager
-def reading(wait, timeout):
-    """The loop of whoever reads a bus, in a thread."""
-    stop = threading.Event()
-
-    def run():
-        while not stop.is_set():
-            wait(timeout)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    yield
-    stop.set()
-    thread.join()
+def replayed(file, *options, **parameters):
+    """The exit code of `straightcomp can replay` on a bus in this process."""
+    values = BUS | {f"driver.can.{name}": value for name, value in parameters.items()}
+    settings = [word for name, value in values.items() for word in ("--set", f"{name}={value}")]
+    return main(["can", "replay", str(file), *settings, *options])
 
 
-@pytest.fixture
-def channel(tmp_path):
-    stop = threading.Event()
-    hub = Hub(tmp_path / "bus")
-    thread = threading.Thread(target=hub.run, args=(stop.is_set,))
-    thread.start()
-    yield str(tmp_path / "bus")
-    stop.set()
-    thread.join()
-    hub.close()
+def written(file, frames):
+    """The log of these frames."""
+    log = FrameLog(file, "can0")
+    log.start()
+    for frame in frames:
+        log.put(frame)
+    return log
 
 
 def message(number, **options):
@@ -75,62 +61,36 @@ def message(number, **options):
     )
 
 
-OF_BOARD = {0x181, 0x281, 0x381, 0x581, 0x701}
-"""Identifiers of node 1."""
-
-
-def frames_of_a_moving_board(fd):
-    """Half a second of a board whose stage moves."""
-    frames, now, wire = [], [0], CanParameters(fd=fd).make_wire()
-    machine = SimulatedHardware(SimulatedParameters(), StageParameters(), GUIDE)
-
-    def send(identifier, payload, fd):
-        frames.append(message_of(addressed(identifier, payload, fd=fd, stamp_ns=round(START_S * 1e9) + now[0])))
-
-    board = Board(machine, wire, 1.0, send, 0, emulator=EmulatorFrames(1, wire), tells_truth=fd)
-    machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
-    for number in range(SAMPLES):
-        now[0] = number * machine.period_ns
-        board.cycle(now[0])
-    return frames
-
-
 @FORMATS
 def test_frames_are_recorded_as_they_were(tmp_path, ending):
     sent = [message(k, is_rx=k % 3 > 0) for k in range(3000)]
     sent.insert(7, can.Message(timestamp=START_S + 1e-3, is_error_frame=True, is_extended_id=False, data=bytes(8)))
-    log = FrameLog(tmp_path / f"bus{ending}", "can0")
-    log.start()
-    for frame in sent:
-        log.put(frame)
+    log = written(tmp_path / f"bus{ending}", sent)
     log.close()
-    read = list(recorded_frames(log.file))
+    read = list(RecordedBus(log.file))
     assert log.written == len(sent) == len(read) and log.dropped == 0
     assert [frame.timestamp for frame in read] == pytest.approx([frame.timestamp for frame in sent], abs=2e-6)
     del sent[7], read[7]
-    for written, frame in zip(sent, read, strict=True):
-        assert written.equals(frame, timestamp_delta=None, check_channel=False)
+    for one, frame in zip(sent, read, strict=True):
+        assert one.equals(frame, timestamp_delta=None, check_channel=False)
 
 
 @FORMATS
 def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_path, ending):
-    log = FrameLog(tmp_path / f"bus{ending}", "can0")
-    log.start()
-    for number in range(2000):
-        log.put(message(number))
-    assert comes_true(lambda: len(copied(log.file, tmp_path / f"killed{ending}")) == 2000)
+    log = written(tmp_path / f"bus{ending}", map(message, range(2000)))
+
+    def killed():
+        copy = tmp_path / f"killed{ending}"
+        shutil.copy(log.file, copy)
+        read = []
+        with suppress(HardwareError):
+            read += RecordedBus(copy)
+        return read
+
+    assert comes_true(lambda: len(killed()) == 2000)
     # The head of a BLF file has the time at which it begins.
-    first = copied(log.file, tmp_path / f"killed{ending}")[0]
-    assert first.timestamp == pytest.approx(START_S, abs=1e-3)
+    assert killed()[0].timestamp == pytest.approx(START_S, abs=1e-3)
     log.close()
-
-
-def copied(file, destination):
-    shutil.copy(file, destination)
-    read = []
-    with contextlib.suppress(DamagedLog, HardwareError):
-        read += recorded_frames(destination)
-    return read
 
 
 def test_an_earlier_log_is_kept_and_frames_beyond_the_queue_are_counted(tmp_path):
@@ -151,54 +111,57 @@ def test_a_log_that_cannot_be_made_or_has_no_known_ending_is_refused(tmp_path):
         CanParameters(log="bus.txt")
 
 
-def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path, channel):
-    parameters = CanParameters(interface=INTERFACE, channel=channel, log=str(tmp_path / "logs" / "bus.log"))
+def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path):
+    parameters = CanParameters(interface="virtual", channel="link", log=str(tmp_path / "logs" / "bus.log"))
     link = Link(parameters, [0x381], lambda *_: None, time.time_ns)
     link.start()
-    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as other, reading(link.wait, 0.05):
+    with can.Bus(interface="virtual", channel="link", fd=True) as other:
         assert comes_true(lambda: link.openings == 1)
         assert link.send(0x301, b"\1\2", fd=True)
         assert other.recv(30).arbitration_id == 0x301
         for number in range(5):
             other.send(message(number))
-        assert comes_true(lambda: link.log.written == 6)
+        assert comes_true(lambda: not link.wait(0.0) and link.log.written == 6), (link.problem, link.log.written)
     link.close()
-    read = list(recorded_frames(link.log.file))
+    read = list(RecordedBus(link.log.file))
     assert [(frame.arbitration_id, frame.is_rx) for frame in read] == [(0x301, False)] + [(0x381, True)] * 5
     assert abs(read[0].timestamp - time.time()) < 300
-
-
-def recorded_board(file, fd):
-    """A log of the moving board, and the encoder frames in it."""
-    frames, sample = frames_of_a_moving_board(fd), CanParameters(fd=fd).make_wire().sample
-    log = FrameLog(file, "can0")
-    log.start()
-    for frame in frames:
-        log.put(frame)
-    log.close()
-    encoder = [frame for frame in frames if frame.arbitration_id == sample.identifier]
-    return log.file, [sample.unpack(bytes(frame.data)) for frame in encoder]
 
 
 @FORMATS
 @pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, ending, fd):
-    file, recorded = recorded_board(tmp_path / f"board{ending}", fd)
+    """Half a second of a board whose stage moves."""
+    frames, now, wire = [], [0], CanParameters(fd=fd).make_wire()
+    machine = SimulatedHardware(SimulatedParameters(), STAGE, GUIDE)
+
+    def send(identifier, payload, fd):
+        frames.append(message_of(addressed(identifier, payload, fd=fd, stamp_ns=round(START_S * 1e9) + now[0])))
+
+    board = Board(machine, wire, 1.0, send, 0, emulator=EmulatorFrames(1, wire), tells_truth=fd)
+    machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
+    for number in range(SAMPLES):
+        now[0] = number * machine.period_ns
+        board.cycle(now[0])
+    log = written(tmp_path / f"board{ending}", frames)
+    log.close()
+    of_samples = [frame for frame in frames if frame.arbitration_id == wire.sample.identifier]
+    sent = [wire.sample.unpack(bytes(frame.data)) for frame in of_samples]
     feeds = []
 
     def link(parameters, identifiers, receive, clock):
-        feeds.append(receive)
+        feeds.extend([identifiers, receive])
         return SimpleNamespace(start=lambda: None, send=lambda *_, **__: True, problem="")
 
     parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
-    driver = CanHardware(parameters, StageParameters(), lambda: round(START_S * 1e9), link)
-    for message in of_the_board(recorded_frames(file), OF_BOARD):
-        feeds[0](frame_of(message), round(message.timestamp * 1e9))
+    driver = CanHardware(parameters, STAGE, lambda: round(START_S * 1e9), link)
+    identifiers, receive = feeds
+    for recorded in of_the_board(RecordedBus(log.file), identifiers):
+        receive(frame_of(recorded), round(recorded.timestamp * 1e9))
     read = driver.read(round(START_S * 1e9))
-    assert [(sample.x, sample.y) for sample, _ in read] == [(f.x, f.y) for f in recorded[BLOCK - 1 :]]
-    steps = [b[0].stamp_ns - a[0].stamp_ns for a, b in itertools.pairwise(read)]
+    assert [(sample.x, sample.y) for sample, _ in read] == [(one.x, one.y) for one in sent[BLOCK - 1 :]]
     # A log has microseconds.
-    assert all(abs(step - 500_000) < 2_000 for step in steps)
+    assert all(abs(b[0].stamp_ns - a[0].stamp_ns - 500_000) < 2_000 for a, b in itertools.pairwise(read))
     for sample, truth in read:
         assert (truth is not None) == fd
         assert truth is None or abs(truth.x - sample.x) <= 0.51e-7
@@ -217,37 +180,17 @@ def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monke
     assert frames[0].channel == "can7"
 
 
-def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, channel, capsys):
+def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, capsys):
     file = tmp_path / "bus.log"
     lines = "".join(f"({START_S + k * 1e-3:f}) can0 701#05 R\n" for k in range(50))
     file.write_text(lines + "(1700000001.0")
-    options = ["--set", f"driver.can.interface={INTERFACE}", "--set", f"driver.can.channel={channel}", "--json"]
-    with can.Bus(interface=INTERFACE, channel=channel) as listener:
+    with can.Bus(interface="virtual", channel=BUS["driver.can.channel"]) as listener:
         begin_s = time.time()
-        assert main(["can", "replay", str(file), "--speed", "2", *options]) == 0
+        assert replayed(file, "--speed", "2", "--json") == 0
         arrived = [listener.recv(30) for _ in range(50)]
     printed = capsys.readouterr()
     assert printed.out == '{"sent": 50, "damaged": true}\n' and "damaged after frame 50" in printed.err
     assert arrived[-1].timestamp - begin_s > 0.0245
-
-
-@pytest.mark.parametrize(
-    ("content", "name", "options", "words"),
-    [
-        (None, "none.log", [], "none.log': No such file"),
-        ("x", "bus.txt", [], "unknown log format"),
-        ("", "bus.log", [], "has no frame of board 1"),
-        ("", "bus.blf", [], "bus.blf'"),
-        ("", "bus.log", ["--speed", "0"], "--speed 0; allowed: 0.01 to 100"),
-        ("", "bus.log", ["--set", "driver.can.interface=pigeon"], "'pigeon' is not known"),
-    ],
-)
-def test_what_cannot_be_replayed_is_refused_with_the_reason(tmp_path, channel, capsys, content, name, options, words):
-    if content is not None:
-        (tmp_path / name).write_text(content)
-    bus = ["--set", f"driver.can.interface={INTERFACE}", "--set", f"driver.can.channel={channel}"]
-    assert main(["can", "replay", str(tmp_path / name), *bus, *options]) == 2
-    assert words in capsys.readouterr().err
 
 
 def lines_of(times, channels=("can0",)):
@@ -275,7 +218,7 @@ ABSOLUTE = [f"{0.0005 * number:.6f}" for number in range(10)]
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig"])
 def test_an_asc_log_is_read_whatever_the_language_of_its_date(tmp_path, head, encoding):
     (tmp_path / "bus.asc").write_bytes(asc(ABSOLUTE, head).encode(encoding))
-    frames = list(of_the_board(recorded_frames(tmp_path / "bus.asc"), {0x181}))
+    frames = list(of_the_board(RecordedBus(tmp_path / "bus.asc"), {0x181}))
     assert [frame.timestamp for frame in frames] == pytest.approx([float(at) for at in ABSOLUTE], abs=1e-9)
     assert frames[0].data.hex() == "1122334455667788"
 
@@ -283,7 +226,7 @@ def test_an_asc_log_is_read_whatever_the_language_of_its_date(tmp_path, head, en
 def test_the_base_of_an_asc_log_counts_below_a_date_of_any_language(tmp_path):
     text = asc(["0.000500"], "date lun. avr. 30 15:06:13 2026\nbase dec  timestamps absolute")
     (tmp_path / "bus.asc").write_text(text.replace("181 ", "385 "))
-    (frame,) = recorded_frames(tmp_path / "bus.asc")
+    (frame,) = RecordedBus(tmp_path / "bus.asc")
     assert frame.arbitration_id == 0x181 and frame.data[0] == 11
 
 
@@ -292,37 +235,40 @@ def test_relative_times_of_an_asc_log_count_from_the_line_before(tmp_path):
     # Lines of other things count as well.
     text += "   0.002000 1  Statistic: D 0 R 0\n" + "   0.000500 1  181  Rx   d 1 11\n"
     (tmp_path / "bus.asc").write_text(text)
-    times = [frame.timestamp for frame in of_the_board(recorded_frames(tmp_path / "bus.asc"), {0x181})]
+    times = [frame.timestamp for frame in of_the_board(RecordedBus(tmp_path / "bus.asc"), {0x181})]
     assert times == pytest.approx([0.0005 * number for number in range(1, 21)] + [0.0125], abs=1e-9)
-
-
-CLASSIC_BUS = {"driver.can.fd": "false"}
 
 
 @pytest.mark.parametrize(
     ("name", "content", "options", "words"),
     [
-        ("a.mf4", b"MDF     4.10    " + bytes(72), CLASSIC_BUS, ["asammdf"]),
-        ("a.log", b"  can0  181   [8]  11 22 33 44 55 66 77 88\n", CLASSIC_BUS, ["candump -L"]),
-        ("a.log", b" (012.000500)  can0  RX - -  381  [16]  11 22 33 44\n", CLASSIC_BUS, ["candump -L"]),
-        ("a.log", b" (2026-03-30 15:06:13.191000)  can0  18FF0201   [8]  11\n", CLASSIC_BUS, ["candump -L"]),
-        ("a.log", b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n", CLASSIC_BUS, ["BusMaster"]),
-        ("a.csv", b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,181,false,Rx,0,1,11,\n", CLASSIC_BUS, ["GVRET"]),
-        ("a.log", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode(), CLASSIC_BUS, [".asc"]),
-        ("a.asc", lines_of(HALF_MS).encode(), CLASSIC_BUS, ["candump", ".log"]),
-        ("a.log", lines_of(HALF_MS).encode(), {}, ["classic", "0x181", "can.fd is true"]),
-        ("a.log", b"(12.0) can0 381##1" + b"11" * 16 + b"\n", CLASSIC_BUS, ["CAN FD", "0x381", "can.fd is false"]),
-        ("a.log", lines_of(HALF_MS, ["can0", "can1"]).encode(), CLASSIC_BUS, ["can0 and can1", "--channel"]),
-        ("a.log", lines_of([12, 12.1, 1.7e9]).encode(), CLASSIC_BUS, ["53.9 years", "frame 2"]),
-        ("a.log", lines_of([12, 12.1, 12.2, 3612.2]).encode(), CLASSIC_BUS, ["1 h", "frame 3"]),
-        ("a.log", lines_of([1.7e9, 12]).encode(), CLASSIC_BUS, ["-53.9 years", "frame 1"]),
+        ("none.log", None, {}, ["none.log': No such file"]),
+        ("bus.txt", b"x", {}, ["unknown log format"]),
+        ("bus.log", b"", {}, ["has no frame of board 1"]),
+        ("bus.blf", b"", {}, ["bus.blf'"]),
+        ("bus.log", b"", {"speed": 0}, ["--speed 0; allowed: 0.01 to 100"]),
+        ("bus.log", b"", {"interface": "pigeon"}, ["'pigeon' is not known"]),
+        ("a.mf4", b"MDF     4.10    " + bytes(72), {}, ["asammdf"]),
+        ("a.log", b"  can0  181   [8]  11 22 33 44 55 66 77 88\n", {}, ["candump -L"]),
+        ("a.log", b" (012.000500)  can0  RX - -  381  [16]  11 22 33 44\n", {}, ["candump -L"]),
+        ("a.log", b" (2026-03-30 15:06:13.191000)  can0  18FF0201   [8]  11\n", {}, ["candump -L"]),
+        ("a.log", b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n", {}, ["BusMaster"]),
+        ("a.csv", b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,181,false,Rx,0,1,11,\n", {}, ["GVRET"]),
+        ("a.log", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode(), {}, [".asc"]),
+        ("a.asc", lines_of(HALF_MS).encode(), {}, ["candump", ".log"]),
+        ("a.log", lines_of(HALF_MS).encode(), {"fd": True}, ["classic", "0x181", "can.fd is true"]),
+        ("a.log", b"(12.0) can0 381##1" + b"11" * 16 + b"\n", {}, ["CAN FD", "0x381", "can.fd is false"]),
+        ("a.log", lines_of(HALF_MS, ["can0", "can1"]).encode(), {}, ["can0 and can1", "--channel"]),
+        ("a.log", lines_of([12, 12.1, 1.7e9]).encode(), {}, ["53.9 years", "frame 2"]),
+        ("a.log", lines_of([12, 12.1, 12.2, 3612.2]).encode(), {}, ["1 h", "frame 3"]),
+        ("a.log", lines_of([1.7e9, 12]).encode(), {}, ["-53.9 years", "frame 1"]),
     ],
 )
 def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path, capsys, name, content, options, words):
-    (tmp_path / name).write_bytes(content)
-    given = {"driver.can.interface": "virtual", "driver.can.channel": "x", **options}
-    arguments = [part for key, value in given.items() for part in ("--set", f"{key}={value}")]
-    assert main(["can", "replay", str(tmp_path / name), *arguments]) == 2
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    speed = ["--speed", str(options.pop("speed"))] if "speed" in options else []
+    assert replayed(tmp_path / name, *speed, **{"fd": False, **options}) == 2
     printed = " ".join(capsys.readouterr().err.split())
     assert all(word in printed for word in words) and "damaged" not in printed
 
@@ -330,9 +276,8 @@ def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path,
 def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, capsys):
     file = tmp_path / "two.log"
     file.write_text(lines_of([*HALF_MS[:7], 13.2], ["can0", "can1", "can1"]))
-    bus = ["--set", "driver.can.interface=virtual", "--set", "driver.can.channel=x", "--set", "driver.can.fd=false"]
     for channel, frames in (("can0", 3), ("can1", 5)):
-        assert main(["can", "replay", str(file), *bus, "--channel", channel, "--speed", "100", "--json"]) == 0
+        assert replayed(file, "--channel", channel, "--speed", "100", "--json", fd=False) == 0
         printed = capsys.readouterr()
         assert f'"sent": {frames}' in printed.out
         # A silence of a second is said, and kept.
