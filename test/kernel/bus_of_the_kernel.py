@@ -46,25 +46,20 @@ HOST, BOARD = "vxcan0", "vxcan1"
 """The two ends of a cable, of which each can be spoiled by itself."""
 
 
-def _command(*words):
-    subprocess.run([str(word) for word in words], check=True, timeout=PATIENCE_S)
-
-
 def link(*words):
-    _command("ip", "link", *words)
+    subprocess.run(["ip", "link", *map(str, words)], check=True, timeout=PATIENCE_S)
 
 
-class Cable:
+def lay_cable():
     """A CAN bus of two interfaces; every one of them may vanish and come again."""
+    link("add", "dev", HOST, "type", "vxcan", "peer", "name", BOARD)
+    for end in (HOST, BOARD):
+        link("set", end, "mtu", 72, "up")
 
-    def lay(self):
-        link("add", "dev", HOST, "type", "vxcan", "peer", "name", BOARD)
-        for end in (HOST, BOARD):
-            link("set", end, "mtu", 72, "up")
 
-    def remove(self):
-        # Both ends go together.
-        link("del", HOST)
+def remove_cable():
+    # Both ends go together.
+    link("del", HOST)
 
 
 def parameters(fd, channel, file=None, **changed):
@@ -122,7 +117,6 @@ class Driver:
     def __init__(self, fd, file=None, **changed):
         own = parameters(fd, HOST, file, **changed)
         self.stage = own.stage
-        self.answering = True
         self.samples = []
         self.hardware = CanHardware(own.can, own.stage, time.time_ns)
         self.hardware.start(time.time_ns())
@@ -157,7 +151,7 @@ class Driver:
         fresh = hardware.read(time.time_ns())
         self.samples += fresh
         for sample, _ in fresh:
-            if self.answering and hardware.state is not State.FAULT:
+            if hardware.state is not State.FAULT:
                 hardware.write(self.current(sample), time.time_ns(), sample.stamp_ns)
 
     def current(self, sample):

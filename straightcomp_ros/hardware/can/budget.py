@@ -10,11 +10,7 @@ from typing import NamedTuple
 
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, FD_SIZES
-from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.hardware.can.hub import addressed, priority, to_packet
-
-_MORE_CLASSIC, _MORE_FD = 20, 19
-"""Bits that an identifier of 29 bits adds."""
 
 
 class Bitrate(NamedTuple):
@@ -50,11 +46,11 @@ class Traffic(NamedTuple):
 def classic_bits(size: int, *, extended: bool = False) -> int:
     """Most bits of a classic frame with ``size`` bytes, with intermission.
 
-    With an identifier of 11 bits there are 47 bits besides the payload; 34 of them are stuffed with it, at worst with
-    one bit after every four. An identifier of 29 bits adds 20 to both.
+    With an identifier of 11 bits there are 34 bits that are stuffed with the payload, at worst with one bit after every
+    four, and 13 that are not. An identifier of 29 bits adds 20.
     """
-    more = _MORE_CLASSIC if extended else 0
-    return 47 + more + 8 * size + (34 + more + 8 * size - 1) // 4
+    stuffable = 34 + 20 * extended + 8 * size
+    return stuffable + (stuffable - 1) // 4 + 13
 
 
 def fd_time(size: int, nominal: int, data: int, *, extended: bool = False) -> float:
@@ -69,11 +65,9 @@ def fd_time(size: int, nominal: int, data: int, *, extended: bool = False) -> fl
     """
     if size not in FD_SIZES:
         raise ValueError(f"CAN FD has no frames of {size} bytes; allowed: {FD_SIZES}")
-    crc = 17 if size <= 16 else 21
-    payload = 5 + 8 * size
-    fixed_stuff = 1 + (4 + crc - 1) // 4
-    arbitration = 17 + (_MORE_FD if extended else 0)
+    arbitration, payload, crc = 17 + 19 * extended, 5 + 8 * size, 17 if size <= 16 else 21
     slow = arbitration + (arbitration - 1) // 4 + 12
+    fixed_stuff = 1 + (4 + crc - 1) // 4
     return slow / nominal + (payload + (payload + 3) // 4 + 4 + crc + fixed_stuff + 1) / data
 
 
@@ -82,14 +76,8 @@ def traffic(wire: Wire, rate: float) -> list[Traffic]:
     rates = {frames: rate / frames.every for frames in (*wire.commands, *wire.reports.values())}
     if wire.heartbeat:
         rates[wire.heartbeat] = 1.0 / wire.heartbeat.period
-
-    def rank(frames: Frames) -> tuple[int, int, int]:
-        return priority(to_packet(addressed(frames.identifier, b"", fd=False)))
-
-    return [
-        Traffic(frames.name, frames.size, rates[frames], frames.fd, bool(frames.identifier & EXTENDED_ID))
-        for frames in sorted(rates, key=rank)
-    ]
+    ranked = sorted(rates, key=lambda frames: priority(to_packet(addressed(frames.identifier, b"", fd=False))))
+    return [Traffic(one.name, one.size, rates[one], one.fd, bool(one.identifier & EXTENDED_ID)) for one in ranked]
 
 
 def load(sent: list[Traffic], bitrate: Bitrate) -> float:

@@ -107,7 +107,10 @@ class Board:
             elif self._stage:
                 self._stage.obey(identifier, payload, self.machine, at_ns)
         except FrameError:
-            self._count_error()
+            self.refused_commands += 1
+            self._error_counter = min(self._error_counter + _BAD_FRAME, _ERROR_LIMIT)
+            if self._error_counter == _ERROR_LIMIT:
+                self._trip(BoardFault.COMMAND_CHECK)
 
     def close(self) -> None:
         """Amplifier off."""
@@ -128,12 +131,6 @@ class Board:
         """Why the amplifier is off."""
         return self._fault or (BoardFault.COMMAND_TIMEOUT if self.machine.state is State.FAULT else BoardFault.NONE)
 
-    def _count_error(self) -> None:
-        self.refused_commands += 1
-        self._error_counter = min(self._error_counter + _BAD_FRAME, _ERROR_LIMIT)
-        if self._error_counter == _ERROR_LIMIT:
-            self._trip(BoardFault.COMMAND_CHECK)
-
     def _trip(self, fault: BoardFault) -> None:
         if self.machine.state is State.ON:
             self._fault = fault
@@ -144,20 +141,17 @@ class Board:
         """Take a command, or a component of one whose other signals come in other messages."""
         command = frames.unpack(payload)
         if command.enable is False:
-            self._switch_off()
-        if len(self._commands) == 1:
-            self._obey(command, at_ns)
-            return
-        repeated = self._sets.repeated
-        whole = self._sets.add(number, command, command.alive or 0, at_ns)
-        self.refused_commands += self._sets.repeated - repeated
-        if whole is not None:
-            self._obey(whole[0], at_ns)
-
-    def _switch_off(self) -> None:
-        # "Off" is obeyed from any frame that passes its CRC, even an old one, or one whose others do not come.
-        self._seen_off = True
-        self.machine.disable()
+            # "Off" is obeyed from any frame that passes its CRC, even an old one, or one whose others do not come.
+            self._seen_off = True
+            self.machine.disable()
+        if len(self._commands) > 1:
+            repeated = self._sets.repeated
+            whole = self._sets.add(number, command, command.alive or 0, at_ns)
+            self.refused_commands += self._sets.repeated - repeated
+            if whole is None:
+                return
+            command, _ = whole
+        self._obey(command, at_ns)
 
     def _obey(self, command: Command, at_ns: int) -> None:
         # Without a signal for it, each "off" resets.
@@ -205,15 +199,12 @@ class Board:
             self._send(self._emulator.truth_id, self._emulator.truth_payload(self.counter, truth), True)
         for frames in wire.reports.values():
             if number % frames.every == 0:
-                self._send_report(frames, report)
-
-    def _send_report(self, frames: Frames, report: Report) -> None:
-        turn, span = self._sent[frames.identifier], frames.spans.get("current")
-        self._sent[frames.identifier] = turn + 1
-        report = report._replace(alive=turn % frames.alive_modulus)
-        if span is not None and report.current is not None:
-            report = report._replace(current=_within(report.current, span))
-        self._send(frames.identifier, frames.pack(report, turn), frames.fd)
+                turn = self._sent[frames.identifier]
+                self._sent[frames.identifier] = turn + 1
+                report = report._replace(alive=turn % frames.alive_modulus)
+                if report.current is not None and "current" in frames.spans:
+                    report = report._replace(current=_within(report.current, frames.spans["current"]))
+                self._send(frames.identifier, frames.pack(report, turn), frames.fd)
 
 
 def _within(value: float, span: tuple[float, float]) -> float:
@@ -311,16 +302,13 @@ class BoardProgram:
         ends before.
         """
         if hub is not None:
-            hub.watch(self.socket.fileno(), self._answer_next)
+            hub.watch(self.socket.fileno(), lambda: self.answer(self.receive()))
             hub.run(stopped)
             return
         self.socket.settimeout(0.1)
         while not stopped():
             with contextlib.suppress(TimeoutError):
-                self._answer_next()
-
-    def _answer_next(self) -> None:
-        self.answer(self.receive())
+                self.answer(self.receive())
 
     def receive(self) -> bytes:
         """The next packet; raises HardwareError if the program has ended."""

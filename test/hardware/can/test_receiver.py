@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from can_boards import BARE, FOREIGN, PERIOD, STAGE, START
+from can_boards import BARE, FOREIGN, PERIOD, START
 from forgery import forged
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -16,7 +16,7 @@ from straightcomp_ros.hardware.interface import Truth
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import COUNTED
-from trials.can_faults import position, run_trial
+from trials.can_faults import run_trial
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 
@@ -42,104 +42,97 @@ def test_all_faults_together_let_no_wrong_sample_through(fd):
     assert trial.delivered > 0.9 * trial.frames
 
 
-def frames(wire, index, amplifier=Amplifier.ON, jump=0):
-    """Identifiers and payloads that carry the sample ``index``; on a classic bus the current comes with every tenth."""
-    x, y = position(index)
-    index %= wire.number_modulus
-    report = Report(0, index, x * 1e-7, (y + jump) * 1e-7, 0.025, amplifier, 0, True)
-    for one in wire.reports.values():
-        if index % one.every == 0:
-            yield one.identifier, one.pack(report._replace(alive=index // one.every % 15), 0)
-
-
-def feed(receiver, indices, start_ns=START, **options):
-    for index in indices:
-        for identifier, payload in frames(receiver.wire, index, **options):
-            receiver.receive(identifier, payload, start_ns + index * PERIOD)
-
-
-@pytest.fixture(params=[False, True], ids=["classic", "fd"])
-def receiver(request):
-    return Receiver(CanParameters(fd=request.param, sample_memory=10_000), STAGE)
-
-
-@pytest.mark.parametrize("gap", [5, 14, 15, 16, 30, 31, 500])
-def test_a_gap_of_any_length_costs_no_certainty_about_the_number_of_a_sample(receiver, gap):
-    feed(receiver, range(500))
-    feed(receiver, range(500 + gap, 1000 + gap))
-    assert [index for index, *_ in receiver.samples][-500:] == list(range(500 + gap, 1000 + gap))[-500:]
-    assert receiver.sequence.lost == gap and receiver.sequence.jumps == 0
-
-
-def test_numbers_run_on_over_the_end_of_the_counter(receiver):
-    last = receiver.wire.number_modulus
-    for number in range(last - 500, last + 500):
-        for identifier, payload in frames(receiver.wire, number):
-            receiver.receive(identifier, payload, START + (number - last) * PERIOD)
-    assert [index for index, *_ in receiver.samples][-800:] == list(range(last - 300, last + 500))
-    assert receiver.sequence.lost == 0 and not any(receiver.counts.values())
-
-
-def test_a_silence_is_no_reason_to_believe_a_counter_from_another_time():
-    receiver = Receiver(CanParameters(fd=True), STAGE)
-    feed(receiver, range(500))
-    identifier, payload = next(frames(receiver.wire, 900))
-    receiver.receive(identifier, payload, START + 501 * PERIOD)
-    assert receiver.counts["implausible"] == 1
-    assert receiver.samples[-1][0] == 499
-
-
-def test_a_boot_up_forgets_the_counter_of_the_board_before(receiver):
-    feed(receiver, range(5000, 5500))
-    receiver.receive(receiver.wire.heartbeat.identifier, b"\0", START + 5500 * PERIOD)
-    assert receiver.boot_ups == 1 and receiver.amplifier is None
-    feed(receiver, range(300), start_ns=START + 5600 * PERIOD)
-    assert [index for index, *_ in receiver.samples][-100:] == list(range(200, 300))
-
-
-def test_samples_that_are_not_fetched_are_dropped_and_counted_oldest_first():
-    receiver = Receiver(CanParameters(sample_memory=10), STAGE)
-    feed(receiver, range(500))
-    assert [index for index, *_ in receiver.samples] == list(range(490, 500))
-    assert receiver.overflowed == 500 - BLOCK + 1 - 10
-
-
 COUNT, AMPERE = 1e-7, 1e-4
 # A step of x by 1000 counts a sample, and of y by 100.
 SLOW_STAGE = StageParameters(motion=MotionParameters(speed=0.1, highest_speed=0.2))
-Y_SPEED = 0.02
 
 
 class Board:
-    """A receiver on CAN FD, and samples for it that stand still and come in time if nothing else is said."""
+    """A receiver, and samples for it that stand still and come in time if nothing else is said."""
 
-    def __init__(self, **parameters):
-        self.receiver = Receiver(
-            CanParameters(fd=True, sample_memory=10_000, y_speed=Y_SPEED, **parameters), SLOW_STAGE
-        )
-        self.number = 0
+    def __init__(self, parameters=None, **changes):
+        parameters = parameters or CanParameters(**{"fd": True, "sample_memory": 10_000, "y_speed": 0.02, **changes})
+        self.receiver = Receiver(parameters, SLOW_STAGE)
+        self.frames = self.receiver.wire.reports.values()
+        self.number, self.start_ns = 0, START
 
     def sample(self, x=0, y=0, amplifier=Amplifier.ON, fault=0, good=True, current=0, late_ns=0, lost=0):
         """The next sample after ``lost`` ones, in counts; returns what was delivered of it, or None."""
         self.number += lost
-        report = Report(self.number % 15, self.number, x * COUNT, y * COUNT, current * AMPERE, amplifier, fault, good)
+        counter = self.number % (self.receiver.wire.number_modulus or 2**32)
+        report = Report(0, counter, x * COUNT, y * COUNT, current * AMPERE, amplifier, fault, good)
         delivered = len(self.receiver.samples)
-        frames = self.receiver.wire.sample
-        self.receive(frames.identifier, frames.pack(report, 0), late_ns)
+        for frames in self.frames:
+            if self.number % frames.every == 0:
+                alive = self.number // frames.every % frames.alive_modulus
+                self.receive(frames.identifier, frames.pack(report._replace(alive=alive), 0), late_ns)
         self.number += 1
         return self.receiver.samples[-1] if len(self.receiver.samples) > delivered else None
 
     def receive(self, identifier, payload, late_ns=0):
-        self.receiver.receive(identifier, payload, START + self.number * PERIOD + late_ns)
+        self.receiver.receive(identifier, payload, self.start_ns + self.number * PERIOD + late_ns)
+
+    def samples(self, count, lost=0):
+        """So many samples after ``lost`` ones."""
+        self.number += lost
+        for _ in range(count):
+            self.sample()
+        return self
 
     def settled(self):
-        for _ in range(BLOCK):
-            self.sample()
+        self.samples(BLOCK)
         assert self.receiver.clock.settled and not self.receiver.error_counter
         return self
 
+    def newest(self, count):
+        """The numbers of the newest samples that were delivered."""
+        return [index for index, *_ in self.receiver.samples][-count:]
+
     def refused(self):
         return {reason: count for reason, count in self.receiver.counts.items() if count}
+
+
+@pytest.fixture(params=[False, True], ids=["classic", "fd"])
+def either(request):
+    """A board on either kind of bus; on a classic one the current comes with every tenth sample."""
+    return Board(fd=request.param)
+
+
+@pytest.mark.parametrize("gap", [5, 14, 15, 16, 30, 31, 500])
+def test_a_gap_of_any_length_costs_no_certainty_about_the_number_of_a_sample(either, gap):
+    either.samples(500).samples(500, lost=gap)
+    assert either.newest(500) == list(range(500 + gap, 1000 + gap))
+    assert either.receiver.sequence.lost == gap and either.receiver.sequence.jumps == 0
+
+
+def test_numbers_run_on_over_the_end_of_the_counter(either):
+    last = either.receiver.wire.number_modulus
+    either.number, either.start_ns = last - 500, START - last * PERIOD
+    either.samples(1000)
+    assert either.newest(800) == list(range(last - 300, last + 500))
+    assert either.receiver.sequence.lost == 0 and not either.refused()
+
+
+def test_a_silence_is_no_reason_to_believe_a_counter_from_another_time():
+    board = Board().samples(500)
+    board.number, board.start_ns = 900, board.start_ns - 399 * PERIOD
+    assert board.sample() is None
+    assert board.refused() == {"implausible": 1} and board.newest(1) == [499]
+
+
+def test_a_boot_up_forgets_the_counter_of_the_board_before(either):
+    either.number = 5000
+    either.samples(500)
+    either.receive(either.receiver.wire.heartbeat.identifier, b"\0")
+    assert either.receiver.boot_ups == 1 and either.receiver.amplifier is None
+    either.number, either.start_ns = 0, START + 5600 * PERIOD
+    assert either.samples(300).newest(100) == list(range(200, 300))
+
+
+def test_samples_that_are_not_fetched_are_dropped_and_counted_oldest_first():
+    board = Board(sample_memory=10).samples(500)
+    assert board.newest(500) == list(range(490, 500))
+    assert board.receiver.overflowed == 500 - BLOCK + 1 - 10
 
 
 @pytest.fixture
@@ -268,42 +261,35 @@ def test_stamps_never_run_backwards_when_the_clock_is_set_anew(board):
     assert stamps and stamps[0] > newest and set(np.diff(stamps)) == {PERIOD}
 
 
-def feed_still(receiver, numbers):
-    wire = receiver.wire
-    for number in numbers:
-        alive = number % (wire.sample.counts("alive") or 1)
-        payload = wire.sample.pack(Report(alive, None, 1e-5, 0.0, 0.0, Amplifier.ON, 0, True), 0)
-        receiver.receive(wire.sample.identifier, payload, START + number * PERIOD)
+def is_of_its_number(board):
+    """Whether the newest sample has the time at which the board took it, and its number as far as that is counted."""
+    index, sample, _ = board.receiver.samples[-1]
+    modulus = board.receiver.wire.sample_modulus or 2**32
+    late_ns = sample.stamp_ns - START - (board.number - 1) * PERIOD
+    return (index - board.number + 1) % modulus == 0 and abs(late_ns) < PERIOD / 10
 
 
 @pytest.mark.parametrize("lost", [1, 2])
 def test_a_sample_lost_without_a_counter_is_found_by_the_clock(lost):
-    receiver = Receiver(BARE, STAGE)
-    feed_still(receiver, range(2 * BLOCK))
-    assert receiver.sequence.lost == 0
-    feed_still(receiver, range(2 * BLOCK + lost, 4 * BLOCK))
-    assert receiver.sequence.lost == lost
-    index, sample, _ = receiver.samples[-1]
-    assert index == 4 * BLOCK - 1 and abs(sample.stamp_ns - START - index * PERIOD) < PERIOD / 10
+    board = Board(BARE).samples(2 * BLOCK)
+    assert board.receiver.sequence.lost == 0
+    board.samples(2 * BLOCK, lost=lost)
+    assert board.receiver.sequence.lost == lost and is_of_its_number(board)
 
 
 def test_a_silence_beyond_a_short_counter_starts_the_numbers_and_the_clock_anew():
-    receiver = Receiver(FOREIGN, STAGE)
-    feed_still(receiver, range(2 * BLOCK))
-    feed_still(receiver, range(2 * BLOCK + 300, 5 * BLOCK + 300))
-    assert receiver.sequence.jumps == 1 and receiver.sequence.lost == 0
-    index, sample, _ = receiver.samples[-1]
-    assert index % 256 == (5 * BLOCK + 299) % 256
-    assert abs(sample.stamp_ns - START - (5 * BLOCK + 299) * PERIOD) < PERIOD / 10
+    board = Board(FOREIGN).samples(2 * BLOCK).samples(3 * BLOCK, lost=300)
+    assert board.receiver.sequence.jumps == 1 and board.receiver.sequence.lost == 0
+    assert is_of_its_number(board)
 
 
 def test_the_state_of_the_amplifier_may_come_between_the_samples():
-    receiver = Receiver(FOREIGN, STAGE)
-    feed_still(receiver, range(BLOCK))
-    assert receiver.amplifier is None
-    status = receiver.wire.status
-    report = Report(amplifier=Amplifier.FAULT, fault=34)
+    board = Board(FOREIGN)
+    board.frames = [board.receiver.wire.sample]
+    board.samples(BLOCK)
+    assert board.receiver.amplifier is None
+    status, report = board.receiver.wire.status, Report(amplifier=Amplifier.FAULT, fault=34)
     for turn in range(2):
-        receiver.receive(status.identifier, status.pack(report, turn), START + turn)
-    assert receiver.amplifier is Amplifier.FAULT and receiver.board_fault == 34
-    assert receiver.status_ns == START
+        board.receive(status.identifier, status.pack(report, turn), turn)
+    assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault == 34
+    assert board.receiver.status_ns == START + BLOCK * PERIOD
