@@ -27,11 +27,11 @@ class SteadySequence(CellSequence):
             self._switch_on_again()
             yield
         if not self.seen.amplifier_on:
-            print(f"measuring with the amplifier off: {self._machine.refusal}", file=sys.stderr, flush=True)
+            print(f"measuring with the amplifier off: {self.machine.refusal}", file=sys.stderr, flush=True)
 
     def _execute(self) -> Iterator[None]:
         waypoints = self.movements.next(self.seen, self.now)
-        self._machine.move(waypoints)
+        self.machine.move(waypoints)
         self.began, self.duration = self.now, waypoints[-1].time_ns * 1e-9
         while True:
             if not self.seen.amplifier_on:
@@ -40,8 +40,8 @@ class SteadySequence(CellSequence):
 
     def _switch_on_again(self) -> None:
         if self._due():
-            self._machine.reset_faults()
-            self._machine.switch_on()
+            self.machine.reset_faults()
+            self.machine.switch_on()
 
     def tick(self, seen: Observation) -> None:
         """Continue, whatever faults there are."""

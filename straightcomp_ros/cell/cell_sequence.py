@@ -7,6 +7,7 @@ name, e.g. `_starting`. Each tick advances it once. It returns when the work is 
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
 from straightcomp_ros.cell.observation import Observation
@@ -122,43 +123,26 @@ class StageMovements:
         return not self._under_way
 
 
+@dataclass(eq=False)
 class CellSequence:
-    """State machine of the cell.
+    """State machine of the cell."""
 
-    Args:
-        start_timeout: longest time in Resetting, Starting, Clearing, or a step of a recovery, s.
-        as_one: all strokes are one trajectory; see :class:`StageMovements`.
-        home: before the first stroke, move the platform to the middle of its travel, then back to the map.
-        recoveries: how often to switch the amplifier on again after it went off in Execute.
-    """
+    machine: Machine
+    motion: MotionParameters
+    start_timeout: float  # longest time in Resetting, Starting, Clearing, or a step of a recovery, s
+    clock: Callable[[], float] = time.monotonic
+    _: KW_ONLY
+    as_one: bool = False  # all strokes are one trajectory; see StageMovements
+    home: bool = False  # before the first stroke, move the platform to the middle of its travel, then back to the map
+    recoveries: int = 0  # how often to switch the amplifier on again after it went off in Execute
 
-    state: State
-    message: str  # reason for the state, or for the refusal of the last command
-    recovered: int  # number of times that the amplifier was switched on again
-    centred: bool  # the reference is in the middle of the travel, or was requested to go there
-    seen: Observation  # the graph as of this tick
-    now: float  # time of this tick, s
-    since: float  # when the state began, s
-
-    def __init__(
-        self,
-        machine: Machine,
-        motion: MotionParameters,
-        start_timeout: float,
-        clock: Callable[[], float] = time.monotonic,
-        *,
-        as_one: bool = False,
-        home: bool = False,
-        recoveries: int = 0,
-    ) -> None:
-        self._machine, self._clock, self._start_timeout = machine, clock, start_timeout
-        self._home, self._recoveries = home, recoveries
-        # A single trajectory contains its own rest at the end.
-        self._settled, self._settle = as_one, 0.0 if as_one else motion.settle
-        self.movements = StageMovements(motion, as_one)
-        """Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop."""
-        self.seen, self.now = Observation(), clock()
-        self.recovered, self.centred, self._named = 0, False, False
+    def __post_init__(self) -> None:
+        # Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop.
+        self.movements = StageMovements(self.motion, self.as_one)
+        self.seen, self.now = Observation(), self.clock()  # the graph as of this tick, and its time in s
+        self.recovered = 0  # number of times that the amplifier was switched on again
+        self.centred = False  # the reference is in the middle of the travel, or was requested to go there
+        self._named = False
         self._enter(State.STOPPED, "")
 
     @property
@@ -209,15 +193,15 @@ class CellSequence:
             then(refusal)
 
         if order is Order.RELOAD_MAP:
-            self._machine.reload_map(answered)
+            self.machine.reload_map(answered)
         else:
             # No stroke may begin before the answer.
             self.centred = before or middle
-            self._machine.center(middle, answered)
+            self.machine.center(middle, answered)
 
     def tick(self, seen: Observation) -> None:
         """Continue with the graph as ``seen`` now."""
-        self.now, self.seen = self._clock(), seen
+        self.now, self.seen = self.clock(), seen
         missing = seen.absence if seen.missing else ""
         # A machine whose controller has died cannot be switched on again.
         trouble = missing if self._recovering else self._trouble(seen)
@@ -225,7 +209,7 @@ class CellSequence:
             # A fault is seen at once; that a node has died, which may be its cause, only when its heartbeats stop.
             self._named = True
             self.message = self.message if missing in self.message else f"{self.message}; {missing}"
-        allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
+        allowed = self.state is State.EXECUTE and self.recovered < self.recoveries
         if trouble and allowed and not seen.absence and not seen.amplifier_on:
             self.recovered += 1
             self._work = self._recover(self._work)
@@ -240,13 +224,15 @@ class CellSequence:
             self._enter(FAILED[self.state], str(failure))
 
     def _enter(self, state: State, message: str) -> None:
-        self.state, self.message = state, message
+        self.state = state
+        self.message = message  # reason for the state, or for the refusal of the last command
         self._named = state is State.ABORTED and self._named
-        self.since, self._asked, self._recovering = self._clock(), -math.inf, False
+        self.since = self.clock()  # when the state began, s
+        self._asked, self._recovering = -math.inf, False
         # A state without work of its own waits for a command.
         self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
         if state is State.ABORTING:
-            self._machine.switch_off()
+            self.machine.switch_off()
 
     def _trouble(self, seen: Observation) -> str:
         # In Stopped another client may use the graph: its faults are only shown as alarms.
@@ -270,21 +256,21 @@ class CellSequence:
     def _resetting(self) -> Iterator[None]:
         ready_since = self.now
         while True:
-            obstacle = self.seen.obstacle or self._machine.obstacle
+            obstacle = self.seen.obstacle or self.machine.obstacle
             if self.seen.occupied:
                 raise WorkFailed(self.seen.occupied)
             if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
                 raise WorkFailed(self.seen.contradiction)
             if obstacle:
                 ready_since = self.now
-                if self._overdue(self._start_timeout):
+                if self._overdue(self.start_timeout):
                     raise WorkFailed(f"not ready: {obstacle}")
                 # First receive whether another client uses the machine.
                 if self.seen.missing and self._overdue(_RECEIVED_S) and self._due():
-                    self._machine.activate()
+                    self.machine.activate()
             elif self._due():
                 # Another client may have left the reference in the middle. Retried if refused during another change.
-                self._machine.center(False, self._back_on_the_map)
+                self.machine.center(False, self._back_on_the_map)
             if self.now - ready_since >= _SETTLE_S:
                 return
             yield
@@ -295,12 +281,12 @@ class CellSequence:
     def _starting(self) -> Iterator[None]:
         yield from self._switching_on()
         # In lockstep no time passes before the motion, so the platform cannot be homed.
-        for middle in (True, False) if self._home and self.seen.stamp_ns else ():
+        for middle in (True, False) if self.home and self.seen.stamp_ns else ():
             answers: list[str] = []
-            self._machine.center(middle, answers.append)
+            self.machine.center(middle, answers.append)
             asked = self.now
             while not answers or self.now - asked < _HOME_S:
-                if any(answers) or self.now - asked > self._start_timeout:
+                if any(answers) or self.now - asked > self.start_timeout:
                     raise WorkFailed(f"homing: {'; '.join(answers) or 'the feedforward does not answer'}")
                 yield
 
@@ -310,7 +296,7 @@ class CellSequence:
             if moves.strokes and self._arrived():
                 if moves.strokes_done >= moves.strokes:
                     return
-                self._machine.move(moves.next(self.seen, self.now))
+                self.machine.move(moves.next(self.seen, self.now))
             yield
 
     def _arrived(self) -> bool:
@@ -322,7 +308,7 @@ class CellSequence:
 
     def _completing(self) -> Iterator[None]:
         # The stage's last movement has ended; another client may still be moving the stage.
-        while not (self._arrived() and (self._settled or self.seen.still) and self._overdue(self._settle)):
+        while not (self._arrived() and (self.as_one or (self.seen.still and self._overdue(self.motion.settle)))):
             yield
         yield from self._switching_off()
 
@@ -342,27 +328,27 @@ class CellSequence:
 
     def _clearing(self, least: float = _REPORTED_WITHIN_S) -> Iterator[None]:
         yield from self._asking(
-            self._machine.reset_faults,
+            self.machine.reset_faults,
             lambda: not self.seen.faults and self._overdue(least),
             lambda: f"the fault remains: {self.seen.fault}",
         )
 
     def _switching_on(self) -> Iterator[None]:
         yield from self._asking(
-            self._machine.switch_on,
+            self.machine.switch_on,
             lambda: self.seen.amplifier_on,
-            lambda: f"the driver refuses to enable: {self._machine.refusal or 'no answer'}",
+            lambda: f"the driver refuses to enable: {self.machine.refusal or 'no answer'}",
         )
 
     def _switching_off(self) -> Iterator[None]:
         while self.seen.amplifier_on:
             if self._due():
-                self._machine.switch_off()
+                self.machine.switch_off()
             yield
 
     def _asking(self, ask: Callable[[], None], done: Callable[[], bool], why: Callable[[], str]) -> Iterator[None]:
         """Repeat a request until it is done; fails after the start timeout with the text of ``why``."""
-        end, self._asked = self.now + self._start_timeout, -math.inf
+        end, self._asked = self.now + self.start_timeout, -math.inf
         while not done():
             if self.now > end:
                 raise WorkFailed(why())
