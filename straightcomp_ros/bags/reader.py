@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import BagInput, SqliteInput, compressed_messages, opened, topic_names
 from straightcomp_ros.bags.mcap_input import FRAME, HEAD, rows
-from straightcomp_ros.bags.topics import Definition, Topic, chosen_topics, resolved, typestore
+from straightcomp_ros.bags.topics import Definition, Topic, resolved, typestore
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
 
 COMPRESSIONS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
@@ -99,13 +99,11 @@ class StreamColumns:
     """Messages of one topic, in the order in which they were recorded.
 
     Attributes:
-        log_time, publish_time, stamp: (n,) int64, when each was received, when its source made it, and the stamp of its
-            header, ns since the epoch.
+        log_time, stamp: (n,) int64, when each was received, and the stamp of its header, ns since the epoch.
         columns: (n,) float64 for each column of the layout, in the units of the stream.
     """
 
     log_time: NDArray[np.int64]
-    publish_time: NDArray[np.int64]
     stamp: NDArray[np.int64]
     columns: dict[str, NDArray[np.float64]]
 
@@ -116,7 +114,7 @@ class StreamColumns:
         """In the order of the stamps, the first message of each: lockstep repeats a sample that got no answer."""
         _, rows = np.unique(self.stamp, return_index=True)
         columns = {name: values[rows] for name, values in self.columns.items()}
-        return StreamColumns(self.log_time[rows], self.publish_time[rows], self.stamp[rows], columns)
+        return StreamColumns(self.log_time[rows], self.stamp[rows], columns)
 
 
 class StreamDecoder:
@@ -141,31 +139,26 @@ class StreamDecoder:
     def add(self, data: bytes, places: NDArray[np.int64]) -> None:
         """Decode the message records at ``places`` in ``data``. Raises BagError when a message is neither of the layout
         nor decodes to its joints and arrays."""
-        heads = rows(data, places, HEAD)
-        lengths = heads["length"].astype(np.int64)
-        stamp = np.empty(len(places), np.int64)
-        numbers = np.empty((len(self._layout.columns), len(places)))
-        fits = lengths >= HEAD.itemsize - FRAME.size + self._layout.size
-        messages = rows(data, places[fits] + HEAD.itemsize, self._dtype)
-        same = self._same_constants(messages)
-        fits[fits] = same
-        if not same.all():
-            messages = messages[same]
-        stamp[fits] = messages["sec"].astype(np.int64) * NANOSECONDS + messages["nanosec"]
-        for column, name in zip(numbers, self._layout.columns, strict=True):
-            column[fits] = messages[name]
-        for odd in np.flatnonzero(~fits):
-            message = data[places[odd] + HEAD.itemsize : places[odd] + FRAME.size + lengths[odd]]
-            stamp[odd], numbers[:, odd] = self._by_names(message, int(odd))
-        log_time, publish_time = heads["log_time"].astype(np.int64), heads["publish_time"].astype(np.int64)
-        self._batches.append((log_time, publish_time, stamp, *numbers))
+        heads, starts = rows(data, places, HEAD), places + HEAD.itemsize
+        ends = places + FRAME.size + heads["length"].astype(np.int64)
+        long = ends - starts >= self._layout.size
+        messages = rows(data, starts[long], self._dtype)
+        if not long.all():
+            of_layout, messages = messages, np.zeros(len(places), self._dtype)
+            messages[long] = of_layout
+        for odd in np.flatnonzero(~self._same_constants(messages)).tolist():
+            stamp, numbers = self._by_names(data[starts[odd] : ends[odd]], odd)
+            messages[odd] = np.frombuffer(self._layout.pack(stamp, *numbers), self._dtype)[0]
+        stamp = messages["sec"].astype(np.int64) * NANOSECONDS + messages["nanosec"]
+        numbers = (messages[name].copy() for name in self._layout.columns)
+        self._batches.append((heads["log_time"].astype(np.int64), stamp, *numbers))
 
     def finished(self) -> StreamColumns | None:
         """All messages so far; None when there was none."""
         if not self._batches:
             return None
-        log_time, publish_time, stamp, *numbers = map(np.concatenate, zip(*self._batches, strict=True))
-        return StreamColumns(log_time, publish_time, stamp, dict(zip(self._layout.columns, numbers, strict=True)))
+        log_time, stamp, *numbers = map(np.concatenate, zip(*self._batches, strict=True))
+        return StreamColumns(log_time, stamp, dict(zip(self._layout.columns, numbers, strict=True)))
 
     def _same_constants(self, messages: NDArray[np.void]) -> NDArray[np.bool_]:
         content = messages.view(np.uint8).reshape(len(messages), self._layout.size)
@@ -180,7 +173,7 @@ class StreamDecoder:
         return np.asarray((content[:, mask] == template[mask]).all(axis=1), np.bool_)
 
     def _by_names(self, message: bytes, place: int) -> tuple[int, list[float]]:
-        number, type_name = sum(len(stamp) for _, _, stamp, *_ in self._batches) + place, self._layout.type_name
+        number, type_name = sum(len(stamp) for _, stamp, *_ in self._batches) + place, self._layout.type_name
         where = f"{self._topic}: message {number}"
         try:
             return read_by_names(self._layout, decoded(where, message, type_name))
@@ -216,7 +209,6 @@ def meaningful(layout: Layout) -> NDArray[np.bool_]:
             changed = bytearray(template)
             changed[place] = 0xFF
             mask[place] = _text(bytes(changed), layout) != expected
-    mask.setflags(write=False)
     return mask
 
 
@@ -263,8 +255,12 @@ def streams_of(
     whole: Sequence[Messages] = (),
 ) -> dict[str, StreamColumns]:
     """As :func:`read_streams`, from the open files of a bag."""
-    names = topic_names(files)
-    wanted = chosen_topics(layouts, names, str(bag), remap or {})
+    names, remap, wanted = topic_names(files), remap or {}, dict[str, str]()
+    for key in layouts:
+        if full := resolved(remap.get(key, key), names, str(bag)):
+            wanted[full] = key
+        elif key in remap:
+            raise BagError(f"bag {bag}: has no topic '{remap[key]}' for '{key}'; it has {', '.join(sorted(names))}")
     decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
     found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
     count = _gather(files, {**found, **decoders})

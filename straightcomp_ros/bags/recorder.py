@@ -201,7 +201,7 @@ class Recorder:
             bag.add_metadata(ORIGIN_METADATA, origin())
             self._new_topics.clear()
             for topic in self._topics:
-                _add(bag, topic)
+                bag.add(topic)
         except BaseException:
             bag.close()
             raise
@@ -239,7 +239,7 @@ class Recorder:
                 bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
             for topic in self._expected:
                 if topic.name not in bag.topics:
-                    _add(bag, topic)
+                    bag.add(topic)
 
     def _closed_intake(self) -> Intake:
         intake = Intake(self._options.queue_limit)
@@ -274,7 +274,7 @@ class Recorder:
         count = len(queue)
         # After the count: the topic of each of these messages was announced before it came.
         while self._new_topics:
-            _add(self._bag, self._new_topics.popleft())
+            self._bag.add(self._new_topics.popleft())
         messages: list[Message] = []
         for _ in range(count):
             message = queue.popleft()
@@ -296,7 +296,3 @@ class Recorder:
                 stamped.setdefault(topic, []).append(data)
         for topic, of_topic in stamped.items():
             self._losses.add(topic, of_topic)
-
-
-def _add(bag: BagWriter, topic: Topic) -> None:
-    bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)

@@ -7,7 +7,7 @@ sound chunk, wherever it starts.
 
 import shutil
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -196,7 +196,7 @@ class _Copy:
         topic = self._writer.topics.get(own.name)
         if topic is None:
             qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
-            self._writer.add_topic(own.name, own.type_name, qos, own.described, own.encoding)
+            self._writer.add(replace(own, qos=qos))
         same = topic is None or (topic.type_name, topic.encoding) == (own.type_name, own.encoding)
         if not same and own.name not in self._result.not_copied:
             self._result.not_copied.append(own.name)

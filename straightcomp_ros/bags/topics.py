@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -143,19 +143,3 @@ def resolved(name: str, topics: Collection[str], bag: str) -> str | None:
     if len(found) > 1:
         raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
     return found[0] if found else None
-
-
-def chosen_topics(wanted: Iterable[str], topics: set[str], bag: str, remap: Mapping[str, str]) -> dict[str, str]:
-    """Each of the ``wanted`` names that the bag has, by the bag's full name for it; parameters as :func:`resolved`.
-
-    ``remap`` gives for some of the wanted names the bag's own. Raises BagError when several namespaces have a topic, or
-    the bag lacks one that ``remap`` names.
-    """
-    chosen = {}
-    for name in wanted:
-        full = resolved(remap.get(name, name), topics, bag)
-        if full:
-            chosen[full] = name
-        elif name in remap:
-            raise BagError(f"bag {bag}: has no topic '{remap[name]}' for '{name}'; it has {', '.join(sorted(topics))}")
-    return chosen

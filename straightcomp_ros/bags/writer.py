@@ -14,7 +14,7 @@ from pathlib import Path
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
-from straightcomp_ros.bags.topics import Definition, Topic, TopicQos
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.parameters.output_files import write_whole
 
 Message = tuple[str, bytes, int, int]
@@ -79,26 +79,21 @@ class BagWriter:
                 raise BagError(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
             self._open_file()
 
-    def add_topic(
-        self,
-        name: str,
-        type_name: str,
-        qos: TopicQos | None = None,
-        described: Definition | None = None,
-        encoding: str = "cdr",
-    ) -> None:
+    def add_topic(self, name: str, type_name: str, qos: TopicQos = TopicQos()) -> None:  # noqa: B008 - frozen
         """Announce a topic, such as ``/encoder`` of type ``sensor_msgs/msg/JointState``; without messages it is listed
-        with a count of 0. ``qos`` is what its publishers offer. ``described`` defines a type that ROS 2's own packages
-        do not have, or gives the definition that another bag had, whose topic may lack the first slash and whose
-        messages may have any ``encoding``."""
-        if described is None and not name.startswith("/"):
-            raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
-        if name in self._topics:
-            raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
-        topic = Topic(name, type_name, qos or TopicQos(), described, encoding)
-        with self._disk(f"bag {self.path}: topic '{name}' cannot be added"):
+        with a count of 0. ``qos`` is what its publishers offer."""
+        self.add(Topic(name, type_name, qos))
+
+    def add(self, topic: Topic) -> None:
+        """As :meth:`add_topic`. The topic's own definition is of a type that ROS 2's own packages do not have, or of
+        another bag, whose topic may lack the first slash and whose messages may have any encoding."""
+        if topic.described is None and not topic.name.startswith("/"):
+            raise BagError(f"bag {self.directory}: topic '{topic.name}' is not a full name; it starts with '/'")
+        if topic.name in self._topics:
+            raise BagError(f"bag {self.directory}: topic '{topic.name}' is already in the bag; add it once")
+        with self._disk(f"bag {self.path}: topic '{topic.name}' cannot be added"):
             self._add_channel(topic)
-        self._topics[name] = topic
+        self._topics[topic.name] = topic
 
     def _add_channel(self, topic: Topic) -> None:
         metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.definition.type_hash}

@@ -44,7 +44,7 @@ def assert_prefix(part, whole):
     for topic, stream in part.items():
         count = len(stream)
         assert 0 < count <= len(whole[topic])
-        for name in ("log_time", "publish_time", "stamp"):
+        for name in ("log_time", "stamp"):
             assert np.array_equal(getattr(stream, name), getattr(whole[topic], name)[:count])
         for name, values in stream.columns.items():
             assert values.tobytes() == whole[topic].columns[name][:count].tobytes()

@@ -13,7 +13,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files, split_number
 from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters, unpacked_map
-from straightcomp_ros.bags.topics import TopicQos, chosen_topics, definition, resolved
+from straightcomp_ros.bags.topics import TopicQos, definition, resolved
 from straightcomp_ros.contract import STREAMS
 
 MESSAGE, OTHER = 5, 4
@@ -191,10 +191,6 @@ def test_a_relative_name_is_found_below_the_root_or_in_the_only_namespace():
     assert resolved("x", ["x"], "bag") == resolved("/x", ["x"], "bag") == "x"
     with pytest.raises(BagError, match="/a/x and /b/x"):
         resolved("x", topics, "bag")
-    assert chosen_topics(["y", "q"], topics, "bag", {}) == {"/y": "y"}
-    assert chosen_topics(["y", "x"], topics, "bag", {"x": "/b/x"}) == {"/y": "y", "/b/x": "x"}
-    with pytest.raises(BagError, match="has no topic 'w' for 'q'"):
-        chosen_topics(["q"], topics, "bag", {"q": "w"})
 
 
 @pytest.mark.parametrize("bad", [(1, None), (1, "text"), (None, b"x"), (-1, b"x"), ("later", b"x")])
