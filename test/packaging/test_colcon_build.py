@@ -1,9 +1,8 @@
-"""Builds the package with colcon in a scratch workspace and starts everything that `ros2 run` would find there."""
+"""Builds the package with colcon in a scratch workspace and runs what `ros2 run` would find there."""
 
 import importlib.util
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +14,7 @@ pytestmark = pytest.mark.nightly
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
 NOT_SOURCES = (".*", "build", "install", "log", "demo_output", "__pycache__", "*.egg-info")
 # Generous: Numba compiles in a fresh place, on a machine that others use too.
-START_S, STOP_S = 180.0, 60.0
+START_S = 180.0
 
 if importlib.util.find_spec("colcon_core") is None:
     pytest.skip(
@@ -111,30 +110,3 @@ def test_an_installed_executable_has_the_verbs_of_all_wings_and_refuses_an_unkno
     done = run([executable(prefix, name), *options], environment, tmp_path)
     assert done.returncode == code and printed <= set((done.stdout + done.stderr).split()), done.stderr
     assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_sigint_ends_an_installed_node_with_exit_code_0(node, prefix, environment, tmp_path):
-    command = [executable(prefix, f"{node}_node")]
-    with subprocess.Popen(
-        command, env=environment, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        # Publishes diagnostics, or subscribes to them as the cell does.
-        program = f"""
-import time, rclpy
-rclpy.init()
-node = rclpy.create_node("observer")
-while not any(
-    end.node_name == {node!r}
-    for ends in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
-    for end in ends("/diagnostics")
-):
-    time.sleep(0.1)
-"""
-        try:
-            run([sys.executable, "-c", program], environment, tmp_path)
-            process.send_signal(signal.SIGINT)
-            printed, _ = process.communicate(timeout=STOP_S)
-        finally:
-            process.kill()
-    assert process.returncode == 0 and "Traceback" not in printed, printed

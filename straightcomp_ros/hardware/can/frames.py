@@ -309,7 +309,7 @@ class Frames:
     def fits(self, field: str, value: float) -> bool:
         """Whether ``value`` in SI units rounds to one that can be sent; NaN does not."""
         (least, largest), half = self.spans[field], 0.5 * self.step(field)
-        return least - half < value < largest + half
+        return least <= value <= largest or least - half < value < largest + half
 
     def _span(self, field: str) -> tuple[float, float]:
         signal, factor = self.fields[field], self.factors[field]
