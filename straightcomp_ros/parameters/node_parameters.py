@@ -284,11 +284,7 @@ def by_node(values: Values) -> dict[str, dict[str, Any]]:
 
 
 def node_parameters(name: str, values: Values) -> Any:
-    """Validated parameter set of the node ``name``.
-
-    Args:
-        name: of the node.
-        values: by node and dotted name; those of :data:`STAGE` hold for every node that has not its own.
+    """Validated parameter set of the node ``name``; values of :data:`STAGE` hold for every node that has not its own.
 
     Raises:
         ParameterError: a name is unknown or a value is refused; the message also names the node.

@@ -30,7 +30,6 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
     the link that leads to it; write only where no other user can make one. A pipe or a device gets the content itself.
 
     Args:
-        path: of the file.
         content: a text is written as UTF-8.
         folder: of the new file until it is whole, on the same file system; that of ``path`` by default.
         private: readable for its owner only, whatever it was before.

@@ -235,17 +235,13 @@ class _Meanings(dict[Any, Any]):
 
 
 class Frames:
-    """The frames of one identifier: packs and unpacks them by a table of their signals.
+    """The frames of one identifier, see EXTENDED_ID: packs and unpacks them by a table of their signals.
 
     Args:
-        message: of the DBC file.
-        identifier: of the frames, see EXTENDED_ID.
         fields: the signals that mean something, by the field of ``kind``.
         factors: of the fields with a physical value, from the file's unit to SI units.
         values: of the fields that say something the raw value of each meaning.
         kind: what :meth:`unpack` returns, and :meth:`pack` takes; None: a plain tuple of ``fields``.
-        alive_modulus: of the field ``alive``.
-        crc: of these frames.
         no_fault: the board's code of no fault.
 
     Attributes:
