@@ -50,8 +50,8 @@ class WatchedAdvice:
     """The present content of a file, read again when it has changed; an empty name is no file.
 
     A file that is not there yet says nothing: `straightcomp history advise` may run for the first time tonight. One
-    that cannot be read says so in place of advice, since silence would look like a sound stage. ``clock`` is a monotonic
-    time in s.
+    that cannot be read says so in place of advice, since silence would look like a sound stage. ``clock`` is monotonic,
+    in s.
     """
 
     def __init__(self, file: str, clock: Callable[[], float] = time.monotonic) -> None:
