@@ -20,7 +20,7 @@ from straightcomp_ros.analysis.html_page import (
     html_plot,
     line_figure,
 )
-from straightcomp_ros.analysis.metrics import residual_over
+from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.straightness.survey import Direction
 
@@ -63,20 +63,19 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     record = assessment.record
-    x, y, guide, true = record.best_known(assessment.reference)
-    moving = record.motion.samples()
-    of_guide, after = (residual_over(x, values, record) * 1e6 for values in (guide, guide + y))
-    figure = line_figure("slider position x / mm", f"deviation / µm ({'true' if true else 'map and encoder'})")
+    x, of_guide, after = straightness_over(record, assessment.reference)
+    seen = "map and encoder" if record.guide is None else "true"
+    figure = line_figure("slider position x / mm", f"deviation / µm ({seen})")
     curves: tuple[tuple[str, Array, str, Direction | None], ...] = (
         ("before", of_guide, BLACK, None),
         ("after, forward", after, BLUE, "forward"),
         ("after, backward", after, VERMILION, "backward"),
     )
     for name, values, colour, direction in curves if before else curves[1:]:
-        chosen = np.isin(moving, record.motion.samples(direction))
+        chosen = np.isin(record.motion.samples(), record.motion.samples(direction))
         if chosen.any():
-            label = f"{name}: {np.ptp(values[chosen]):.2f} µm p-p"
-            _curve(figure, x[moving][chosen] * 1e3, values[chosen], label, colour)
+            shown = values[chosen] * 1e6
+            _curve(figure, x[chosen] * 1e3, shown, f"{name}: {np.ptp(shown):.2f} µm p-p", colour)
     return figure
 
 

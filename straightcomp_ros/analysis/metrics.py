@@ -98,16 +98,16 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         errors |= {f"{name}_{way}": of_way.get(name) for name in ("encoder_pp", "true_pp")}
     steps = np.diff(record.current[window])
     resting = []
-    for before, after in itertools.pairwise(motion.strokes):
-        begin = np.searchsorted(record.time, record.time[before.stop - 1] + RESTING)
-        resting += np.diff(record.current[begin : after.start]).tolist()
-    known = record.best_known(straightness)
+    for one, following in itertools.pairwise(motion.strokes):
+        begin = np.searchsorted(record.time, record.time[one.stop - 1] + RESTING)
+        resting += np.diff(record.current[begin : following.start]).tolist()
+    _, before, after = straightness_over(record, straightness)
     of_encoder = straightness.deviations(record.x) + record.y
     return Metrics(
         **errors,
-        residual_pp=peak_to_peak(residual_over(known.x, known.guide + known.y, record)),
+        residual_pp=peak_to_peak(after),
         residual_encoder_pp=peak_to_peak(residual_over(record.x, of_encoder, record)),
-        uncompensated_pp=peak_to_peak(residual_over(known.x, known.guide, record)),
+        uncompensated_pp=peak_to_peak(before),
         control_activity=float(np.abs(steps).sum()),
         control_rms_step=_rms(steps),
         resting_rms_step=_rms(np.array(resting)) if resting else None,
@@ -118,16 +118,16 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
 
 def stroke_figures(stroke: StrokeRecord, reference: ReferenceMap, direction: Direction) -> StrokeFigures:
     """Figures of a record of one ``stroke``."""
-    time, known = stroke.time, stroke.best_known(reference)
+    time, (x, y, guide) = stroke.time, stroke.best_known(reference)
     lines = {}
-    for name, deviation in (("before", known.guide), ("after", known.guide + known.y)):
-        lines[f"{name}_least_squares"] = peak_to_peak(residual_of_stroke(time, known.x, deviation))
-        lines[f"{name}_end_points"] = peak_to_peak(end_point_residual(known.x, deviation))
+    for name, deviation in (("before", guide), ("after", guide + y)):
+        lines[f"{name}_least_squares"] = peak_to_peak(residual_of_stroke(time, x, deviation))
+        lines[f"{name}_end_points"] = peak_to_peak(end_point_residual(x, deviation))
     return StrokeFigures(
         direction=direction,
         start=float(time[0]),
         duration=float(time[-1] - time[0]),
-        travel=float(np.ptp(known.x)),
+        travel=float(np.ptp(x)),
         **_errors(stroke.r - stroke.y, stroke.true_error(reference), slice(None)),
         **lines,
     )
@@ -146,6 +146,14 @@ def residual_of_stroke(time: Array, x: Array, deviation: Array) -> Array:
     """``deviation`` (n,) over ``x`` (n,) in m of one movement, from its least squares line, weighed by the speed as in
     :func:`residual_over`."""
     return least_squares_residual(x, deviation, np.abs(np.gradient(x, time)))
+
+
+def straightness_over(record: StrokeRecord, reference: ReferenceMap) -> tuple[Array, Array, Array]:
+    """x of the samples in motion, and the straightness there before and after compensation, (m,) each in m: true where
+    the truth is known, from the least squares lines."""
+    x, y, guide = record.best_known(reference)
+    before, after = (residual_over(x, values, record) for values in (guide, guide + y))
+    return x[record.motion.samples()], before, after
 
 
 def residual_over(x: Array, deviation: Array, record: StrokeRecord) -> Array:

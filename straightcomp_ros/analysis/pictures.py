@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.metrics import Metrics, residual_over
+from straightcomp_ros.analysis.metrics import Metrics, straightness_over
 from straightcomp_ros.analysis.record import StrokeRecord, group_means
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -119,11 +119,9 @@ def plot_map(built: BuiltMap, path: Path) -> None:
 def _straightness(
     both: Axes, after: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics
 ) -> None:
-    x, y, guide, true = record.best_known(straightness)
-    moving = record.motion.samples()
-    x_mm = x[moving] * 1e3
-    before_um, after_um = (residual_over(x, values, record) * 1e6 for values in (guide, guide + y))
-    forward = np.isin(moving, record.motion.samples("forward"))
+    x, before, after_m = straightness_over(record, straightness)
+    x_mm, before_um, after_um = x * 1e3, before * 1e6, after_m * 1e6
+    forward = np.isin(record.motion.samples(), record.motion.samples("forward"))
 
     both.plot(x_mm, before_um, color=BLACK, label=f"before: {metrics.uncompensated_pp * 1e6:.2f} µm p-p")
     both.plot(x_mm, after_um, color=BLUE, label=f"after: {metrics.residual_pp * 1e6:.2f} µm p-p")
@@ -136,7 +134,7 @@ def _straightness(
             centres, means = group_means(x_mm[mask], after_um[mask], np.floor(x_mm[mask] / LENGTH_OF_MEAN_MM))
             label = f"{name}: {np.ptp(after_um[mask]):.2f} µm p-p"
             after.plot(centres, means, color=colour, linestyle=style, linewidth=1.6, zorder=3, label=label)
-    seen = "true" if true else "map + encoder"
+    seen = "map + encoder" if record.guide is None else "true"
     enlarged = f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)"
     for axes, title in ((both, "Straightness before and after"), (after, enlarged)):
         _finish(axes, title, "slider position x / mm", "deviation / µm", 2)

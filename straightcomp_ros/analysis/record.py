@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,15 +31,6 @@ _FASTEST_CHANGE = 1000.0
 
 class MetricsError(ValueError):
     """A record cannot be evaluated; the message names the column and the sample."""
-
-
-class BestKnown(NamedTuple):
-    """Slider x, platform y and the guide's deviation there, (n,) each in m, and whether they are the true ones."""
-
-    x: Array
-    y: Array
-    guide: Array
-    true: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +70,12 @@ class StrokeRecord:
         """From the first to the last sample of motion, with the pauses between the strokes."""
         return self.part(self.motion.window)
 
-    def best_known(self, straightness: ReferenceMap) -> BestKnown:
-        """The truth; on real hardware the values of the encoders and of the map."""
+    def best_known(self, straightness: ReferenceMap) -> tuple[Array, Array, Array]:
+        """Slider x, platform y and the guide's deviation there, (n,) each in m: the truth, or else the values of the
+        encoders and of the map."""
         if self.true_x is None or self.true_y is None or self.guide is None:
-            return BestKnown(self.x, self.y, straightness.deviations(self.x), False)
-        return BestKnown(self.true_x, self.true_y, self.guide, True)
+            return self.x, self.y, straightness.deviations(self.x)
+        return self.true_x, self.true_y, self.guide
 
     def true_error(self, straightness: ReferenceMap) -> Array | None:
         """r(true x) − true y, (n,) in m; None without truth."""

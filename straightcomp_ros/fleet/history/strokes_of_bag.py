@@ -87,8 +87,8 @@ def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], 
     own."""
     record, reference, (begin, end) = evaluation.record, RecordedReference(evaluation.record), times
     part, coils = record.part(stroke.samples), evaluation.coil_current[stroke.samples]
-    known = part.best_known(reference)
-    workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
+    x, y, guide = part.best_known(reference)
+    workpiece = residual_of_stroke(part.time, x, guide + y)
     figures = stroke_figures(part, reference, stroke.direction).to_display()
     del figures["start_s"]
     first, last = np.searchsorted(evaluation.stamps, (begin, end + 1)).tolist()
