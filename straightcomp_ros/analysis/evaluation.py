@@ -12,18 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.interruption import (
-    ENDS_APART,
-    PAUSE,
-    EncoderRun,
-    LatchedFault,
-    Stall,
-    clock_jump,
-    encoder_run,
-    interruption,
-    latched_faults,
-    stalls_of,
-)
+from straightcomp_ros.analysis import interruption
+from straightcomp_ros.analysis.interruption import ENDS_APART, PAUSE, EncoderRun, LatchedFault, Stall
 from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, Verdict
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.bags import BagError
@@ -122,7 +112,7 @@ class BagEvaluation:
         if self.clock_jump:
             remedy = "record again, with a driver whose stamps come from a monotonic clock"
             return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
-        reason = interruption(self.encoder, self.faults, begin_ns, until_ns) if self.encoder else ""
+        reason = self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else ""
         return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before") if reason else None
 
 
@@ -156,7 +146,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
-    jump, driver = clock_jump(streams[ENCODER.topic]), streams.get(DRIVER_STATE.topic)
+    jump, driver = interruption.clock_jump(streams[ENCODER.topic]), streams.get(DRIVER_STATE.topic)
     unique = {topic: stream.by_stamp() for topic, stream in streams.items()}
     samples, reference, command, truth = (unique.get(one.topic) for one in (ENCODER, REFERENCE, COMMAND, TRUTH))
     assert samples and reference and command
@@ -196,7 +186,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
         begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
         warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
-    run = encoder_run(
+    run = interruption.encoder_run(
         encoder,
         x,
         on,
@@ -204,7 +194,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         goes_on=answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9,
         silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
     )
-    stalls = stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
+    stalls = interruption.stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
         lost_references=run.unanswered(reference.stamp),
@@ -222,7 +212,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         latency_stamps=state[recorded],
         encoder=run,
         reports=reports,
-        faults=latched_faults(reports, int(encoder[0])),
+        faults=interruption.latched_faults(reports, int(encoder[0])),
         clock_jump=jump,
     )
 

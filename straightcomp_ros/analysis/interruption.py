@@ -123,6 +123,31 @@ class EncoderRun(NamedTuple):
         inside = self.stamps[self.stamps <= max(int(answers[-1]), self.end_ns)]
         return int(np.count_nonzero(~np.isin(inside, answers)))
 
+    def interruption(self, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
+        """Why the law did not run for the whole motion from ``begin_ns`` to before ``until_ns``; empty if it did."""
+
+        def at(stamp_ns: int) -> str:
+            return f"{(stamp_ns - int(self.stamps[0])) * 1e-9:.3f} s"
+
+        within = (self.stamps >= begin_ns) & (self.stamps < until_ns)
+        moving = np.zeros(within.size, np.bool_)
+        for stroke in self.strokes:
+            moving[stroke.samples] = within[stroke.samples]
+        latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
+        found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
+        found += [f"x jumps at {at(int(self.stamps[jump]))}" for jump in self.jumps[within[self.jumps]][:1]]
+        if off := np.count_nonzero(moving & self.off):
+            found.append(f"the amplifier was off for {off} samples of the motion")
+        if begin_ns <= self.end_ns < until_ns and self.end_ns > self.judged_ns:
+            left = f"{np.count_nonzero(moving & (self.stamps > self.judged_ns))} more of the motion have none"
+            found.append(f"after {at(self.judged_ns)} no sample has both reference and command, {left}")
+        moves = self.lost_at >= MOVING
+        if within[-1] and (moves or self.left_on):
+            speed = f" and the stage moving at {self.lost_at * 1e3:.3g} mm/s" if moves else ""
+            state = "on" if self.left_on or not self.off[-1] else "off"
+            found.append(f"the samples end with the amplifier {state}{speed}")
+        return "; ".join(found)
+
 
 def encoder_run(
     stamps: Stamps,
@@ -143,33 +168,6 @@ def encoder_run(
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
     lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
     return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, silent and bool(on[-1]))
-
-
-def interruption(run: EncoderRun, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
-    """Why the law did not run for the whole motion from ``begin_ns`` to before ``until_ns``; empty if it did."""
-
-    def at(stamp_ns: int) -> str:
-        return f"{(stamp_ns - int(run.stamps[0])) * 1e-9:.3f} s"
-
-    within = (run.stamps >= begin_ns) & (run.stamps < until_ns)
-    moving = np.zeros(within.size, np.bool_)
-    for stroke in run.strokes:
-        moving[stroke.samples] = within[stroke.samples]
-    latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
-    found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
-    found += [f"x jumps at {at(int(run.stamps[jump]))}" for jump in run.jumps[within[run.jumps]][:1]]
-    if off := np.count_nonzero(moving & run.off):
-        found.append(f"the amplifier was off for {off} samples of the motion")
-    if begin_ns <= run.end_ns < until_ns and run.end_ns > run.judged_ns:
-        left = np.count_nonzero(moving & (run.stamps > run.judged_ns))
-        found.append(
-            f"after {at(run.judged_ns)} no sample has both reference and command, {left} more of the motion have none"
-        )
-    moves = run.lost_at >= MOVING
-    if within[-1] and (moves or run.left_on):
-        speed = f" and the stage moving at {run.lost_at * 1e3:.3g} mm/s" if moves else ""
-        found.append(f"the samples end with the amplifier {'on' if run.left_on or not run.off[-1] else 'off'}{speed}")
-    return "; ".join(found)
 
 
 def latched_faults(reports: Mapping[str, Sequence[Report]], begin_ns: int) -> tuple[LatchedFault, ...]:

@@ -15,13 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis import error_detail
 from straightcomp_ros.analysis import judgement as words
-from straightcomp_ros.analysis.error_detail import (
-    irregular_oscillation,
-    stretches,
-    sustained_oscillation,
-    tolerated_amplitude,
-)
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import residual_over
@@ -306,11 +301,11 @@ def _wrong_guide(motion: JudgedMotion) -> str:
 
 
 def _oscillates(motion: JudgedMotion) -> str:
-    pieces = list(stretches(motion.time, motion.error, motion.r))
-    allowed = tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
-    found = max(sustained_oscillation(error, reference, motion.period) for error, reference in pieces)
+    pieces = list(error_detail.stretches(motion.time, motion.error, motion.r))
+    allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
+    found = max(error_detail.sustained_oscillation(error, reference, motion.period) for error, reference in pieces)
     if found.amplitude <= allowed and motion.pp > motion.largest:
-        found = max(irregular_oscillation(error, reference, motion.period) for error, reference in pieces)
+        found = max(error_detail.irregular_oscillation(error, reference, motion.period) for error, reference in pieces)
     if found.amplitude <= allowed:
         return ""
     return (
