@@ -8,18 +8,8 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis import html_page as page
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
-from straightcomp_ros.analysis.html_page import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    VERMILION,
-    blocks,
-    html_page,
-    html_plot,
-    line_figure,
-)
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.straightness.survey import Direction
@@ -47,16 +37,16 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
     limits = [{"verdict": one.passed, "limit": str(one)} for one in checks]
     runs = {"this run": assessment.figures()} | ({} if other is None else {str(other.bag): other.figures()})
     figures = [{"figure": name, **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
-    return html_page(
+    return page.html_page(
         bag,
         f"Straightness compensation, law “{assessment.record.law}”",
-        Markup("").join(blocks.paragraph(*note) for note in notes),
+        Markup("").join(page.blocks.paragraph(*note) for note in notes),
         [
-            ("Limits", blocks.table(limits) if limits else ""),
-            *((title, blocks.plots([html_plot(plot)])) for title, plot in plots if plot is not None),
-            ("Strokes", blocks.table([stroke.to_display() for stroke in assessment.strokes])),
+            ("Limits", page.blocks.table(limits) if limits else ""),
+            *((title, page.blocks.plots([page.html_plot(plot)])) for title, plot in plots if plot is not None),
+            ("Strokes", page.blocks.table([stroke.to_display() for stroke in assessment.strokes])),
             *_events(assessment),
-            ("Figures", blocks.table(figures, columns=other is None)),
+            ("Figures", page.blocks.table(figures, columns=other is None)),
         ],
     )
 
@@ -65,11 +55,11 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     record = assessment.record
     x, of_guide, after = straightness_over(record, assessment.reference)
     seen = "map and encoder" if record.guide is None else "true"
-    figure = line_figure("slider position x / mm", f"deviation / µm ({seen})")
+    figure = page.line_figure("slider position x / mm", f"deviation / µm ({seen})")
     curves: tuple[tuple[str, Array, str, Direction | None], ...] = (
-        ("before", of_guide, BLACK, None),
-        ("after, forward", after, BLUE, "forward"),
-        ("after, backward", after, VERMILION, "backward"),
+        ("before", of_guide, page.BLACK, None),
+        ("after, forward", after, page.BLUE, "forward"),
+        ("after, backward", after, page.VERMILION, "backward"),
     )
     for name, values, colour, direction in curves if before else curves[1:]:
         chosen = np.isin(record.motion.samples(), record.motion.samples(direction))
@@ -87,22 +77,22 @@ def _errors(assessment: Assessment) -> tuple[Array, list[Array]]:
 
 
 def _error(assessment: Assessment, other: Assessment | None) -> go.Figure:
-    figure = line_figure("time / s", "error r − y / µm")
+    figure = page.line_figure("time / s", "error r − y / µm")
     time, errors = _errors(assessment)
-    names = (("encoder", BLUE if len(errors) == 1 else GREY), ("true", BLUE))
+    names = (("encoder", page.BLUE if len(errors) == 1 else page.GREY), ("true", page.BLUE))
     for (name, colour), values in zip(names, errors, strict=False):
         _curve(figure, time, values, name, colour)
     if other is not None:
         others_time, others = _errors(other)
-        _curve(figure, others_time - others_time[0] + time[0], others[-1], str(other.bag), VERMILION)
-    _mark(figure, assessment.amplifier_off, "amplifier off", VERMILION)
-    _mark(figure, assessment.gaps, "samples lost", GREEN)
+        _curve(figure, others_time - others_time[0] + time[0], others[-1], str(other.bag), page.VERMILION)
+    _mark(figure, assessment.amplifier_off, "amplifier off", page.VERMILION)
+    _mark(figure, assessment.gaps, "samples lost", page.GREEN)
     return figure
 
 
 def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
-    figure = line_figure("frequency / Hz", "amplitude density / (µm/√Hz)")
-    for one, colour in ((assessment, BLUE), (other, VERMILION)):
+    figure = page.line_figure("frequency / Hz", "amplitude density / (µm/√Hz)")
+    for one, colour in ((assessment, page.BLUE), (other, page.VERMILION)):
         if one is not None and len(one.spectrum.density) > 1:
             density = np.sqrt(one.spectrum.density[1:]) * 1e6
             name = "this run" if one is assessment else str(one.bag)
@@ -115,17 +105,17 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
 
 def _current(assessment: Assessment) -> go.Figure:
     moving = assessment.record.moving
-    figure = line_figure("time / s", "control current / mA")
-    _curve(figure, moving.time, moving.current * 1e3, "command", BLACK)
-    _mark(figure, assessment.saturated, "at the current limit", VERMILION)
+    figure = page.line_figure("time / s", "control current / mA")
+    _curve(figure, moving.time, moving.current * 1e3, "command", page.BLACK)
+    _mark(figure, assessment.saturated, "at the current limit", page.VERMILION)
     return figure
 
 
 def _timing(assessment: Assessment) -> go.Figure | None:
     evaluation = assessment.evaluation
     curves = (
-        ("sample to command", evaluation.latency * 1e6, BLUE),
-        ("sample to publication", evaluation.lateness * 1e6, VERMILION),
+        ("sample to command", evaluation.latency * 1e6, page.BLUE),
+        ("sample to publication", evaluation.lateness * 1e6, page.VERMILION),
     )
     both = np.concatenate([values for _, values, _ in curves])
     if not len(both):
@@ -133,7 +123,7 @@ def _timing(assessment: Assessment) -> go.Figure | None:
     # At least 1 µs wide: in a simulated run all samples take the same time.
     width = max(float(np.ptp(both)) / _BINS, 1.0)
     edges = both.min() - width / 2 + width * np.arange(math.ceil(np.ptp(both) / width) + 2)
-    figure = line_figure("time / µs", "samples")
+    figure = page.line_figure("time / µs", "samples")
     most = 1
     for name, values, colour in curves:
         if len(values):
@@ -185,6 +175,6 @@ def _events(assessment: Assessment) -> Iterator[tuple[str, Markup]]:
         for e in assessment.stick_slips
     ]
     for title, rows in events.items():
-        more = blocks.paragraph(f"and {len(rows) - _SHOWN} more") if len(rows) > _SHOWN else ""
+        more = page.blocks.paragraph(f"and {len(rows) - _SHOWN} more") if len(rows) > _SHOWN else ""
         if rows:
-            yield f"{title}: {len(rows)}", blocks.table(rows[:_SHOWN]) + more
+            yield f"{title}: {len(rows)}", page.blocks.table(rows[:_SHOWN]) + more

@@ -10,20 +10,11 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
+from straightcomp_ros.analysis import html_report as report
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.html_page import blocks
-from straightcomp_ros.analysis.html_report import (
-    _BINS,
-    _error,
-    _events,
-    _extremes,
-    _spectrum,
-    _straightness,
-    _timing,
-    report_html,
-)
 from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
@@ -220,7 +211,7 @@ def test_a_built_map_has_its_ends_in_millimetres_and_its_runs():
 def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count):
     values = np.random.default_rng(count).normal(size=count)
     values[[count // 3, count // 2]] = 99.0, -99.0
-    kept = _extremes(values)
+    kept = report._extremes(values)
     assert {count // 3, count // 2} <= set(kept.tolist())
     assert np.all(np.diff(kept) > 0) and kept[0] >= 0 and kept[-1] < count
     # However long the record, a page carries some thousand points; a short one is shown whole.
@@ -232,16 +223,16 @@ def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count)
 def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, assessed):
     record = make_record(1e-6 * np.sin(2 * np.pi * 50 * motion_profile[0]), quantum=1e-9)
     found = assessed(record)
-    before, forward, backward = _straightness(found).data
-    assert max(forward.x) == pytest.approx(1760.0, abs=1.0) and len(_straightness(found, before=False).data) == 2
+    before, forward, backward = report._straightness(found).data
+    assert max(forward.x) == pytest.approx(1760.0, abs=1.0) and len(report._straightness(found, before=False).data) == 2
     assert np.ptp(before.y) == pytest.approx(found.metrics.uncompensated_pp * 1e6)
     assert np.ptp(np.concatenate([forward.y, backward.y])) == pytest.approx(found.metrics.residual_pp * 1e6)
-    encoder, true = _error(found, None).data
+    encoder, true = report._error(found, None).data
     assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
     assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)
     window = found.record.motion.window
     assert min(encoder.x) >= record.time[window.start] and max(encoder.x) <= record.time[window.stop - 1]
-    (spectrum,) = _spectrum(found, None).data
+    (spectrum,) = report._spectrum(found, None).data
     peak = int(np.argmax(spectrum.y))
     assert spectrum.x[peak] == pytest.approx(50.0, abs=1.0)
     assert spectrum.y[peak] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
@@ -253,31 +244,31 @@ def test_another_run_is_shown_with_it_from_the_same_beginning(make_record, asses
     late = replace(record, time=record.time + 100.0)
     found, other = assessed(record), assessed(late, "b")
     for pages, compared in ((1, None), (2, other)):
-        figures = report_html(found, compared).partition("<h2>Figures</h2>")[2]
+        figures = report.report_html(found, compared).partition("<h2>Figures</h2>")[2]
         assert figures.count('<td class="n">') == pages * len(found.figures())
-    *_, theirs = _error(found, other).data
+    *_, theirs = report._error(found, other).data
     assert min(theirs.x) == pytest.approx(record.time[found.record.motion.window.start], abs=0.05)
-    assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
+    assert theirs.name == "b" and len(report._spectrum(found, other).data) == 2
 
 
 def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record, assessed):
     record = make_record(0.2e-6)
     latency, lateness = np.array([100e-6, 130e-6, 131e-6, 900e-6]), np.array([20e-6] * 5)
-    bars = _timing(assessed(record, latency=latency, lateness=lateness)).data
+    bars = report._timing(assessed(record, latency=latency, lateness=lateness)).data
     assert [bar.name for bar in bars] == ["sample to command", "sample to publication"]
     # From 20 to 900 µs.
-    assert [bar.width for bar in bars] == pytest.approx([880.0 / _BINS] * 2)
+    assert [bar.width for bar in bars] == pytest.approx([880.0 / report._BINS] * 2)
     for bar, values in zip(bars, (latency, lateness), strict=True):
         assert len(bar.x) == len(bar.y) and sum(bar.y) == len(values)
         for value in values * 1e6:
             assert min(abs(x - value) for x, count in zip(bar.x, bar.y, strict=True) if count) <= bar.width / 2 + 1e-9
-    assert _timing(assessed(record, latency=latency[:0], lateness=lateness[:0])) is None
+    assert report._timing(assessed(record, latency=latency[:0], lateness=lateness[:0])) is None
 
 
 def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():
     def events(**found):
         none = {"gaps": [], "saturated": [], "amplifier_off": [], "stick_slips": []}
-        return dict(_events(SimpleNamespace(**none | found)))
+        return dict(report._events(SimpleNamespace(**none | found)))
 
     slips = [StickSlip(1.5, 0.2, 0.25, 7e-6)] * 41
     text = events(stick_slips=slips)["Stick-slip: 41"]
