@@ -79,17 +79,13 @@ def test_a_reader_has_each_message_once_whether_batches_come_go_or_never_were(pa
 
 
 def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes_to_it(pair):
-    publish, sent = StreamPublisher(pair.writer, TRUTH, 2000), 0
+    publish, received, seen = StreamPublisher(pair.writer, TRUTH, 2000), [], []
     batches = pair.streams.raw_batches(TRUTH)
 
-    def send(count):
-        nonlocal sent
-        for _ in range(count):
-            publish(sent * PERIOD, *NOUGHT)
-            sent += 1
+    def send(numbers):
+        for number in numbers:
+            publish(number * PERIOD, *NOUGHT)
         publish.flush()
-
-    received, seen = [], []
 
     def look():
         received.extend(TRUTH.layout.unpack(data)[0] // PERIOD for data, _ in batches.fetch())
@@ -97,13 +93,13 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
 
     pair.wait(lambda: batches.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
     time.sleep(0.2)
-    send(100)
+    send(range(100))
     # Having had the first batch the reader leaves the stream itself, and no other node reads that.
     pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
     direct = pair.streams.queue(TRUTH)
     pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
     time.sleep(0.2)
-    send(20)
+    send(range(100, 120))
     pair.wait(lambda: seen.extend(stamp // PERIOD for stamp, _, _ in direct.fetch()) or len(seen) == 20)
     assert seen == list(range(100, 120))
     pair.wait(lambda: look() == list(range(120)))

@@ -9,11 +9,11 @@ import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.runtime import guarded_node
-from straightcomp_ros.runtime.guarded_node import TICK_S, GuardedNode, SteadyTimers, ThrottledWarning, refusal
+from straightcomp_ros.runtime.guarded_node import TICK_S, GuardedNode, Refused, SteadyTimers, ThrottledWarning, refusal
 
 
 def test_a_flood_of_wrong_messages_is_logged_every_five_seconds_with_the_number_of_the_others(monkeypatch):
@@ -29,18 +29,6 @@ def test_a_flood_of_wrong_messages_is_logged_every_five_seconds_with_the_number_
     assert "KeyError (and 4999 more" in warnings[1]
 
 
-@pytest.fixture
-def callbacks(monkeypatch):
-    """The callbacks that reach rclpy, by topic or service, of a node that is never made."""
-    found = {}
-    monkeypatch.setattr(
-        Node, "create_subscription", lambda self, kind, topic, callback: found.update({topic: callback})
-    )
-    monkeypatch.setattr(Node, "create_service", lambda self, kind, name, callback: found.update({name: callback}))
-    monkeypatch.setattr(GuardedNode, "get_logger", lambda self: SimpleNamespace(warning=len))
-    return found
-
-
 def failing(error):
     def callback(*_):
         raise error
@@ -48,19 +36,30 @@ def failing(error):
     return callback
 
 
-def test_an_error_of_a_callback_drops_the_message_or_refuses_the_request_and_one_of_the_machine_passes(callbacks):
+def test_an_error_of_a_callback_drops_the_message_or_refuses_the_request_and_one_of_the_machine_passes(monkeypatch):
+    reached, warnings = {}, []
+    for kind in ("subscription", "service"):
+        monkeypatch.setattr(Node, f"create_{kind}", lambda self, kind, name, callback: reached.update({name: callback}))
+    monkeypatch.setattr(GuardedNode, "get_logger", lambda self: SimpleNamespace(warning=warnings.append))
     node = GuardedNode.__new__(GuardedNode)
     node.create_subscription(object, "trip", failing(ValueError("n/a")))
     node.create_service(SetBool, "enable", failing(KeyError("n/a")))
-    node.create_service(SetBool, "start", failing(BagError("disk full")))
-    callbacks["trip"](None)
-    answer = callbacks["enable"](SetBool.Request(), SetBool.Response(success=True))
-    assert not answer.success and "n/a" in answer.message
+    node.offer(Trigger, "stop", failing(Refused("nothing is going on")))
+    node.offer(SetBool, "center", lambda middle: f"to {middle}")
+    node.offer(Trigger, "start", failing(BagError("disk full")))
+
+    def answer(name, kind):
+        response = reached[name](kind.Request(), kind.Response(success=True))
+        return response.success, response.message
+
+    reached["trip"](None)
+    assert answer("enable", SetBool) == (False, "'n/a'") and len(warnings) == 2
+    # A refusal is the node's answer, and no error of its callback.
+    assert answer("stop", Trigger) == (False, "nothing is going on")
+    assert answer("center", SetBool) == (True, "to False")
     with pytest.raises(BagError):
-        callbacks["start"](SetBool.Request(), SetBool.Response())
-
-
-def test_a_refusal_has_its_reason_also_where_the_response_has_a_result():
+        answer("start", Trigger)
+    assert len(warnings) == 2
     result = refusal(SetParametersAtomically.Response(), "255 is no type").result
     assert not result.successful and result.reason == "255 is no type"
 
@@ -115,22 +114,21 @@ class Timers(SteadyTimers):
         return self.calls
 
 
-def test_a_timer_is_called_once_in_each_period_and_once_after_a_stall():
+def test_a_timer_is_called_at_a_tick_once_in_each_period_and_once_after_a_stall_the_longest_due_first():
+    timers = Timers()
+    timers.after(0.7 * TICK_S)
+    assert timers.named(TICK_S, "early").due_ns == 10**9 + 2 * TICK_S * 1e9
     timers = Timers()
     timers.named(0.1, "one")
     for _ in range(100):
         timers.after(0.01)
     assert [len(timers.after(seconds)) for seconds in (0.0, 1.05, 0.0, 0.1)] == [10, 11, 11, 12]
-
-
-def test_one_turn_calls_the_timer_that_has_been_due_for_longest():
     timers = Timers()
     timers.named(0.2, "slow")
     timers.named(0.1, "quick")
     timers.now_ns += 300_000_000
-    assert timers.call_one() and timers.calls == ["quick"]
-    assert timers.call_one() and timers.calls == ["quick", "slow"]
-    assert not timers.call_one()
+    assert [timers.call_one() for _ in range(3)] == [True, True, False]
+    assert timers.calls == ["quick", "slow"]
 
 
 def test_a_cancelled_timer_is_never_called_even_if_another_cancels_it_in_the_same_turn():
@@ -141,9 +139,3 @@ def test_a_cancelled_timer_is_never_called_even_if_another_cancels_it_in_the_sam
     timers.named(0.1, "cancelled").cancel()
     timers.named(0.12, "late")
     assert timers.after(0.5) == ["kept"]
-
-
-def test_a_timer_is_due_at_a_tick_whenever_it_was_added():
-    timers = Timers()
-    timers.after(0.7 * TICK_S)
-    assert timers.named(TICK_S, "one").due_ns == 10**9 + 2 * TICK_S * 1e9

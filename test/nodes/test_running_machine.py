@@ -76,15 +76,8 @@ def machine(client: Client, folder: Path) -> RunningMachine:
     return RunningMachine(client, SHIPPED, LOGGER, folder)
 
 
-def stroke(client: Client, folder: Path, count: int = 1) -> RunningMachine:
-    used = machine(client, folder)
-    used.stroke(SHIPPED, folder / "bag", 3e-4, count=count)
-    return used
-
-
 def off_at_the_end(client: Client) -> bool:
-    switched = [wanted for service, wanted in client.asked if service == "driver/enable"]
-    return bool(switched) and switched[-1] is False
+    return [wanted for service, wanted in client.asked if service == "driver/enable"][-1:] == [False]
 
 
 def test_strokes_follow_each_other_from_where_they_begin_and_a_released_logger_has_its_first_parameters(
@@ -92,7 +85,8 @@ def test_strokes_follow_each_other_from_where_they_begin_and_a_released_logger_h
 ):
     monkeypatch.chdir(tmp_path)
     client = Client()
-    used = stroke(client, Path("found"), count=3)
+    used = machine(client, Path("found"))
+    used.stroke(SHIPPED, Path("found/bag"), 3e-4, count=3)
     assert len(client.moves) == 3
     assert all(points[0].position == points[-1].position == 0.0 for points in client.moves)
     # The folder is the same wherever the logger was started.
@@ -108,7 +102,7 @@ def test_after_an_interrupt_no_further_stroke_begins_and_the_travel_that_a_kille
     client = Client(interrupt="move")
     client.given["driver"] = {"watch.travel": 3e-6}
     with pytest.raises(KeyboardInterrupt):
-        stroke(client, tmp_path, count=100)
+        machine(client, tmp_path).stroke(SHIPPED, tmp_path / "bag", 3e-4, count=100)
     (points,) = client.moves
     assert list(points) == forward_and_back(MotionParameters()) and off_at_the_end(client)
     assert client.given["driver"]["watch.travel"] == SHIPPED["driver"].get("watch.travel", 0.0)
