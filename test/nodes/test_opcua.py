@@ -9,16 +9,14 @@ import time
 from pathlib import Path
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from participant import Participant
-from rclpy.time import Time
 from waiting import wait_for_line
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.contract import DIAGNOSTICS
-from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters, node_parameters
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.runtime.graph_client import GraphClient
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
-from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, count
 
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
@@ -96,13 +94,11 @@ def test_what_a_demonstration_cannot_do_is_refused(words, capfd):
     assert "allowed" in capfd.readouterr().err
 
 
-def test_a_gateway_without_users_serves_readers_on_this_machine():
-    parameters = node_parameters("opcua", {})
-    assert isinstance(parameters, OpcuaNodeParameters)
-    assert parameters.opcua.on_loopback and not parameters.opcua.users
-
-
-def test_wrong_parameters_end_the_node_with_one_sentence(single, tmp_path):
+def test_without_users_a_gateway_serves_readers_on_this_machine_and_with_a_wrong_file_it_ends_with_one_sentence(
+    single, tmp_path
+):
+    parameters = node_parameters("opcua", {}).opcua
+    assert parameters.on_loopback and not parameters.users
     node = single.start("opcua", {"opcua.users": str(tmp_path / "none")})
     assert node.wait(120) == EXIT_CONFIGURATION
     assert "users file" in single.last_words("opcua") and "Traceback" not in single.log("opcua").read_text()
@@ -117,26 +113,16 @@ COUNTS = (SAMPLES, LOST, OVERRUNS, "commands")
 def grown():
     """A function that returns what each loop's counts in its diagnostics grew by while ``work()`` was done."""
     with Participant("counters") as participant:
-        values, stamps = {}, {}
-
-        def note(message):
-            for status in message.status:
-                found = {one.key: one.value for one in status.values}
-                values[status.name] = {name: int(found.get(name, 0)) for name in COUNTS}
-                stamps[status.name] = Time.from_msg(message.header.stamp).nanoseconds
-
-        participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, note, 10)
+        client = GraphClient(participant.node, LOOPS)
 
         def now():
-            begin_ns = time.time_ns()
-            participant.until(lambda: all(stamps.get(loop, 0) > begin_ns for loop in LOOPS))
-            return {loop: dict(values[loop]) for loop in LOOPS}
+            before = client.reports()
+            participant.until(lambda: all(client.reports().get(loop) not in (None, before.get(loop)) for loop in LOOPS))
+            return client.reports()
 
         def grown(work):
-            before = now()
-            work()
-            after = now()
-            return {loop: {name: after[loop][name] - before[loop][name] for name in COUNTS} for loop in LOOPS}
+            before, _, after = now(), work(), now()
+            return {loop: {one: count(after[loop], one) - count(before[loop], one) for one in COUNTS} for loop in LOOPS}
 
         yield grown
 

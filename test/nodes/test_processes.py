@@ -45,17 +45,13 @@ def refusal(capfd, monkeypatch):
         signal.signal(number, handler)
 
 
+EVERYDAY = [("driver", signal.SIGINT), ("logger", signal.SIGTERM)]
+SELDOM = [(node, number) for number in (signal.SIGINT, signal.SIGTERM) for node in (*COMPONENTS, "cell")]
+
+
 @pytest.mark.parametrize(
     ("node", "number"),
-    [
-        ("driver", signal.SIGINT),
-        ("logger", signal.SIGTERM),
-        pytest.param("driver", signal.SIGTERM, marks=pytest.mark.nightly),
-        pytest.param("feedforward", signal.SIGINT, marks=pytest.mark.nightly),
-        pytest.param("controller", signal.SIGTERM, marks=pytest.mark.nightly),
-        pytest.param("logger", signal.SIGINT, marks=pytest.mark.nightly),
-        pytest.param("cell", signal.SIGINT, marks=pytest.mark.nightly),
-    ],
+    [*EVERYDAY, *(pytest.param(*one, marks=pytest.mark.nightly) for one in SELDOM if one not in EVERYDAY)],
 )
 def test_a_node_stops_on_a_signal_without_a_traceback(single, tmp_path, node, number):
     process = single.start(node, {"output": str(tmp_path / "bag")} if node == "logger" else {})
