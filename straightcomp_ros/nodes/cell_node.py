@@ -43,7 +43,7 @@ class CellNode(Runnable):
         self._graph = GraphClient(
             node,
             parameters.nodes.split(),
-            batches=False,
+            batches=(),
             fresh=parameters.sample_timeout,
             patient=True,
             description=parameters.stage.identity,

@@ -6,7 +6,7 @@ from functools import partial
 
 from rclpy.task import Future
 
-from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
+from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, POSITION, REFERENCE
 from straightcomp_ros.runtime.graph_client import GraphClient
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.runner import Runnable, run
@@ -19,11 +19,16 @@ _FETCH_S = 0.05
 _SLOT_S = 0.02
 _ANSWER_WITHIN_S = 2.0
 _NODES = ("driver", "feedforward", "controller", "logger")
-_ERROR = CONTROLLER_STATE.layout.columns.index("error")
-_SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
-_LATENCY = DRIVER_STATE.layout.columns.index("command_latency")
-_SHOWN = {"deviation": 1e6, "y": 1e6, "error": 1e6, "sigma": 1e3, "latency": 1e6, "x": 1e3}
-"""Series and their scales: µm, mm/s, µs, mm."""
+_SHOWN = {
+    # Deviation of the guide by the map: the negative of the reference.
+    "deviation": (REFERENCE, "r", -1.0, 1e6),
+    "y": (POSITION, "y", 1.0, 1e6),
+    "error": (CONTROLLER_STATE, "error", 1.0, 1e6),
+    "sigma": (CONTROLLER_STATE, "sliding_variable", 1.0, 1e3),
+    "latency": (DRIVER_STATE, "command_latency", 1.0, 1e6),
+    "x": (POSITION, "x", 1.0, 1e3),
+}
+"""Series: stream, column, sign and scale, for µm, mm/s, µs, mm."""
 _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
 """Name in the diagnostics, by name on the page."""
 
@@ -41,13 +46,12 @@ class ViewNode(Runnable):
         port: int,
         ready: Callable[[str], object],
         realtime: RealtimeParameters,
-        maintenance: str = "",
+        maintenance: str,
     ) -> None:
         self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime = node, Future(), realtime
-        self._graph = GraphClient(node, _NODES)
-        self._reference = self._graph.streams.batches(REFERENCE)
-        self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
+        self._graph = GraphClient(node, _NODES, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
+        self._board = Board({name: Series(_SLOT_S, scale) for name, (*_, scale) in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
         buttons = {
             "enable": partial(self._ask, self._switch_on, "amplifier on"),
@@ -64,16 +68,9 @@ class ViewNode(Runnable):
         if self.done.done():
             return
         fetched = self._graph.fetch()
-        for name, messages, column, sign in (
-            ("x", fetched.positions, 0, 1.0),
-            ("y", fetched.positions, 1, 1.0),
-            ("error", fetched.controller, _ERROR, 1.0),
-            ("sigma", fetched.controller, _SIGMA, 1.0),
-            ("latency", fetched.driver, _LATENCY, 1.0),
-            # Deviation of the guide by the map: the negative of the reference.
-            ("deviation", self._reference.fetch(), 0, -1.0),
-        ):
-            self._board.add(name, [(stamp_ns, sign * numbers[column]) for stamp_ns, numbers, _ in messages])
+        for name, (stream, column, sign, _) in _SHOWN.items():
+            place = stream.layout.columns.index(column)
+            self._board.add(name, [(stamp_ns, sign * numbers[place]) for stamp_ns, numbers, _ in fetched[stream]])
         while self._wanted:
             self._wanted.pop(0)()
         self._show()

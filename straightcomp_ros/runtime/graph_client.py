@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -37,6 +38,7 @@ from straightcomp_ros.contract import (
     STAGE,
     STAGE_TRAJECTORY,
     UNCONNECTED,
+    Stream,
 )
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.model.motion import Waypoint
@@ -108,21 +110,13 @@ class Heartbeats:
             self.states[message.name] = message.message
 
 
-class FetchedMessages(NamedTuple):
-    """Messages since the last call."""
-
-    positions: Messages
-    controller: Messages = ()
-    driver: Messages = ()
-
-
 class GraphClient:
     """Requests to the nodes ``names`` in ``node``'s namespace (see the sequencer's `Machine`), and their observation.
 
     A request calls ``then`` with the reason for a refusal, or an empty text. An executor must spin ``node``.
 
     Args:
-        batches: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
+        batches: streams to read from their batches, as errors and σ of `controller_state`, besides the position.
         fresh: time after the last sample for which the observation is fresh, s.
         patient: the observation is also fresh before the first sample, until :meth:`expect_samples` is called.
         description: of the stage, by which ``node`` itself moves it; empty if it does not.
@@ -139,7 +133,7 @@ class GraphClient:
         node: Node,
         names: Sequence[str],
         *,
-        batches: bool = True,
+        batches: Iterable[Stream] = (CONTROLLER_STATE, DRIVER_STATE),
         fresh: float = 0.5,
         patient: bool = False,
         description: str = "",
@@ -160,9 +154,8 @@ class GraphClient:
         self._present: set[str] = set()
         node.create_timer(_LOOK_EVERY_S, self._look)
         self.streams = Streams(node)
-        self._queues = [self.streams.queue(POSITION)]
-        if batches:
-            self._queues += [self.streams.batches(stream) for stream in (CONTROLLER_STATE, DRIVER_STATE)]
+        self._queues = {POSITION: self.streams.queue(POSITION)}
+        self._queues |= {stream: self.streams.batches(stream) for stream in batches}
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._strokes = StrokeErrors()
@@ -247,24 +240,26 @@ class GraphClient:
         """Count the absence of a first sample as silence from now on."""
         self._last_came = min(self._last_came, time.monotonic())
 
-    def fetch(self) -> FetchedMessages:
+    def fetch(self) -> Mapping[Stream, Messages]:
         """Take the messages that have arrived; call it at least ten times a second."""
-        fetched = FetchedMessages(*(queue.fetch() for queue in self._queues))
-        for stamp_ns, (x, _), _ in _giving_way(fetched.positions):
+        fetched: dict[Stream, Messages] = {stream: queue.fetch() for stream, queue in self._queues.items()}
+        positions, controller = fetched[POSITION], fetched.get(CONTROLLER_STATE, ())
+        for stamp_ns, (x, _), _ in _giving_way(positions):
             self._strokes.add_position(stamp_ns, x)
-        for _, numbers, _ in _giving_way(fetched.controller):
+        for _, numbers, _ in _giving_way(controller):
             self._strokes.add_error(numbers[_ERROR])
-        if fetched.positions:
-            x, y = fetched.positions[-1][1]
-            self._newest = replace(self._newest, x=x, y=y)
-        if fetched.controller:
-            numbers = fetched.controller[-1][1]
-            self._newest = replace(self._newest, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
-        for messages in (fetched.driver, fetched.positions):
+        seen = self._newest
+        if positions:
+            x, y = positions[-1][1]
+            seen = replace(seen, x=x, y=y)
+        if controller:
+            numbers = controller[-1][1]
+            seen = replace(seen, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
+        for messages in (fetched.get(DRIVER_STATE), positions):
             if messages:
-                first_ns = self._newest.first_ns or messages[0][0]
-                self._newest = replace(self._newest, stamp_ns=messages[-1][0], first_ns=first_ns)
+                seen = replace(seen, stamp_ns=messages[-1][0], first_ns=seen.first_ns or messages[0][0])
                 self._last_came = time.monotonic()
+        self._newest = seen
         return fetched
 
     def reports(self) -> dict[str, dict[str, str]]:
@@ -330,11 +325,11 @@ def _giving_way(messages: Messages) -> Iterator[tuple[int, Sequence[float], int]
 
 
 class ServiceClient:
-    """Calls one service. It drops the oldest unanswered requests instead of collecting them without limit."""
+    """Calls one service. It waits for the answers to the newest requests only, instead of collecting all of them."""
 
     def __init__(self, node: Node, kind: Any, name: str) -> None:
         self._client = node.create_client(kind, name)
-        self._waiting: list[Future] = []
+        self._newest: deque[Future] = deque()
 
     @property
     def ready(self) -> bool:
@@ -350,17 +345,11 @@ class ServiceClient:
 
     def call(self, request: Any, then: Callable[[Any], None] = lambda response: None) -> Future:
         """Call the service; ``then`` gets its response, and so does the future."""
-
-        def answered(future: Future) -> None:
-            if future in self._waiting:
-                self._waiting.remove(future)
-                then(future.result())
-
         future = self._client.call_async(request)
-        self._waiting.append(future)
-        future.add_done_callback(answered)
-        while len(self._waiting) > _MOST_WAITING:
-            self._client.remove_pending_request(self._waiting.pop(0))
+        future.add_done_callback(lambda done: then(done.result()))
+        self._newest.append(future)
+        if len(self._newest) > _MOST_WAITING:
+            self._client.remove_pending_request(self._newest.popleft())
         return future
 
 

@@ -217,19 +217,12 @@ class RunningMachine:
     def _switched_on(self) -> Iterator[None]:
         client = self._client
         client.require("driver/reset_fault", Trigger.Request())
-        refusals: list[str] = []
-
-        def on() -> bool:
-            response = client.ask("driver/enable", SetBool.Request(data=True))
-            refusals[:] = [] if response.success else [response.message]
-            return bool(response.success)
-
         end = time.monotonic() + ANSWER_S
         # An interrupt may come after a request and before its answer.
         try:
-            while not on():
+            while not (answer := client.ask("driver/enable", SetBool.Request(data=True))).success:
                 if time.monotonic() > end:
-                    raise CommissioningError(f"the amplifier cannot be switched on: {refusals[0]}")
+                    raise CommissioningError(f"the amplifier cannot be switched on: {answer.message}")
                 time.sleep(_SETTLE_S)
             client.wait(
                 lambda: client.safety.amplifier_on or bool(client.safety.fault),

@@ -59,7 +59,7 @@ class WaitingClient(GraphClient):
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             # Another name than that of a node which starts such clients.
-            super().__init__(GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None), nodes, batches=False)
+            super().__init__(GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None), nodes, batches=())
         # Now, since a response is lost if the node receives the request before it knows the client.
         self.service(SetBool, "controller/excite")
         for one in nodes:
