@@ -37,6 +37,8 @@ REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
 _HEARTBEAT_S = 0.1
+_ENTITIES = ("service", "client", "subscription", "publisher")
+"""What a component makes on its node."""
 
 
 class Component(Protocol):
@@ -83,7 +85,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self._component: Component | None = None
         self.active = False
         self._failure: Exception | None = None
-        self._own: dict[str, set[Any]] = {}
+        self._own: set[int] = set()
         self._own_timers = 0
         self._beats: dict[str, bytes] = {}
         self.done.add_done_callback(lambda _: self._turn())
@@ -134,12 +136,12 @@ class ManagedNode(GuardedNode, LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._failure = None
         # Remember the node's own entities: they stay when the component is released.
-        self._own = {kind: set(map(id, getattr(self, kind))) for kind in _DESTROY}
+        self._own = {id(entity) for kind in _ENTITIES for entity in getattr(self, f"{kind}s")}
         self._own_timers = self.steady_timers.mark()
 
         def configure() -> None:
             self._component = component = self._make(self, self._changes.parameters())
-            self._changes.follow(component.prepare)
+            self._changes.prepare = component.prepare
 
         with at_normal_priority():
             code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
@@ -193,7 +195,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
     def _release(self) -> None:
         component, self._component = self._component, None
         self.active = False
-        self._changes.follow(None)
+        self._changes.prepare = None
         with at_normal_priority():
             try:
                 if component is not None:
@@ -207,11 +209,10 @@ class ManagedNode(GuardedNode, LifecycleNode):
     def _destroy_entities(self) -> None:
         self.streams.close()
         self.steady_timers.cancel_after(self._own_timers)
-        for kind, destroy in _DESTROY.items():
-            own = self._own.get(kind, set())
-            for entity in list(getattr(self, kind)):
-                if id(entity) not in own:
-                    getattr(self, destroy)(entity)
+        for kind in _ENTITIES:
+            for entity in list(getattr(self, f"{kind}s")):
+                if id(entity) not in self._own:
+                    getattr(self, f"destroy_{kind}")(entity)
 
     def _beat(self) -> None:
         state = lifecycle_state(self)
@@ -225,15 +226,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
         before, self.turn = self.turn, Future()
         if not before.done():
             before.set_result(None)
-
-
-_DESTROY = {
-    "services": "destroy_service",
-    "clients": "destroy_client",
-    "subscriptions": "destroy_subscription",
-    "publishers": "destroy_publisher",
-}
-"""Kinds of entities that a component makes, and the method that destroys one."""
 
 
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:

@@ -20,6 +20,10 @@ from straightcomp_ros.parameters.node_parameters import STAGE
 T = TypeVar("T")
 Prepare = Callable[[Any], Callable[[], None]]
 
+_WIDEST: dict[Any, tuple[Any, Any]] = {
+    float: (-sys.float_info.max, sys.float_info.max),
+    int: (-(2**63), 2**63 - 1),
+}
 _FIXED = ("autostart", "realtime")
 """Parameters that are used once, when the process starts."""
 
@@ -55,16 +59,14 @@ def _descriptor(declaration: Declaration, fixed: bool) -> ParameterDescriptor:
         additional_constraints=declaration.allowed(),
         read_only=fixed,
     )
-    low, high = declaration.minimum, declaration.maximum
-    if low is None and high is None:
-        return descriptor
-    if declaration.kind is float:
-        lowest = -sys.float_info.max if low is None else float(low)
-        highest = sys.float_info.max if high is None else float(high)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
-    elif declaration.kind is int:
-        lowest, highest = -(2**63) if low is None else int(low), 2**63 - 1 if high is None else int(high)
-        descriptor.integer_range = [IntegerRange(from_value=lowest, to_value=highest, step=1)]
+    kind, low, high = declaration.kind, declaration.minimum, declaration.maximum
+    if kind in _WIDEST and not (low is None and high is None):
+        lowest, highest = _WIDEST[kind]
+        span = {"from_value": lowest if low is None else kind(low), "to_value": highest if high is None else kind(high)}
+        if kind is float:
+            descriptor.floating_point_range = [FloatingPointRange(**span)]
+        else:
+            descriptor.integer_range = [IntegerRange(**span, step=1)]
     return descriptor
 
 
@@ -74,12 +76,15 @@ class ParameterChanges:
     While the node is unconfigured any parameter may change: the next configuration reads it. In other states only the
     parameters that the set names in ``dynamic`` may change. ``refusals`` are the exceptions by which the component
     refuses values.
+
+    Attributes:
+        prepare: the component's, which decides on changes; None while the node is unconfigured.
     """
 
     def __init__(self, node: Node, parameter_set: type, refusals: tuple[type[Exception], ...]) -> None:
         self._node, self._parameter_set, self._refusals = node, parameter_set, refusals
         self._names = [declaration.name for declaration in declarations(parameter_set)]
-        self._prepare: Prepare | None = None
+        self.prepare: Prepare | None = None
         self._take_over: Callable[[], None] | None = None
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._changed)
@@ -87,10 +92,6 @@ class ParameterChanges:
     def parameters(self) -> Any:
         """The parameter set with the current values; ParameterError if they contradict each other."""
         return from_mapping(self._parameter_set, self._values())
-
-    def follow(self, prepare: Prepare | None) -> None:
-        """Let the component's ``prepare`` decide on changes from now on; None while the node is unconfigured."""
-        self._prepare = prepare
 
     def _values(self) -> dict[str, Any]:
         return {name: self._node.get_parameter(name).value for name in self._names}
@@ -101,9 +102,9 @@ class ParameterChanges:
         changed = {p.name: p.value for p in asked if not belongs_to_ros(p.name) and values.get(p.name) != p.value}
         try:
             parameters = from_mapping(self._parameter_set, {**values, **changed})
-            if changed and self._prepare is not None:
+            if changed and self.prepare is not None:
                 self._refuse_fixed(changed)
-                self._take_over = self._prepare(parameters)
+                self._take_over = self.prepare(parameters)
         except self._refusals as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
