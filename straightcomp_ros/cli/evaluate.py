@@ -24,7 +24,7 @@ PURPOSE = "judge"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
-    parser.add_argument("--compare", metavar="BAG2", help="put the figures of another bag beside it")
+    parser.add_argument("--compare", metavar="BAG2", help="compare its figures with those of another bag")
     parser.add_argument(
         "--limits", metavar="FILE", help="YAML file of limits: lines 'FIGURE: MAXIMUM' or 'FIGURE: {min: …, max: …}'"
     )
@@ -108,11 +108,9 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     for name, value in assessment.figures().items():
         cells = [marked(name, shown(value), words)]
         if other is not None:
-            beside = theirs[name]
-            cells += [
-                marked(name, shown(beside), other_words),
-                "" if value is None or beside is None else shown(beside - value),
-            ]
+            another = theirs[name]
+            difference = "" if value is None or another is None else shown(another - value)
+            cells += [marked(name, shown(another), other_words), difference]
         if any(cells[:2]):
             table.add_row(name, *cells)
     console.print(table)

@@ -1,4 +1,4 @@
-"""Make a finished bag from a cut-off or damaged one, and tell what was saved and what was lost.
+"""Make a finished bag from a cut-off or damaged one, and report what was saved and what was lost.
 
 After a SIGKILL or a power failure a bag lacks its index and metadata.yaml; no tool opens it then. This copies all that
 is sound into a new bag. The original is never changed."""

@@ -81,7 +81,7 @@ def doubtful(text: str) -> str | Text:
 
 
 def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:
-    """Those figures that are there, and the paper's beside the true p-p error.
+    """Those figures that are there, and the paper's true p-p error to compare.
 
     A figure of ``over_starts``, median (min to max), takes the place of that of one run.
     """

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: the stage's)")
     add("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
-    starts = "repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)"
+    starts = "repeat the cycle from N places of the platform around its start, and print median and range (default: 1)"
     add("--starts", type=int, default=1, metavar="N", help=starts)
     add("--learn", action="store_true", help="learn from stroke to stroke")
     learned = "as --learn; read what was learned from FILE if it exists, and write it there"

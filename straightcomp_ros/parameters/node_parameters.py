@@ -266,7 +266,7 @@ NODE_PARAMETERS: Mapping[str, type] = {
 """Parameter set of each node, by the node's name."""
 
 STAGE = "stage"
-"""Key of the stage's description in values by node, beside the nodes' names."""
+"""Key of the stage's description in values by node, which has the nodes' names otherwise."""
 Values = Mapping[str, Mapping[str, Any]]
 """Parameters by node and dotted name; the description of the stage under :data:`STAGE`."""
 

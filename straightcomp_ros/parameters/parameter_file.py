@@ -63,7 +63,7 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
 
 
 def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """As :func:`read_parameter_file`; a survey or DBC file of a relative name is looked for beside it first."""
+    """As :func:`read_parameter_file`; a survey or DBC file of a relative name is looked for in its folder first."""
     values = read_parameter_file(path)
     for node, found in files_beside(path, values).items():
         values[node].update(found)
@@ -71,7 +71,7 @@ def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
 
 
 def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """Full names, by node and parameter, of the files that lie beside the stage file ``path`` with ``values``."""
+    """Full names, by node and parameter, of the files in the folder of the stage file ``path`` with ``values``."""
     folder = Path(path).resolve().parent
     found: dict[str, dict[str, str]] = {}
     for node, name in _FILES:

@@ -48,7 +48,7 @@ def environment(prefix):
     variables = dict(line.split("=", 1) for line in printed.split("\0") if line)
     apart = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        # Other tests may run beside these.
+        # Other tests may run in parallel with these.
         "ROS_DOMAIN_ID": str(os.getpid() % 101 + 1),
         "ROS_LOG_DIR": str(prefix.parent.parent / "log"),
     }

@@ -1,4 +1,4 @@
-"""What CI asks of every commit beside the tests: types, lint, format, and a manifest that ROS's tools accept."""
+"""What CI asks of every commit besides the tests: types, lint, format, and a manifest that ROS's tools accept."""
 
 import importlib.util
 import re

@@ -40,7 +40,7 @@ def belongs_to_ros(name):
     return top in ROS_MODULES or top.endswith(ROS_ENDINGS)
 
 
-def part(name):
+def room(name):
     """The room of ours that an imported name lies in, or an empty text."""
     pieces = [*name.split("."), "", ""]
     if pieces[0] != PACKAGE:
@@ -49,7 +49,7 @@ def part(name):
 
 
 def room_of(path):
-    return part(".".join([PACKAGE, *path.relative_to(SOURCE).with_suffix("").parts]))
+    return room(".".join([PACKAGE, *path.relative_to(SOURCE).with_suffix("").parts]))
 
 
 def modules():
@@ -127,9 +127,9 @@ def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order():
 
 def test_imports_point_downward_or_to_the_same_row():
     height = {name: -number for number, row in enumerate(rows()) for name in row}
-    pairs = [(path, name) for path in modules() for name in imports_of(path) if part(name)]
+    pairs = [(path, name) for path in modules() for name in imports_of(path) if room(name)]
     assert len(pairs) > 1000
-    assert [(name_of(path), name) for path, name in pairs if height[part(name)] > height[room_of(path)]] == []
+    assert [(name_of(path), name) for path, name in pairs if height[room(name)] > height[room_of(path)]] == []
 
 
 def test_only_the_outer_rooms_know_ros():
@@ -144,7 +144,7 @@ def test_the_servo_imports_no_wing_a_wing_no_other_and_nothing_the_trials():
         (name_of(path), name)
         for path in modules()
         for name in imports_of(path)
-        if name.split(".")[0] == "trials" or part(name) in set(WINGS) - allowed.get(room_of(path), set())
+        if name.split(".")[0] == "trials" or room(name) in set(WINGS) - allowed.get(room_of(path), set())
     ]
     assert found == []
 
@@ -152,4 +152,4 @@ def test_the_servo_imports_no_wing_a_wing_no_other_and_nothing_the_trials():
 def test_the_command_line_starts_without_ros():
     verbs = [path for path in modules() if "verbs" in path.parts or room_of(path) == "cli"]
     started = [(name_of(path), name) for path in verbs for name in imports_of(path, only_at_start=True)]
-    assert [one for one in started if belongs_to_ros(one[1]) or part(one[1]) in ("nodes", "runtime")] == []
+    assert [one for one in started if belongs_to_ros(one[1]) or room(one[1]) in ("nodes", "runtime")] == []

@@ -252,7 +252,7 @@ def test_no_text_of_a_file_reaches_c(board, compiled, text, changes):
 
 @pytest.mark.parametrize("name", ['q", .x = "y.dbc', "n\nint evil;\n.dbc", 'n\\".dbc', "*" + "??/" + ".dbc", "µ.dbc"])
 def test_no_name_of_a_file_reaches_c(board, compiled, name):
-    # A slash is no part of a name.
+    # A name has no slash.
     can = board(name=name.replace("/", "'"))
     assert "int evil;" not in compiled(can)["wire.c"]
     assert can.make_wire().source().isascii() and can.make_wire().source().count(" ") == 1
