@@ -19,8 +19,6 @@ GROUP = "straightcomp.verbs"
 """Entry points whose names are verbs, and whose values are their modules."""
 PURPOSES = ("run", "judge", "set up", "tune", "fleet", "other")
 """Order of the verbs in the help."""
-_OF_FOLDER = {f"{PACKAGE}.tuning.": "tune", f"{PACKAGE}.fleet.": "fleet"}
-"""Purpose of a verb that names none, by the beginning of its module's name."""
 _FIRST_STEPS = """\
 first steps:
   straightcomp doctor                   can this machine run it, and what would help?
@@ -32,32 +30,29 @@ _WRONG_USE = {"HardwareError", "HistoryError", "OutputRefused", "ParameterError"
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""
-_TERMINATED = 143
-"""The same of SIGTERM."""
+_SIGNALS = {KeyboardInterrupt: ("interrupted", 130), Terminated: ("terminated", 143)}
+"""What is said of SIGINT and SIGTERM, and the same exit codes."""
 _Help = functools.partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
 
 
 class Verb(NamedTuple):
-    """Where a verb is: its module, the package that brings it, and the extras of that package that it needs."""
+    """Where a verb is: its module, the packages that bring a verb of its name, and the extras that it needs."""
 
     module: str
-    package: str = PACKAGE
+    packages: tuple[str, ...] = (PACKAGE,)
     extras: tuple[str, ...] = ()
 
 
-Verbs = Mapping[str, Sequence[Verb]]
-"""Verbs by name; a name that several packages have given away has one of each."""
-
-
-def installed_verbs() -> dict[str, list[Verb]]:
+def installed_verbs() -> dict[str, Verb]:
     """The verbs of all installed packages, in the order of their names."""
     # Only here: --version needs it not, and its import takes as long as the rest of the start.
     from importlib.metadata import entry_points
 
-    verbs: dict[str, list[Verb]] = {}
+    verbs: dict[str, Verb] = {}
     for entry in sorted(entry_points(group=GROUP)):
         package = entry.dist.name if entry.dist is not None else entry.module.partition(".")[0]
-        verbs.setdefault(entry.name, []).append(Verb(entry.module, package, tuple(entry.extras)))
+        others = verbs[entry.name].packages if entry.name in verbs else ()
+        verbs[entry.name] = Verb(entry.module, (*others, package), tuple(entry.extras))
     return verbs
 
 
@@ -75,7 +70,7 @@ def main(
 
         print(f"{program} {ElementTree.parse(share_path('package.xml')).findtext('version')}")
         return 0
-    found: Verbs = installed_verbs() if verbs is None else {name: [Verb(one)] for name, one in verbs.items()}
+    found = installed_verbs() if verbs is None else {name: Verb(module) for name, module in verbs.items()}
     # A verb that is named is imported alone: all of them together take seconds.
     named = given[0] if given and given[0] in found else None
     words = [program]
@@ -89,10 +84,8 @@ def main(
         return code
     except CommandFailed as failure:
         return _ended(words, str(failure), failure.exit_code)
-    except Terminated:
-        return _ended(words, "terminated", _TERMINATED)
-    except KeyboardInterrupt:
-        return _ended(words, "interrupted", 130)
+    except KeyboardInterrupt as stop:
+        return _ended(words, *_SIGNALS[type(stop)])
     except BrokenPipeError:
         # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -102,7 +95,7 @@ def main(
         name = f"{error.filename}: " if error.filename else ""
         return _ended(words, f"{name}{error.strerror or error}", 1)
     except Exception as error:
-        missing = _missing(error, found[named][0]) if named else None
+        missing = _missing(error, found[named]) if named else None
         if missing:
             return _ended(words, missing, 2)
         # The message of an error of the package is for the user; any other error is a bug and shows its traceback.
@@ -121,11 +114,11 @@ def _missing(error: Exception, verb: Verb) -> str | None:
     name = error.name if isinstance(error, ModuleNotFoundError) else None
     if not (name and verb.extras) or name.partition(".")[0] == verb.module.partition(".")[0]:
         return None
-    return f"{name} is not there; remedy: pip install '{verb.package}[{','.join(verb.extras)}]'"
+    return f"{name} is not there; remedy: pip install '{verb.packages[0]}[{','.join(verb.extras)}]'"
 
 
 def make_parser(
-    words: Sequence[str] | None = None, verbs: Verbs | None = None, program: str = "straightcomp"
+    words: Sequence[str] | None = None, verbs: Mapping[str, Verb] | None = None, program: str = "straightcomp"
 ) -> argparse.ArgumentParser:
     """The parser of all verbs; of one alone, where ``words`` begin with it and perhaps its tool; or, where there are no
     words, of all with their summaries only.
@@ -136,7 +129,7 @@ def make_parser(
     found = installed_verbs() if verbs is None else verbs
     if words:
         found = {words[0]: found[words[0]]}
-    headlines = {name: _headline(brought) for name, brought in found.items()}
+    headlines = {name: _headline(verb) for name, verb in found.items()}
     parser = _Parser(
         prog=program,
         usage="%(prog)s [-h] [--version] COMMAND ...",
@@ -151,34 +144,31 @@ def make_parser(
     if words is not None:
         # The description lists the verbs by purpose; a script for completion needs them here.
         commands.help = argparse.SUPPRESS
-    for name, brought in found.items():
-        summary, _ = headlines[name]
+    for name, verb in found.items():
         if words is None or words:
             try:
-                _add_command(commands, name, _loaded(name, brought), words and words[1:])
+                _add_command(commands, name, _loaded(name, verb), words and words[1:])
                 continue
             except CommandFailed:
                 if words is not None:
                     raise
-        commands.add_parser(name, help=summary.replace("%", "%%"))
+        commands.add_parser(name, help=headlines[name][0].replace("%", "%%"))
     return parser
 
 
-def _loaded(name: str, brought: Sequence[Verb]) -> Any:
+def _loaded(name: str, verb: Verb) -> Any:
     """The module of a verb."""
-    if len(brought) > 1:
-        packages = " and ".join(one.package for one in brought)
+    packages = " and ".join(verb.packages)
+    if len(verb.packages) > 1:
         raise CommandFailed(f"'{name}' is a verb of {packages}; remedy: uninstall all but one of them", exit_code=2)
-    (verb,) = brought
     try:
         return importlib.import_module(verb.module)
     except Exception as error:
         if missing := _missing(error, verb):
             raise CommandFailed(missing, exit_code=2) from error
-        if verb.package == PACKAGE:
+        if packages == PACKAGE:
             raise
-        text = f"'{name}' of {verb.package} cannot be loaded: {type(error).__name__}: {error}"
-        raise CommandFailed(text) from error
+        raise CommandFailed(f"'{name}' of {packages} cannot be loaded: {type(error).__name__}: {error}") from error
 
 
 def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | None) -> None:
@@ -206,20 +196,19 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))
 
 
-def _headline(brought: Sequence[Verb]) -> tuple[str, str]:
+def _headline(verb: Verb) -> tuple[str, str]:
     """SUMMARY and PURPOSE of a verb, read without importing it; a verb that cannot be read says so."""
-    verb = brought[0]
-    purpose = next((purpose for start, purpose in _OF_FOLDER.items() if verb.module.startswith(start)), PURPOSES[-1])
-    if len(brought) > 1:
-        return f"of {' and '.join(one.package for one in brought)}: uninstall all but one", purpose
+    packages = " and ".join(verb.packages)
+    if len(verb.packages) > 1:
+        return f"of {packages}: uninstall all but one", PURPOSES[-1]
     try:
         specification = importlib.util.find_spec(verb.module)
         text = Path(specification.origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]
         literals = dict(re.findall(r'^(SUMMARY|PURPOSE) = "(.*)"$', text, re.MULTILINE))
-        purpose = literals.get("PURPOSE", purpose)
+        purpose = literals.get("PURPOSE")
         return literals["SUMMARY"], purpose if purpose in PURPOSES else PURPOSES[-1]
     except Exception as error:  # of another package's own import, too
-        return f"cannot be loaded ({verb.package}): {type(error).__name__}: {error}", purpose
+        return f"cannot be loaded ({packages}): {type(error).__name__}: {error}", PURPOSES[-1]
 
 
 def _listed(headlines: Mapping[str, tuple[str, str]]) -> str:

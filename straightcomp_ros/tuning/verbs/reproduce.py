@@ -13,6 +13,7 @@ from straightcomp_ros.tuning.paper.all_figures import FIGURES, reproduce
 from straightcomp_ros.tuning.paper.machine import DELAY, machine_from
 
 SUMMARY = "compute the paper's figures, and compare its numbers with ours"
+PURPOSE = "tune"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -35,6 +35,7 @@ from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.tuning.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, plot_sweep, summarise, sweep
 
 SUMMARY = "run many strokes on uncertain machines, offline"
+PURPOSE = "tune"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
