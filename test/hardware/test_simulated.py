@@ -16,11 +16,23 @@ GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 START = 1_700_000_000_123_456_789
 
 
-def machine(delay=1.0, **parameters) -> SimulatedHardware:
+def machine(delay=1.0, on=True, **parameters) -> SimulatedHardware:
     stage = dataclasses.replace(STAGE, drive=DriveParameters(delay=delay))
-    hardware = SimulatedHardware(SimulatedParameters(**parameters), stage, GUIDE)
+    hardware = SimulatedHardware(SimulatedParameters(**{"command_timeout": 1.0, **parameters}), stage, GUIDE)
     hardware.start(START)
+    if on:
+        hardware.enable()
     return hardware
+
+
+def commanded(hardware, currents):
+    """Command a current in each period, and fetch its sample; returns the currents that were applied."""
+    applied = []
+    for k, current in enumerate(currents):
+        hardware.write(current, START + k * PERIOD)
+        hardware.read(START + k * PERIOD)
+        applied.append(hardware.applied_current)
+    return applied
 
 
 def test_samples_lie_on_the_grid_of_the_sampling_clock_whenever_they_are_fetched():
@@ -40,20 +52,16 @@ def test_a_host_that_is_late_finds_what_the_memory_holds_and_the_rest_is_counted
 
 def test_how_the_time_is_cut_into_fetches_does_not_change_the_machine():
     def final_state(fetches):
-        hardware = machine(initial_y=1e-5, command_timeout=1.0)
-        hardware.enable()
+        hardware = machine(initial_y=1e-5)
         hardware.write(0.02, START + 700_000)
         hardware.write(-0.01, START + 3_100_000)
-        for fetch in fetches:
-            last = hardware.read(START + fetch * PERIOD)
-        return last[-1]
+        return [hardware.read(START + fetch * PERIOD) for fetch in fetches][-1][-1]
 
     assert final_state([40]) == final_state(range(41)) == final_state([3, 11, 40])
 
 
 def test_a_command_acts_from_its_time_on_and_not_before():
-    hardware = machine(command_timeout=1.0, hold_after=10.0)
-    hardware.enable()
+    hardware = machine(hold_after=10.0)
     hardware.write(0.1, START + 4 * PERIOD)
     currents = [sample.current for sample, _ in hardware.read(START + 8 * PERIOD)]
     assert currents[:5] == [0.0] * 5
@@ -61,14 +69,8 @@ def test_a_command_acts_from_its_time_on_and_not_before():
 
 
 def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_before():
-    hardware = machine(command_timeout=1.0, hold_after=2.5, hold_stiffness=0.0, hold_braking=0.0)
-    hardware.enable()
-    applied = []
-    for k in range(400):
-        hardware.write(0.05 + (0.2 if k % 2 else -0.2), START + k * PERIOD)
-        hardware.read(START + k * PERIOD)
-        applied.append(hardware.applied_current)
-    last = applied[-1]
+    hardware = machine(hold_after=2.5, hold_stiffness=0.0, hold_braking=0.0)
+    last = commanded(hardware, [0.05 + (0.2 if k % 2 else -0.2) for k in range(400)])[-1]
     assert last == pytest.approx(0.25, abs=1e-3)
     hardware.read(START + 401 * PERIOD)  # two periods after the last command
     assert hardware.applied_current == last
@@ -81,8 +83,7 @@ def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_
 
 def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
     def applied(delay, arrival, sample):
-        hardware = machine(delay, command_timeout=1.0, hold_after=10.0)
-        hardware.enable()
+        hardware = machine(delay, hold_after=10.0)
         hardware.read(START)
         hardware.write(0.1, START + arrival, sample)
         return [sample.current for sample, _ in hardware.read(START + 3 * PERIOD)]
@@ -99,14 +100,10 @@ def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
 
 def test_while_commands_are_late_the_board_takes_back_what_the_last_one_gave_beyond_the_mean():
     def moved(hold_braking):
-        hardware = machine(command_timeout=1.0, hold_braking=hold_braking, hold_stiffness=0.0)
-        hardware.enable()
-        for k in range(400):
-            hardware.write(0.08 if k == 399 else 0.0, START + k * PERIOD)
-            hardware.read(START + k * PERIOD)
-        (_, before) = hardware.read(START + 400 * PERIOD)[-1]
-        (_, after) = hardware.read(START + 408 * PERIOD)[-1]
-        return after.y - before.y
+        hardware = machine(hold_braking=hold_braking, hold_stiffness=0.0)
+        commanded(hardware, [0.0] * 399 + [0.08])
+        before, after = (hardware.read(START + k * PERIOD)[-1][1].y for k in (400, 408))
+        return after - before
 
     assert 0.0 < moved(hold_braking=0.5) < 0.5 * moved(hold_braking=0.0)
 
@@ -114,13 +111,11 @@ def test_while_commands_are_late_the_board_takes_back_what_the_last_one_gave_bey
 @pytest.mark.parametrize("push", [-0.05, 0.05])  # A; 2.2 N is far more than friction holds
 def test_a_stiffness_keeps_the_platform_where_it_was_when_commands_cease(push):
     def moved(hold_stiffness):
-        hardware = machine(command_timeout=1.0, hold_stiffness=hold_stiffness)
-        hardware.enable()
-        for k in range(8):
-            hardware.write(push, START + k * PERIOD)
-            (_, before) = hardware.read(START + k * PERIOD)[-1]
-        truths = [truth.y for _, truth in hardware.read(START + 200 * PERIOD)]
-        return max(abs(y - before.y) for y in truths), abs(truths[-1] - before.y), abs(truths[-1] - truths[-2])
+        hardware = machine(hold_stiffness=hold_stiffness)
+        commanded(hardware, [push] * 7)
+        hardware.write(push, START + 7 * PERIOD)
+        before, *after = (truth.y for _, truth in hardware.read(START + 200 * PERIOD))
+        return max(abs(y - before) for y in after), abs(after[-1] - before), abs(after[-1] - after[-2])
 
     farthest, _, _ = moved(0.0)
     assert farthest > 1e-3  # at the mechanical stop
@@ -129,7 +124,7 @@ def test_a_stiffness_keeps_the_platform_where_it_was_when_commands_cease(push):
 
 
 def test_the_true_state_is_within_half_a_count_of_the_reading():
-    hardware = machine(initial_y=1.234e-5)
+    hardware = machine(on=False, initial_y=1.234e-5)
     hardware.move(Trajectory(forward_and_back(MotionParameters(settle=0.0))), START)
     for sample, truth in hardware.read(START + 200 * PERIOD)[-100:]:
         assert abs(sample.x - truth.x) <= 0.51e-7 and abs(sample.y - truth.y) <= 0.51e-7
@@ -138,7 +133,6 @@ def test_the_true_state_is_within_half_a_count_of_the_reading():
 
 def test_command_older_than_timeout_disables_the_amplifier_and_latches_a_fault():
     hardware = machine(command_timeout=0.005)
-    hardware.enable()
     hardware.write(0.1, START)
     assert hardware.read(START + 9 * PERIOD) and hardware.state is State.ON
     late = hardware.read(START + 30 * PERIOD)
@@ -158,39 +152,31 @@ def test_command_older_than_timeout_disables_the_amplifier_and_latches_a_fault()
 
 
 def test_a_disabled_amplifier_ignores_commands_and_the_magnets_let_go():
-    hardware = machine(initial_y=1e-4)
+    hardware = machine(on=False, command_timeout=0.005, initial_y=1e-4)
     hardware.write(0.5, START)
     samples = hardware.read(START + 100 * PERIOD)
     assert all(math.isnan(sample.current) for sample, _ in samples)
     assert samples[-1][1].magnetic_force == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("current", [math.nan, math.inf, -math.inf])
-def test_a_current_that_is_not_finite_never_reaches_the_amplifier(current):
+def test_what_cannot_be_done_is_refused():
     hardware = machine()
-    hardware.enable()
-    with pytest.raises(ValueError, match="not finite"):
-        hardware.write(current, START)
-    assert hardware.applied_current == 0.0
-
-
-def test_a_trajectory_that_starts_elsewhere_than_the_stage_stands_is_refused():
+    for current in (math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match="not finite"):
+            hardware.write(current, START)
+        assert hardware.applied_current == 0.0
     with pytest.raises(HardwareError, match=r"starts at 0\.5 m, but the stage stands at 0\.0 m"):
-        machine().move(Trajectory([Waypoint(0, 0.5, 0.0)]), START)
+        hardware.move(Trajectory([Waypoint(0, 0.5, 0.0)]), START)
 
 
-def test_commands_that_wait_take_effect_in_their_order_however_many_they_are():
-    def currents(count):
-        hardware = machine(0.0, command_timeout=1.0, hold_after=10.0)
-        hardware.enable()
-        for k in range(count):
-            hardware.write(1e-3 * k, START + k * PERIOD)
-        # One that names an earlier time does not overtake those before it.
-        hardware.write(-0.1, START)
-        return [hardware.applied_current for k in range(count + 1) if hardware.read(START + k * PERIOD)]
-
+@pytest.mark.parametrize("count", [3, 16, 17, 100])
+def test_commands_that_wait_take_effect_in_their_order_however_many_they_are(count):
+    hardware = machine(0.0, hold_after=10.0)
+    for k in range(count):
+        hardware.write(1e-3 * k, START + k * PERIOD)
+    # One that names an earlier time does not overtake those before it.
+    hardware.write(-0.1, START)
+    applied = [hardware.applied_current for k in range(count + 1) if hardware.read(START + k * PERIOD)]
     step = STAGE.drive.current_step
-    for count in (3, 16, 17, 100):
-        applied = currents(count)
-        assert applied[: count - 1] == pytest.approx([1e-3 * k for k in range(count - 1)], abs=step)
-        assert applied[count - 1 :] == pytest.approx([-0.1, -0.1], abs=step)
+    assert applied[: count - 1] == pytest.approx([1e-3 * k for k in range(count - 1)], abs=step)
+    assert applied[count - 1 :] == pytest.approx([-0.1, -0.1], abs=step)

@@ -15,16 +15,6 @@ SHIPPED_DBC = "config/straightcomp.dbc"
 _LOG_ENDINGS = (".log", ".blf")
 
 
-def _message() -> str:
-    named: str = parameter("", "message in the DBC file; empty: that of 'x' or 'command'")
-    return named
-
-
-def _signal() -> str:
-    named: str = parameter("", "signal of the message; empty: none")
-    return named
-
-
 def _value(default: int, meaning: str) -> int:
     raw: int = parameter(default, f"raw value that says {meaning}", "[-1, 4294967295]")
     return raw
@@ -32,18 +22,16 @@ def _value(default: int, meaning: str) -> int:
 
 @dataclass(frozen=True)
 class SignalParameters:
-    """A signal without a meaning of its values."""
+    """A signal; those below say what its values mean."""
 
-    message: str = _message()
-    signal: str = _signal()
+    message: str = parameter("", "message in the DBC file; empty: that of 'x' or 'command'")
+    signal: str = parameter("", "signal of the message; empty: none")
 
 
 @dataclass(frozen=True)
-class QuantityParameters:
+class QuantityParameters(SignalParameters):
     """A signal with a physical value, whose unit is in the DBC file unless it is given here."""
 
-    message: str = _message()
-    signal: str = _signal()
     unit: str = parameter("", "unit of the file's physical value, e.g. mm or A; empty: as the DBC file says")
     factor: float = parameter(
         1.0, "factor on the file's physical value, e.g. -1 for a board that counts the other way", "[-1e12, 1e12]"
@@ -51,41 +39,34 @@ class QuantityParameters:
 
 
 @dataclass(frozen=True)
-class AmplifierParameters:
+class AmplifierParameters(SignalParameters):
     """The signal with the amplifier's state."""
 
-    message: str = _message()
-    signal: str = _signal()
     off_value: int = _value(1, "off; -1: any other")
     on_value: int = _value(2, "on")
     fault_value: int = _value(3, "fault; -1: the signal of 'fault' alone says so")
 
 
 @dataclass(frozen=True)
-class FaultParameters:
+class FaultParameters(SignalParameters):
     """The signal with the board's fault code."""
 
-    message: str = _message()
-    signal: str = _signal()
     none_value: int = _value(0, "no fault")
 
 
 @dataclass(frozen=True)
-class SwitchParameters:
+class SwitchParameters(SignalParameters):
     """A signal with which the host asks for something, or the board says yes."""
 
-    message: str = _message()
-    signal: str = _signal()
     no_value: int = _value(0, "no")
     yes_value: int = _value(1, "yes")
 
 
 @dataclass(frozen=True)
-class HeartbeatParameters:
+class HeartbeatParameters(SignalParameters):
     """The signal with the board's own state, which it sends now and then."""
 
     message: str = parameter("", "message in the DBC file; empty: the board has none")
-    signal: str = _signal()
     boot_up_value: int = _value(0, "that the board has just restarted")
     operational_value: int = _value(5, "that it works")
 
