@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> None:
         advance("simulating a stroke", 0.0)
         bag = options.bag or simulated(work / "run")
         advance("recording", 0.02)
-        record = {**live_recording(work, options.seconds), **writing(bag, work)}
+        lost, cores = record_traffic(work, options.seconds) if ros_available() else (None, None)
+        record = {"lost": lost, "cpu_cores": cores, **writing(bag, work)}
         advance("reading", 0.25)
         read = reading(bag)
         advance("evaluating", 0.4)
@@ -81,12 +82,6 @@ def simulated(bag: Path) -> Path:
     with SimulatedRun(bag, by_node(values), simulation.delay) as recording:
         simulation.run(observe=recording.add)
     return bag
-
-
-def live_recording(work: Path, seconds: float) -> dict[str, float | None]:
-    """Load the logger fully: number of messages missing in its bag, and CPU cores that the node used."""
-    missing, busy = record_traffic(work, seconds) if ros_available() else (None, None)
-    return {"lost": missing, "cpu_cores": busy}
 
 
 def writing(bag: Path, work: Path) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Inject every fault into the running graph, measure how soon it is latched, and tell whether that is soon enough.
+"""Inject every fault into the running graph, measure how soon it is latched, and say whether that is soon enough.
 
 Starts driver, feedforward, controller and logger on the simulated machine, and injects each fault with the stage moving
 and the amplifier on. Exit code 0 if every row is green."""

@@ -1,7 +1,7 @@
 """driver, for trials: its machine, its clock and its connection for commands fail on demand.
 
 A message on `inject` (diagnostic_msgs/DiagnosticStatus) names a fault, an empty name ends it; a message on `injected`
-tells when it began. The name `new_machine` requests another simulated machine, at rest in the middle.
+says when it began. The name `new_machine` requests another simulated machine, at rest in the middle.
 
     python -m trials.faulty_driver --ros-args …
 """
@@ -29,7 +29,7 @@ class FaultyDriver(DriverComponent):
     def __init__(self, node: ManagedNode, parameters: DriverNodeParameters) -> None:
         self._step_ns = self._late_ns = 0
         self._parameters = parameters
-        self._faulty = FaultyHardware(make_hardware(parameters), self._tell)
+        self._faulty = FaultyHardware(make_hardware(parameters), self._report)
         super().__init__(node, parameters, self._faulty, lambda: time.time_ns() + self._step_ns)
         accept = self._commands.accept
         self._commands.accept = lambda stamp_ns, current, at_ns: accept(stamp_ns, current, at_ns + self._late_ns)
@@ -39,13 +39,10 @@ class FaultyDriver(DriverComponent):
     def _on_inject(self, message: DiagnosticStatus) -> None:
         kind = message.name
         # The middleware's clock is not stepped with ours: afterwards the reception times must match again.
-        self._late_ns = self._step_ns = 0
-        if kind == CLOCK_STEP:
-            self._step_ns = _STEP_NS
-            self._tell(kind, now_ns())
-        elif kind == LATE_COMMANDS:
-            self._late_ns = 2 * self._command_timeout_ns
-            self._tell(kind, now_ns())
+        self._step_ns = _STEP_NS if kind == CLOCK_STEP else 0
+        self._late_ns = 2 * self._command_timeout_ns if kind == LATE_COMMANDS else 0
+        if kind in (CLOCK_STEP, LATE_COMMANDS):
+            self._report(kind, now_ns())
         elif kind == NEW_MACHINE:
             machine = make_hardware(self._parameters)
             machine.start(now_ns())
@@ -53,7 +50,7 @@ class FaultyDriver(DriverComponent):
         else:
             self._faulty.inject(kind)
 
-    def _tell(self, kind: str, time_ns: int) -> None:
+    def _report(self, kind: str, time_ns: int) -> None:
         self._injected.publish(DiagnosticStatus(name=kind, values=[KeyValue(key="time_ns", value=str(time_ns))]))
 
 

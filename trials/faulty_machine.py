@@ -72,12 +72,6 @@ class FaultyHardware:
         change = KINDS.get(self._kind)
         return [(change(sample, self._first), truth) for sample, truth in samples] if change else samples
 
-    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
-        self._inner.write(current, at_ns, sample_ns)
-
-    def enable(self) -> None:
-        self._inner.enable()
-
     def reset_fault(self) -> None:
         self._fault = ""
         self._inner.reset_fault()

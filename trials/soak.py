@@ -1,4 +1,4 @@
-"""Run the graph for a long time with random actions on it, and tell whether it recovered from each.
+"""Run the graph for a long time with random actions on it, and say whether it recovered from each.
 
 Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
 amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each action the

@@ -60,7 +60,7 @@ class Scene:
         rng: makes the random choices.
         rate: samples per second.
         result: gets faults and times.
-        stalls: tells whether this computer stalled.
+        stalls: says whether this computer stalled.
         log: file that lists the actions with their times.
         maps: map files between which the feedforward may change.
 

@@ -56,7 +56,7 @@ class Life:
     def failures(self) -> list[str]:
         """Inadmissible growth, in words.
 
-        A look may be taken while a killed peer is still known beside its successor: such a peak of descriptors and
+        A look may be taken while a killed peer and its successor are both known: such a peak of descriptors and
         threads is ignored unless it is in the last look.
         """
         shown = self.to_display()

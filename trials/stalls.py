@@ -4,7 +4,7 @@
 
 sleeps for 2 ms repeatedly, and prints each wake-up that is late by 5 ms or more: the time in ns since the epoch and the
 lateness in ms. Whatever delays it also delays a node on that CPU: a hypervisor, another program of the same priority,
-or a node of ours that keeps the CPU for so long itself, which cannot be told from the others.
+or a node of ours that keeps the CPU for so long itself, which looks the same.
 """
 
 from __future__ import annotations

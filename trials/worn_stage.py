@@ -67,7 +67,7 @@ before; standard deviations, relative or in the unit named. There are no seasons
 
 
 class Machine(NamedTuple):
-    """A day's machine beside the description: factors, µm at the middle of the guide's moved place, µs."""
+    """A day's machine relative to the description: factors, µm at the middle of the guide's moved place, µs."""
 
     friction: float = 1.0
     amplifier: float = 1.0
@@ -172,7 +172,7 @@ def simulated_rows(
     record = simulation.run(observe=lambda sample, *_: coils.append(sample.current))
     assert record.true_x is not None
     guide = None if readings is None else readings(record.true_x)
-    # A real machine does not tell the truth.
+    # A real machine does not publish the truth.
     record = replace(record, true_x=None, true_y=None, guide=None)
     stamps = np.round(record.time * 1e9).astype(np.int64)
     evaluation = BagEvaluation(

@@ -97,7 +97,7 @@ def test_handshake_switching_on_a_stroke_and_switching_off(board, driver, fd):
     begin, lost = len(driver.samples), driver.hardware.lost_samples
     driver.hardware.move(Trajectory(waypoints), time.time_ns())
     driver.run(waypoints[-1].time_ns * 1e-9)
-    assert driver.hardware.state is State.ON and driver.hardware.fault == ""
+    assert driver.hardware.state is State.ON, driver.hardware.fault
     samples = driver.samples[begin:]
     x = [sample.x for sample, _ in samples]
     assert max(x) == pytest.approx(0.1, abs=1e-4) and min(x) == pytest.approx(0.0, abs=1e-6)
@@ -136,7 +136,7 @@ def test_a_stroke_under_the_control_law(request, cable, fd, file, program):
         lost = driver.hardware.lost_samples - lost
         print(f"p-p {np.ptp(errors) * 1e6:.2f} µm, median {np.median(np.abs(errors)) * 1e6:.2f} µm", end=", ")
         print(f"{len(errors)} samples, {lost} lost")
-        assert driver.hardware.state is State.ON and driver.hardware.fault == ""
+        assert driver.hardware.state is State.ON, driver.hardware.fault
         assert np.ptp(errors) < 0.1e-3
         # Half of the samples have less, for this computer stalls now and then. Without currents friction holds the
         # platform where it was; with a wrong sign the magnets drive it to a stop.
@@ -207,7 +207,7 @@ def test_each_of_a_strangers_frames_is_counted_and_none_is_used(board, driver, f
         driver.read_on(RATE // 5)
         print(f"{counter}: {driver.count(counter) - before} of 3")
         assert driver.count(counter) == before + 3, counter
-    assert driver.hardware.state is State.ON
+    assert driver.hardware.state is State.ON, driver.hardware.fault
     assert {sample.x for sample, _ in driver.samples[begin:]} == {0.0}
 
 
@@ -229,7 +229,7 @@ def test_requests_for_the_frames_of_either_side_are_counted_and_nothing_follows(
     asked = driver.count("remote") - before["can_remote"]
     print(f"{asked} remote frames counted")
     assert asked == requests * len(wire.identifiers) and refused() == refused_before
-    assert driver.hardware.state is State.ON and driver.hardware.fault == ""
+    assert driver.hardware.state is State.ON, driver.hardware.fault
     assert driver.count("boot_ups") == before["can_boot_ups"]
     assert {sample.x for sample, _ in driver.samples[begin:]} == {0.0}
 
@@ -246,7 +246,7 @@ def test_what_is_not_for_the_driver_never_reaches_it(board, driver, fd):
     driver.read_on(RATE // 2)
     assert driver.count("received") > counters["received"] + 10
     assert {name: driver.count(name) for name in names[1:]} == {name: counters[name] for name in names[1:]}
-    assert driver.hardware.state is State.ON
+    assert driver.hardware.state is State.ON, driver.hardware.fault
 
 
 @BUSES

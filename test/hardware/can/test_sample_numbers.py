@@ -250,7 +250,7 @@ def test_fourteen_frames_may_wait_and_the_oldest_of_more_is_given_up():
         # The counter is that of a sample after the newest that came, or of the one before it.
         ((992, 995, 1000), 1007, 1007),
         ((999, 1000, 1001), 1000, 1001),
-        # As many may be lost as the count tells apart.
+        # As many may be lost as the count distinguishes.
         *(((1000, 1001 + lost), 1001 + lost, 1001 + lost) for lost in range(14)),
     ],
 )
