@@ -15,7 +15,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures
-from straightcomp_ros.analysis.record import Array, RecordedReference, StrokeRecord, runs_of
+from straightcomp_ros.analysis.record import Array, StrokeRecord, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
@@ -35,7 +35,6 @@ class Assessment:
 
     bag: Path
     evaluation: BagEvaluation
-    reference: RecordedReference  # over x
     metrics: Metrics
     strokes: list[StrokeFigures]  # in order
     spectrum: Spectrum  # of the compensation error as the encoder sees it, while the stage moves
@@ -106,8 +105,7 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
         moving = record.moving
     except MetricsError as found:
         raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
-    reference = RecordedReference(record)
-    time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
+    reference, time = record.reference, (evaluation.stamps - evaluation.stamps[0]) * 1e-9
     off = []
     if evaluation.encoder and (seen := evaluation.encoder.strokes):
         # As the encoder saw the stage move, whether the law ran or not.
@@ -117,7 +115,6 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
     return Assessment(
         bag=bag,
         evaluation=evaluation,
-        reference=reference,
         metrics=evaluate(record, reference),
         strokes=[stroke_figures(one, reference, direction) for one, direction in strokes],
         spectrum=error_spectrum(moving.time, moving.r - moving.y),

@@ -6,6 +6,7 @@ import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,7 @@ class BagEvaluation:
         """Samples that the clock took and the bag does not have."""
         return self.expected_samples - self.received_samples
 
-    @property
+    @cached_property
     def at_current_limit(self) -> NDArray[np.bool_]:
         """The samples (m,) of the record with the command at the law's limit; none where that was not recorded."""
         limit = self.parameters.get("controller", {}).get("stage.actuator.current_limit", math.inf)

@@ -53,7 +53,7 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     record = assessment.record
-    x, of_guide, after = straightness_over(record, assessment.reference)
+    x, of_guide, after = straightness_over(record, record.reference)
     seen = "map and encoder" if record.guide is None else "true"
     figure = page.line_figure("slider position x / mm", f"deviation / µm ({seen})")
     curves: tuple[tuple[str, Array, str, Direction | None], ...] = (
@@ -72,7 +72,7 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
 def _errors(assessment: Assessment) -> tuple[Array, list[Array]]:
     """Time in s of the samples in motion, and their error in µm as the encoder sees it, and the true one if known."""
     moving = assessment.record.moving
-    errors = (moving.r - moving.y, moving.true_error(assessment.reference))
+    errors = (moving.r - moving.y, moving.true_error(assessment.record.reference))
     return moving.time, [error * 1e6 for error in errors if error is not None]
 
 

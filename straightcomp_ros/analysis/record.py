@@ -66,6 +66,11 @@ class StrokeRecord:
         return motion_of(self.time, self.x)
 
     @cached_property
+    def reference(self) -> RecordedReference:
+        """Over x, as the run used it."""
+        return RecordedReference(self)
+
+    @cached_property
     def moving(self) -> StrokeRecord:
         """From the first to the last sample of motion, with the pauses between the strokes."""
         return self.part(self.motion.window)

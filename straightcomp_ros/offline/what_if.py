@@ -11,7 +11,7 @@ import numpy as np
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
-from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
@@ -75,9 +75,8 @@ def what_if(
         motion = _recorded_motion(record)
         again, law, verdict = _simulated(values, motion)
         changed, changed_law = None, None
-        reference = RecordedReference(record)
         partial = evaluation.partial()
-        found = partial or judged_run(record, reference, parameters, evaluation.map, evaluation.stalls)
+        found = partial or judged_run(record, record.reference, parameters, evaluation.map, evaluation.stalls)
         verdicts = [found, verdict]
         if any(changes.values()):
             for node, section in changes.items():
@@ -89,7 +88,7 @@ def what_if(
                     values.setdefault(node, {}).update(section)
             changed, changed_law, verdict = _simulated(values, motion)
             verdicts.append(verdict)
-    return WhatIf(evaluate(record, reference), again, changed, (record.law, law, changed_law), tuple(verdicts))
+    return WhatIf(evaluate(record, record.reference), again, changed, (record.law, law, changed_law), tuple(verdicts))
 
 
 def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:

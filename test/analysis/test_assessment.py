@@ -13,14 +13,13 @@ from straightcomp_ros.analysis.assessment import checked_limits
 from straightcomp_ros.analysis.error_detail import error_spectrum
 from straightcomp_ros.analysis.html_report import report_html
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.parameters.declaration import ParameterError
 
 
 def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine_map, motion_profile):
     record = make_record(0.3e-6 * np.sin(2 * np.pi * 7 * motion_profile[0]))
     of_map = evaluate(record, cosine_map).to_display()
-    for name, value in evaluate(record, RecordedReference(record)).to_display().items():
+    for name, value in evaluate(record, record.reference).to_display().items():
         assert value == pytest.approx(of_map[name], abs=1e-4), name
 
 

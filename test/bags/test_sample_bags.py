@@ -9,7 +9,6 @@ from rosbags.rosbag2 import Reader
 from scripts import make_sample_bags
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STREAMS
@@ -22,7 +21,7 @@ AGAIN = "run scripts/make_sample_bags.py after a change of what the bags show"
 
 def figures(name: str):
     record = evaluate_bag(BAGS / name).record
-    return evaluate(record, RecordedReference(record))
+    return evaluate(record, record.reference)
 
 
 def test_each_is_below_three_megabytes_and_in_the_readme_whose_commands_name_bags_that_are_there():

@@ -10,7 +10,6 @@ import pytest
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.demonstration import Demonstration
@@ -198,7 +197,7 @@ def spoilt(tmp_path_factory) -> Path:
 
 def judged(bag: Path) -> Verdict:
     found = evaluate_bag(bag)
-    return judged_run(found.record, RecordedReference(found.record), found.parameters, found.map, found.stalls)
+    return judged_run(found.record, found.record.reference, found.parameters, found.map, found.stalls)
 
 
 def test_a_recording_that_a_stall_spoilt_is_starved_and_one_that_it_did_not_is_in_order(

@@ -85,7 +85,7 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any]) -> list[StrokeR
 def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], until_ns: int) -> dict[str, Any]:
     """The columns of a stroke whose first and last sample have the stamps ``times``; faults until ``until_ns`` are its
     own."""
-    record, reference, (begin, end) = evaluation.record, RecordedReference(evaluation.record), times
+    record, reference, (begin, end) = evaluation.record, evaluation.record.reference, times
     part, coils = record.part(stroke.samples), evaluation.coil_current[stroke.samples]
     x, y, guide = part.best_known(reference)
     workpiece = residual_of_stroke(part.time, x, guide + y)
