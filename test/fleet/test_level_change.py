@@ -8,7 +8,8 @@ from straightcomp_ros.fleet.maintenance.day_levels import Watched
 from straightcomp_ros.fleet.maintenance.level_change import BASELINE, MONTH, baseline_of, changes_of_figure, trend_of
 
 RISING, BOTH = Watched("error", "error", "µm"), Watched("friction", "friction", "A", falling=True)
-DAYS, BEGIN = 200, 100
+DAYS, BEGIN = np.arange(200), 100
+STEP, SPELL = 8.0 * (DAYS >= BEGIN), 8.0 * ((DAYS >= 60) & (DAYS < 80))
 
 
 def change_of(values, watched):
@@ -17,68 +18,57 @@ def change_of(values, watched):
     return change
 
 
-def levels(seed=0, days=DAYS):
-    return 10.0 + np.random.default_rng(seed).standard_normal(days)
+def levels(seed=0):
+    return 10.0 + np.random.default_rng(seed).standard_normal(DAYS.size)
 
 
 def test_a_step_is_found_in_days_dated_to_the_day_and_distinguished_from_a_drift():
-    change = change_of(levels() + 8.0 * (np.arange(DAYS) >= BEGIN), RISING)
+    change = change_of(levels() + STEP, RISING)
     assert change.step and change.lasting
     assert change.begin == BEGIN and BEGIN <= change.found <= BEGIN + 6
     assert change.before == pytest.approx(10.0, abs=0.7) and change.after == pytest.approx(18.0, abs=1.0)
-    drift = change_of(levels() + 0.1 * np.maximum(np.arange(DAYS) - BEGIN, 0.0), RISING)
+    drift = change_of(levels() + 0.1 * np.maximum(DAYS - BEGIN, 0.0), RISING)
     assert not drift.step and abs(drift.begin - BEGIN) <= 15 and BEGIN < drift.found <= BEGIN + 50
 
 
 def test_a_fall_is_a_change_only_where_that_is_watched():
-    fallen = levels() - 8.0 * (np.arange(DAYS) >= BEGIN)
-    assert change_of(fallen, RISING) is None
-    found = change_of(fallen, BOTH)
+    assert change_of(levels() - STEP, RISING) is None
+    found = change_of(levels() - STEP, BOTH)
     assert found is not None and found.after < found.before
 
 
-def test_scatter_and_days_before_the_baseline_is_complete_are_no_change():
+def test_scatter_a_single_bad_day_and_days_before_the_baseline_is_complete_are_no_change():
     assert [change_of(levels(seed), BOTH) for seed in range(40)].count(None) >= 39
-    assert change_of(levels(days=BASELINE) * np.linspace(1.0, 50.0, BASELINE), BOTH) is None
-    assert change_of(np.full(DAYS, np.nan), BOTH) is None
+    baseline = levels()[:BASELINE] * np.linspace(1.0, 50.0, BASELINE)
+    for values in (baseline, np.full(DAYS.size, np.nan), levels() + 15.0 * (DAYS == BEGIN)):
+        assert change_of(values, BOTH) is None
 
 
-def test_a_single_bad_day_is_no_change_and_days_without_the_figure_are_left_out():
-    bad = levels()
-    bad[BEGIN] += 15.0
-    assert change_of(bad, RISING) is None
-    gaps = levels() + 8.0 * (np.arange(DAYS) >= BEGIN)
-    gaps[::3] = np.nan
-    found = change_of(gaps, RISING)
+def test_days_without_the_figure_are_left_out():
+    found = change_of(np.where(DAYS % 3, levels() + STEP, np.nan), RISING)
     assert found is not None and BEGIN <= found.begin <= BEGIN + 1
 
 
 def test_a_figure_that_did_not_scatter_in_its_baseline_may_tremble():
-    still = np.full(DAYS, 500.0)
-    still[BEGIN:] += 0.5
-    assert change_of(still, BOTH) is None
-    still[BEGIN:] += 50.0
-    assert change_of(still, BOTH) is not None
+    assert change_of(500.0 + 0.5 * (DAYS >= BEGIN), BOTH) is None
+    assert change_of(500.0 + 50.5 * (DAYS >= BEGIN), BOTH) is not None
 
 
 def test_each_change_has_an_alarm_and_none_hides_another():
-    days = np.arange(DAYS)
-    spell = 8.0 * ((days >= 60) & (days < 80))
-    first, second = changes_of_figure(levels() + spell + 8.0 * (days >= BEGIN), BOTH)
+    first, second = changes_of_figure(levels() + SPELL + STEP, BOTH)
     assert first.begin == 60 and not first.lasting and 80 <= first.ended <= 90
     assert first.after == pytest.approx(18.0, abs=1.0)
     assert second.begin == BEGIN and second.lasting
-    other_way = changes_of_figure(levels() + spell - 8.0 * (days >= BEGIN), BOTH)
+    other_way = changes_of_figure(levels() + SPELL - STEP, BOTH)
     assert [one.after > one.before for one in other_way] == [True, False]
 
 
 def test_an_alarm_knows_nothing_of_later_days():
-    values = levels() + 8.0 * ((np.arange(DAYS) >= 60) & (np.arange(DAYS) < 80))
-    (whole,) = changes_of_figure(values, BOTH)
+    values = levels() + SPELL
+    whole = change_of(values, BOTH)
     assert changes_of_figure(values[: whole.found], BOTH) == []
-    (then,) = changes_of_figure(values[: whole.found + 1], BOTH)
+    then, before = (change_of(values[:count], BOTH) for count in (whole.found + 1, whole.ended))
     assert then.found == whole.found and then.lasting
-    (before,) = changes_of_figure(values[: whole.ended], BOTH)
     assert before.lasting and not whole.lasting
 
 

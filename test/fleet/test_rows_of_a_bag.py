@@ -1,8 +1,8 @@
 """A row says of a stroke what `straightcomp evaluate` says of it, and what it needs to be found again."""
 
-import dataclasses
 import itertools
 import math
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -34,6 +34,13 @@ def rows(evaluation):
     return rows_of(evaluation, recorded_facts(BAG, "key", evaluation)[1])
 
 
+def columns_of(evaluation, *names, **changes):
+    """These columns of the strokes of a run that was changed."""
+    rows = rows_of(replace(evaluation, **changes), {})
+    found = [[getattr(row, name) for row in rows] for name in names]
+    return found if len(names) > 1 else found[0]
+
+
 def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_parameters_and_map(evaluation, rows):
     strokes = assess(BAG, evaluation).strokes
     assert len(rows) == len(strokes) == 2
@@ -50,77 +57,63 @@ def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_paramete
     assert first.start == datetime(1970, 1, 1, 0, 0, 1, 203_500, tzinfo=timezone.utc)
 
 
-def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum(evaluation):
+def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum(evaluation, rows):
     def checksum(node, name, value):
         parameters = {**evaluation.parameters, node: {**evaluation.parameters[node], name: value}}
-        _, facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters=parameters))
-        return facts["parameters_checksum"]
+        return recorded_facts(BAG, "key", replace(evaluation, parameters=parameters))[1]["parameters_checksum"]
 
-    same = recorded_facts(BAG, "key", evaluation)[1]["parameters_checksum"]
-    assert checksum("logger", "output", "another folder") == same
-    assert checksum("controller", "control.law", "linear") != same
+    assert checksum("logger", "output", "another folder") == rows[0].parameters_checksum
+    assert checksum("controller", "control.law", "linear") != rows[0].parameters_checksum
 
 
 def test_a_recording_keeps_its_name_in_a_folder_of_another_name(tmp_path):
-    (tmp_path / "moved").mkdir()
-    (tmp_path / "moved" / "run_of_tuesday_0.mcap").write_bytes(b"")
-    assert recorded_name(tmp_path / "moved") == "run_of_tuesday"
+    (tmp_path / "run_of_tuesday_0.mcap").write_bytes(b"")
+    assert recorded_name(tmp_path) == "run_of_tuesday"
 
 
 def test_a_description_that_this_version_cannot_read_has_no_identity(evaluation):
     driver = {**evaluation.parameters["driver"], "stage.platform.colour": "blue"}
-    stage, facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={"driver": driver}))
+    stage, facts = recorded_facts(BAG, "key", replace(evaluation, parameters={"driver": driver}))
     assert facts["identity"] is None and stage == "synthetic"
-    assert recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={}))[0] == "unknown"
+    assert recorded_facts(BAG, "key", replace(evaluation, parameters={}))[0] == "unknown"
 
 
 def test_the_latency_of_a_stroke_is_that_of_its_own_samples(evaluation):
     stamps, latency = evaluation.latency_stamps, evaluation.latency
-    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
-    slow = dataclasses.replace(evaluation, latency=np.where(stamps < middle, latency, 3e-4))
-    assert [row.latency_p50_us for row in rows_of(slow, {})] == pytest.approx([250.0, 300.0])
-    without = dataclasses.replace(evaluation, latency=latency[:0], latency_stamps=stamps[:0])
-    assert [row.latency_p99_us for row in rows_of(without, {})] == [None, None]
+    slow = np.where(stamps < stamps[0] + (stamps[-1] - stamps[0]) // 2, latency, 3e-4)
+    assert columns_of(evaluation, "latency_p50_us", latency=slow) == pytest.approx([250.0, 300.0])
+    none = {"latency": latency[:0], "latency_stamps": stamps[:0]}
+    assert columns_of(evaluation, "latency_p99_us", **none) == [None, None]
 
 
-def without(evaluation, lost, unanswered):
-    """The run without these samples, and without the answers to those."""
-    record = evaluation.record
-    kept = ~np.isin(np.arange(record.time.size), [*lost, *unanswered])
-    columns = {name: values[kept] for name, values in record.columns().items()}
-    there = ~np.isin(np.arange(evaluation.stamps.size), lost)
+def test_lost_and_unanswered_samples_count_in_the_stroke_in_which_they_are_missing(evaluation):
+    record, lost, unanswered = evaluation.record, (1000, 1001, 1002), (5000, 5001)
     assert record.time.size == evaluation.stamps.size
-    return dataclasses.replace(
+    places = np.arange(record.time.size)
+    there, kept = ~np.isin(places, lost), ~np.isin(places, (*lost, *unanswered))
+    found = columns_of(
         evaluation,
-        record=dataclasses.replace(record, **columns),
+        *("lost_samples", "unanswered_samples", "expected_samples"),
+        record=replace(record, **{name: values[kept] for name, values in record.columns().items()}),
         stamps=evaluation.stamps[there],
         amplifier_on=evaluation.amplifier_on[there],
         coil_current=evaluation.coil_current[kept],
     )
-
-
-def test_lost_and_unanswered_samples_count_in_the_stroke_in_which_they_are_missing(evaluation):
-    rows = rows_of(without(evaluation, lost=(1000, 1001, 1002), unanswered=(5000, 5001)), {})
-    assert [row.lost_samples for row in rows] == [3, 0]
-    assert [row.unanswered_samples for row in rows] == [0, 2]
-    assert [row.expected_samples for row in rows] == [3987, 3987]
+    assert found == [[3, 0], [0, 2], [3987, 3987]]
 
 
 def test_samples_with_the_amplifier_off_or_the_current_at_its_limit_are_counted(evaluation):
     on, current = evaluation.amplifier_on.copy(), evaluation.record.current.copy()
     on[1000:1010] = False
     current[6000:6004] = -0.9
-    record = dataclasses.replace(evaluation.record, current=current)
-    run = evaluation.encoder._replace(off=~on)
-    rows = rows_of(dataclasses.replace(evaluation, amplifier_on=on, record=record, encoder=run), {})
-    assert [row.amplifier_off_samples for row in rows] == [10, 0]
-    assert [row.verdict for row in rows] == ["interrupted", "in_order"]
-    assert [row.saturated_samples for row in rows] == [0, 4]
+    changes = {"amplifier_on": on, "encoder": evaluation.encoder._replace(off=~on)}
+    names = ("amplifier_off_samples", "verdict", "saturated_samples")
+    found = columns_of(evaluation, *names, record=replace(evaluation.record, current=current), **changes)
+    assert found == [[10, 0], ["interrupted", "in_order"], [0, 4]]
 
 
 def test_a_fault_belongs_to_the_stroke_in_which_it_was_latched_or_after_which(evaluation):
-    begin = evaluation.begin_ns
-    labels = sorted(LABELLED)[:2]
+    begin, labels = evaluation.begin_ns, sorted(LABELLED)[:2]
     reports = [
         Report(begin + 1_000_000_000, {"error": f"{labels[0]}: the first"}),
         Report(begin + 2_250_000_000, {"error": f"{labels[1]}: between the strokes"}),
@@ -128,21 +121,15 @@ def test_a_fault_belongs_to_the_stroke_in_which_it_was_latched_or_after_which(ev
         Report(begin + 3_000_000_000, {}),
     ]
     faults = latched_faults({"driver": reports}, begin)
-    rows = rows_of(dataclasses.replace(evaluation, faults=faults), {})
-    assert [row.faults for row in rows] == [labels, []]
-    assert [row.verdict for row in rows] == ["interrupted", "in_order"]
+    assert columns_of(evaluation, "faults", "verdict", faults=faults) == [[labels, []], ["interrupted", "in_order"]]
 
 
 def test_the_verdict_is_that_on_the_stroke_alone(evaluation):
-    y, true_y = evaluation.record.y.copy(), evaluation.record.true_y.copy()
-    wave = 5e-6 * np.sin(2.0 * math.pi * 100.0 * evaluation.record.time)
-    second = evaluation.record.time > 2.25
-    y[second] += wave[second]
-    true_y[second] += wave[second]
-    record = dataclasses.replace(evaluation.record, y=y, true_y=true_y)
-    rows = rows_of(dataclasses.replace(evaluation, record=record), {})
-    assert [row.verdict for row in rows] == ["in_order", "oscillates"]
-    assert "100 Hz" in rows[1].reason
+    record = evaluation.record
+    wave = np.where(record.time > 2.25, 5e-6 * np.sin(2.0 * math.pi * 100.0 * record.time), 0.0)
+    shaken = replace(record, y=record.y + wave, true_y=record.true_y + wave)
+    verdicts, reasons = columns_of(evaluation, "verdict", "reason", record=shaken)
+    assert verdicts == ["in_order", "oscillates"] and "100 Hz" in reasons[1]
 
 
 def test_bins_have_the_same_edges_in_all_strokes_and_the_mean_of_the_samples_within_them(evaluation, rows):
@@ -204,13 +191,11 @@ def coarse(tmp_path_factory):
 
 
 def test_the_bandwidth_comes_from_commands_as_the_converter_of_that_bag_rounded_them(coarse):
-    def bandwidths(evaluation):
-        return [row.amplifier_bandwidth_Hz for row in rows_of(evaluation, {})]
-
-    assert bandwidths(coarse) == pytest.approx([500.0, 500.0], rel=0.02)
+    right = pytest.approx([500.0, 500.0], rel=0.02)
     driver = {**coarse.parameters["driver"], "stage.drive.dac_bits": 12}
-    another = dataclasses.replace(coarse, parameters={**coarse.parameters, "driver": driver})
-    assert bandwidths(another) != pytest.approx([500.0, 500.0], rel=0.02)
+    another = {**coarse.parameters, "driver": driver}
+    assert columns_of(coarse, "amplifier_bandwidth_Hz") == right
+    assert columns_of(coarse, "amplifier_bandwidth_Hz", parameters=another) != right
 
 
 def test_the_guide_has_changed_where_the_sensor_saw_it(coarse):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -22,11 +21,6 @@ from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, is_nullable, schema_of, table_of
 from straightcomp_ros.fleet.history.store import Store
-
-
-def command(months, store):
-    words = ["history", "add", str(months), "-o", str(store), "--jobs", "1"]
-    return [sys.executable, "-m", "straightcomp_ros.cli.main", *words]
 
 
 def test_a_month_of_a_stage_is_a_file_and_a_bag_a_row_or_a_reason_why_it_was_refused(months, alone):
@@ -58,32 +52,13 @@ def test_workers_make_the_store_that_one_process_makes_to_the_last_bit(months, a
 
 def test_several_processes_may_add_to_one_store_at_once(months, alone, tmp_path):
     """Each would add all bags: they meet at every file."""
-    processes = [subprocess.Popen(command(months, tmp_path), stderr=subprocess.PIPE) for _ in range(3)]
+    words = ["history", "add", str(months), "-o", str(tmp_path), "--jobs", "1"]
+    command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words]
+    processes = [subprocess.Popen(command, stderr=subprocess.PIPE) for _ in range(3)]
     errors = [process.communicate()[1].decode() for process in processes]
     # A process that found all bags known has refused none.
     assert {process.returncode for process in processes} <= {0, 1}, errors
     assert not any("Traceback" in text for text in errors), errors
-    assert files_of(tmp_path) == alone[1]
-
-
-@pytest.mark.nightly
-def test_a_store_survives_kills_at_any_moment(months, alone, tmp_path):
-    chance, expected = random.Random(5), strokes_of(alone[0])
-    bags = tmp_path / "bags"
-    for _ in range(6):
-        process = subprocess.Popen(command(months, tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        before = len(list(bags.glob("*")))
-        # The start of the program takes longer than all bags: begin to count when it writes.
-        while len(list(bags.glob("*"))) == before and process.poll() is None:
-            time.sleep(0.002)
-        time.sleep(chance.uniform(0.0, 0.05))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        assert right(tmp_path, expected)
-        # As if the kill had come before the last rows: what is left for the next process.
-        for file in sorted(bags.glob("*"))[:2]:
-            file.unlink()
-    added(tmp_path, months)
     assert files_of(tmp_path) == alone[1]
 
 
@@ -240,17 +215,6 @@ def test_the_strokes_of_a_stage_come_in_the_order_of_time(alone):
     assert table["start"].to_pylist() == sorted(table["start"].to_pylist())
     with pytest.raises(HistoryError, match="has no stage 'stage_7'; its stages are: stage_0, stage_1"):
         store.strokes("stage_7")
-
-
-@pytest.mark.parametrize("name", ["A/B 1", "ständer=ä%2F", "007", ".."])
-def test_any_name_of_a_stage_comes_back(tmp_path, name, monkeypatch):
-    facts = adding.recorded_facts
-    monkeypatch.setattr(adding, "recorded_facts", lambda *given: (name, facts(*given)[1]))
-    added(tmp_path / "store", SAMPLES / "smc")
-    store = Store(str(tmp_path / "store"))
-    assert store.stages() == [name] and store.strokes(name).num_rows == 2
-    found = query(store, "SELECT DISTINCT stage FROM strokes").to_pylist()
-    assert found == [{"stage": name}] and query(store, "SELECT stage FROM bags").to_pylist() == found
 
 
 @pytest.mark.parametrize("row", [StrokeRow, BagRow])

@@ -35,12 +35,11 @@ from straightcomp_ros.cli.results import figures_table, shown, titled_table
 if TYPE_CHECKING:
     import pyarrow
 
-    from straightcomp_ros.fleet.history.bag_places import BagPlace
     from straightcomp_ros.fleet.history.rows import BagRow
 
 SUMMARY = "the figures of many bags in one store, and questions to it"
 PURPOSE = "fleet"
-_STORE = "history"
+_STORE, _STORE_HELP = "history", "folder or URL (default: %(default)s)"
 _LONGEST_WAIT = 86_400.0
 _MOST_COLUMNS = 12
 """Rows with more columns are printed one below the other: side by side no terminal has room for them."""
@@ -49,7 +48,7 @@ _MOST_COLUMNS = 12
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bags", nargs="+", metavar="BAG", help="rosbag2 folder, MCAP or SQLite file, or a folder of bags")
-    add("--store", "-o", default=_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
+    add("--store", "-o", default=_STORE, metavar="STORE", help=_STORE_HELP)
     add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
     add_dask(parser)
     add("--again", action="store_true", help="evaluate bags that the store has, too: after an update of this program")
@@ -81,10 +80,6 @@ def _add(options: argparse.Namespace) -> None:
         if next(bags_in(url), None) is None and not options.follow:
             raise CommandFailed(f"{url}: no bag is there; allowed: a bag, or a folder with bags below it", exit_code=2)
 
-    def look() -> Iterator[BagPlace]:
-        found = chain.from_iterable(map(bags_in, options.bags))
-        return growing.whole(found) if options.follow else found
-
     with progress_bar() as bar:
         task = bar.add_task("looking for bags", total=None)
 
@@ -96,8 +91,10 @@ def _add(options: argparse.Namespace) -> None:
                 growing.retry(row)
 
         def add_new() -> None:
+            found = chain.from_iterable(map(bags_in, options.bags))
+            places = growing.whole(found) if options.follow else found
             workers = {"jobs": options.jobs or -1, "dask": options.dask}
-            add(store, look(), tally, again=options.again, remap=remap, on_added=on_added, **workers)
+            add(store, places, tally, again=options.again, remap=remap, on_added=on_added, **workers)
 
         add_new()
         # Ctrl-C is the usual end of these.
@@ -117,7 +114,7 @@ def _add(options: argparse.Namespace) -> None:
 
 def _query_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("store", nargs="?", default=_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
+    add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
     add("sql", metavar="SQL", help="the query")
     add_force(parser)
     _add_json(parser)
@@ -197,13 +194,11 @@ def _advise(options: argparse.Namespace) -> None:
             notes.print(f"{stage}: {days} days with strokes; allowed: > {BASELINE}, the baseline", soft_wrap=True)
             continue
         due = sum(one.due for one in advice)
-        style = "yellow" if due else "green"
-        matters = f"matters: {due}" if due else "nothing to do"
+        matters, style = (f"matters: {due}", "yellow") if due else ("nothing to do", "green")
         console.print(f"{stage}, {days} days until {levels.date(-1)}: {matters}", style=style, highlight=False)
         for one in advice:
-            console.print(f"  found {one.found}: {one.text}", soft_wrap=True, highlight=False)
             what = one.remedy if one.due else "nothing: it is back where it was"
-            console.print(f"    → {what}", soft_wrap=True, highlight=False)
+            console.print(f"  found {one.found}: {one.text}\n    → {what}", soft_wrap=True, highlight=False)
     if folder is not None:
         files = {_file_of(stage, ".json"): content for stage, content in contents.items()}
         with making(folder, files, force=options.force, anew=False):
@@ -230,14 +225,14 @@ def _report(options: argparse.Namespace) -> None:
 
     folder = output_folder("--output", options.output)
     pages = {stage: stage_report(stage, strokes) for stage, strokes in _stored_stages(options)}
-    files = {stage: str(folder / _file_of(stage, ".html")) for stage in pages}
-    with making(folder, [Path(path).name for path in files.values()], force=options.force, anew=False):
-        for stage, path in files.items():
-            write_whole(path, pages[stage])
+    files = {stage: folder / _file_of(stage, ".html") for stage in pages}
+    with making(folder, [file.name for file in files.values()], force=options.force, anew=False):
+        for stage, file in files.items():
+            write_whole(file, pages[stage])
             if not options.json:
-                console.print(f"{stage}: {path}", soft_wrap=True, highlight=False)
+                console.print(f"{stage}: {file}", soft_wrap=True, highlight=False)
     if options.json:
-        print_json({"reports": files})
+        print_json({"reports": {stage: str(file) for stage, file in files.items()}})
 
 
 def _map_arguments(parser: argparse.ArgumentParser) -> None:
@@ -276,10 +271,9 @@ def _map(options: argparse.Namespace) -> None:
 
         plot_map(proposal.built, plot)
     if options.json:
-        x = (proposal.built.repeatability.x * 1e3).tolist()
-        change = {"x_mm": x, "change_um": (proposal.change * 1e6).tolist()}
-        provenance = dict(proposal.built.provenance)
-        print_json({**proposal.figures(), **change, "provenance": provenance, "output": options.output})
+        built = proposal.built
+        change = {"x_mm": (built.repeatability.x * 1e3).tolist(), "change_um": (proposal.change * 1e6).tolist()}
+        print_json({**proposal.figures(), **change, "provenance": built.provenance, "output": options.output})
         return
     console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))
     if output is not None:
@@ -293,7 +287,7 @@ def _add_json(parser: argparse.ArgumentParser) -> None:
 def _add_stages(parser: argparse.ArgumentParser) -> None:
     """Declare the store, ``--stage`` and ``--since``."""
     add = parser.add_argument
-    add("store", nargs="?", default=_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
+    add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
     add_repeatable(parser, "--stage", "NAME", "only this stage")
     since = (
         "strokes from this day on, YYYY-MM-DD: that after the last maintenance, whose first four weeks are the measure"
