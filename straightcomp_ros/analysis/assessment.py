@@ -1,6 +1,5 @@
 """The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -17,7 +16,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures
 from straightcomp_ros.analysis.record import Array, StrokeRecord, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
-from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
 
@@ -184,9 +183,7 @@ def checked_limits(path: str | Path, figures: Mapping[str, Any]) -> list[LimitCh
 
 def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any]) -> LimitCheck:
     if name not in figures:
-        near = difflib.get_close_matches(name, figures, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(figures)}"
-        raise ParameterError(f"{where}: figure '{name}' is unknown; {hint}")
+        raise ParameterError(f"{where}: figure '{name}' is unknown{instead(name, figures)}")
     given = limit if isinstance(limit, Mapping) else {"max": limit}
     bounds = {key: _number(one) for key, one in given.items()}
     if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):

@@ -12,7 +12,7 @@ import difflib
 import math
 import re
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, partial
 from typing import Any, TypeVar
 
@@ -148,6 +148,13 @@ def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iter
             yield dataclasses.replace(one, description=f"{about}: {one.description}") if about else one
 
 
+def instead(name: str, known: Iterable[str]) -> str:
+    """End of the sentence that refuses a name: the nearest of the ``known`` ones, or all of them."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(names) or 'none'}"
+
+
 def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
     """Build a validated parameter set from dotted names; other parameters keep their defaults.
 
@@ -157,9 +164,7 @@ def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
     known = {declaration.name: declaration for declaration in declarations(parameter_set)}
     for name in values:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"
-            raise ParameterError(f"parameter '{name}' is unknown{hint}")
+            raise ParameterError(f"parameter '{name}' is unknown{instead(name, known)}")
     checked = {name: declaration.check(values.get(name, declaration.default)) for name, declaration in known.items()}
     return _build(parameter_set, checked, "")
 

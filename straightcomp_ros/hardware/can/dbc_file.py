@@ -7,7 +7,6 @@ highest, and bit 0 of each byte is the byte's lowest.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
 import os
 import re
@@ -16,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from straightcomp_ros.parameters.declaration import instead
 from straightcomp_ros.parameters.share import share_path
 
 if TYPE_CHECKING:
@@ -29,12 +29,6 @@ FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 FLOATS = {16: "e", 32: "f", 64: "d"}
 """struct's letters by the bits of a float."""
 _LARGEST_FLOAT = {16: 65504.0, 32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
-_CLOSED = (
-    "BA_|BA_DEF_|BA_DEF_DEF_|BA_DEF_DEF_REL_|BA_DEF_REL_|BA_DEF_SGTYPE_|BA_REL_|BA_SGTYPE_|BO_TX_BU_|CAT_|CAT_DEF_|CM_|"
-    "ENVVAR_DATA_|EV_|EV_DATA_|FILTER|SGTYPE_|SGTYPE_VAL_|SG_MUL_VAL_|SIGTYPE_VALTYPE_|SIG_GROUP_|SIG_TYPE_REF_|"
-    "SIG_VALTYPE_|VAL_|VAL_TABLE_"
-)
-"""Statements that a semicolon ends."""
 _WHOLE = {
     "VERSION": r'VERSION\s*"',
     "NS_": r"(?!)",
@@ -44,7 +38,7 @@ _WHOLE = {
     "SG_": r'SG_\s+(\w+)[^"]*"[^"]*"\s*\w',
 }
 """How the statements that no semicolon ends are when they are whole. The list of NS_ ends where another begins."""
-_BEGIN = rf"[ \t]*\b({_CLOSED}|{'|'.join(_WHOLE)})\b(?![ \t]*\r?$)"
+_BEGIN = r"[ \t]*\b(VERSION|FILTER|[A-Z]+(?:_[A-Z]+)*_)\b(?![ \t]*\r?$)"
 _TEXT = r'"(?:\\"|[^"])*"'
 _STATEMENT = re.compile(rf'(?:^|(?<=;)){_BEGIN}(?:{_TEXT}|//[^\n]*|[^"\n/;]+|/|\n(?!{_BEGIN}))*;?', re.MULTILINE)
 _MESSAGE = re.compile(r"BO_\s+(\d+)\s+(\w+)")
@@ -112,7 +106,7 @@ class Dbc:
 
         found = self._known.get(name)
         if not found:
-            raise DbcError(f"'{name}' is not a message of {self.file}{_nearest(name, self._known)}")
+            raise DbcError(f"'{name}' is not a message of {self.file}{instead(name, self._known)}")
         if len(found) > 1:
             identifiers = " and ".join(f"{int(number) & ~EXTENDED_ID:#x}" for number, _ in found)
             raise DbcError(f"message '{name}' is in {self.file} {len(found)} times, as {identifiers}; allowed: once")
@@ -147,7 +141,7 @@ class Dbc:
         if found:
             return found[0]
         known = [signal.name for signal in message.signals]
-        raise DbcError(f"'{name}' is not a signal of message '{message.name}' of {self.file}{_nearest(name, known)}")
+        raise DbcError(f"'{name}' is not a signal of message '{message.name}' of {self.file}{instead(name, known)}")
 
     def identifier(self, message: Message, node: int) -> int:
         """CAN identifier for ``node``: that in the file is node 1's. EXTENDED_ID is set in one of 29 bits."""
@@ -328,9 +322,3 @@ def _statements(text: str, path: Path) -> Iterator[tuple[str, str]]:
     closed = last.endswith(";") or (keyword == "VAL_" and last.endswith('"') and text.endswith("\n"))
     if keyword and not (re.match(_WHOLE[keyword], last) if keyword in _WHOLE else closed):
         raise DbcError(f"'{path}' is cut off: it ends within {keyword}")
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    names = list(known)
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(names) or 'none'}"
