@@ -10,7 +10,7 @@ MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
 TUNING = ["cma>=4"]
-FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17", "ruptures>=1.1.9"]
+FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 

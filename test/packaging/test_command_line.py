@@ -17,7 +17,7 @@ from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
 
 OURS = {entry.name: entry for entry in distribution("straightcomp_ros").entry_points if entry.group == GROUP}
-EXTRAS = {"tuning": {"cma"}, "fleet": {"duckdb", "fsspec", "pyarrow", "ruptures"}, "opcua": {"asyncua"}}
+EXTRAS = {"tuning": {"cma"}, "fleet": {"duckdb", "fsspec", "pyarrow"}, "opcua": {"asyncua"}}
 """What an extra brings, by what is imported; test_dependencies.py compares them with setup.py."""
 
 

@@ -1,6 +1,6 @@
 """How a figure changes from day to day: when its level changed, its trend, and where the guide moved.
 
-CUSUM control charts find that a level changed, ruptures when and how.
+CUSUM control charts find that a level changed, a fit when and how.
 
 Levels of days are compared with those of a baseline, the first four weeks. The sums
 
@@ -146,21 +146,18 @@ def _alarms(z: Array, falling: bool) -> list[tuple[int, int | None]]:
 
 def _onset(values: Array) -> tuple[int, bool]:
     """Where ``values`` (n,) change, and whether a step describes that better than a slope from there on."""
-    import ruptures
+    places = np.arange(values.size, dtype=np.float64)
 
-    last = values.size
-    step_at = int(ruptures.Binseg(model="l2", min_size=1, jump=1).fit(values).predict(n_bkps=1)[0])
-    step_cost = sum(float(np.sum((part - part.mean()) ** 2)) for part in (values[:step_at], values[step_at:]))
-    places = np.arange(last, dtype=np.float64)
-
-    def ramp_cost(at: int) -> float:
-        terms = np.stack([np.ones(last), np.maximum(places - at, 0.0)], axis=1)
+    def cost(change: Array) -> float:
+        """Sum of squares about a constant and the multiple of ``change`` that fit best."""
+        terms = np.stack([np.ones(values.size), change], axis=1)
         weights, *_ = np.linalg.lstsq(terms, values, rcond=None)
         return float(np.sum((values - terms @ weights) ** 2))
 
-    costs = {at: ramp_cost(at) for at in range(_LEAST, last - _LEAST)}
-    ramp_at = min(costs, key=costs.__getitem__)
-    return (step_at, True) if step_cost <= costs[ramp_at] else (ramp_at, False)
+    steps = {at: cost((places >= at).astype(np.float64)) for at in range(1, values.size)}
+    slopes = {at: cost(np.maximum(places - at, 0.0)) for at in range(_LEAST, values.size - _LEAST)}
+    step_at, slope_at = (min(costs, key=costs.__getitem__) for costs in (steps, slopes))
+    return (step_at, True) if steps[step_at] <= slopes[slope_at] else (slope_at, False)
 
 
 class Trend(NamedTuple):

@@ -133,9 +133,7 @@ def test_a_trial_draws_its_machine_with_the_friction_beyond_lugre(values):
     assert result.pp == expected.true_pp != plain.pp
 
 
-def test_a_machine_depends_on_seed_and_number_and_not_on_the_order_of_trials_or_on_other_laws(
-    values, scenario
-):
+def test_a_machine_depends_on_seed_and_number_and_not_on_the_order_of_trials_or_on_other_laws(values, scenario):
     forward, backward = run_trials(scenario, 3, [0, 1, 2]), run_trials(scenario, 3, [2, 1, 0])
     assert sorted(forward, key=repr) == sorted(backward, key=repr)
     assert len({result.pp for result in forward}) == len(forward)
