@@ -12,9 +12,8 @@ crosses at another speed start anew.
 The tables of both directions are kept in a CSV file, one line for each node of x, forward and backward side by side.
 """
 
-import csv
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -255,20 +254,24 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
     if learned_with != law:
         said = "names no law" if learned_with is None else f"was learned with law '{learned_with}'"
         raise LearningFileError(f"{file}: {said}; allowed: '{_LAW} {law}', the law that runs")
-    numbered = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    (_, header), *rows = numbered or [(0, "")]
-    if tuple(next(csv.reader([header]), ())) != _HEADER:
-        raise LearningFileError(f"{file}: header {header!r}; allowed: {','.join(_HEADER)!r}")
+    rows = [
+        (f"{file}, line {number}", line.split(","))
+        for number, line in enumerate(lines, 1)
+        if line.strip() and not line.startswith("#")
+    ]
+    header = rows.pop(0)[1] if rows else []
+    if tuple(header) != _HEADER:
+        raise LearningFileError(f"{file}: header {','.join(header)!r}; allowed: {','.join(_HEADER)!r}")
     if not rows:
         raise LearningFileError(f"{file}: has a header but no rows; allowed: at least one")
-    numbers = np.array([_numbers(f"{file}, line {number}", line) for number, line in rows])
+    numbers = np.array([_numbers(*row) for row in rows])
     x, spacing = numbers[:, 0], tables[True].spacing
     first = round(float(x[0]) / spacing)
     wrong = np.flatnonzero(np.abs(x - (first + np.arange(x.size)) * spacing) > 1e-3 * spacing)
     if wrong.size:
         at = int(wrong[0])
         raise LearningFileError(
-            f"{file}, line {rows[at][0]}: x_m {float(x[at]):.9g}; allowed: {(first + at) * spacing:.9g}, "
+            f"{rows[at][0]}: x_m {float(x[at]):.9g}; allowed: {(first + at) * spacing:.9g}, "
             f"nodes {spacing:g} m apart without a gap (learning.spacing)"
         )
     for forward, columns in ((True, numbers[:, 1:5]), (False, numbers[:, 5:9])):
@@ -276,9 +279,8 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
         tables[forward].restore(first, correction, rms * rms, bare_rms * bare_rms, speed)
 
 
-def _numbers(where: str, line: str) -> list[float]:
+def _numbers(where: str, cells: Sequence[str]) -> list[float]:
     """The cells of a row in SI units, NaN for an RMS that was not measured."""
-    cells = next(csv.reader([line]))
     if len(cells) != len(_HEADER):
         raise LearningFileError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
     numbers = []
