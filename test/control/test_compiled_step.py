@@ -46,10 +46,9 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
 
 
 def test_two_laws_of_a_kind_have_each_a_state_of_its_own():
-    one, other = (make_law(ControlParameters(), STAGE) for _ in range(2))
+    one, other, fresh = (make_law(ControlParameters(), STAGE) for _ in range(3))
     for sample in samples(50):
         one.step(*sample)
-    fresh = make_law(ControlParameters(), STAGE)
     for sample in samples(50):
         assert repr(other.step(*sample)) == repr(fresh.step(*sample))
 

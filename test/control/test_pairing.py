@@ -1,5 +1,7 @@
 """Which reference a sample gets, and when."""
 
+import itertools
+
 import pytest
 
 from straightcomp_ros.control.pairing import Pairing
@@ -18,21 +20,20 @@ def quadratic(stamp_ns):
     return 1e-6 + 2e-3 * t + 0.5 * 0.3 * t * t, 2e-3 + 0.3 * t, 0.3
 
 
-def test_the_reference_of_an_earlier_sample_is_used_at_the_sample_s_own_time():
+def test_the_reference_of_an_earlier_sample_is_used_at_the_sample_s_own_time_and_again_if_it_is_sent_again():
     pairing = Pairing(8 * PERIOD, wait=True)
     for k in range(40):
         pairing.add_sample(at(k), (k,))
         pairing.add_reference(at(k), quadratic(at(k)))
-        ((stamp_ns, sample, reference, age_ns),) = pairing.take()
-        assert stamp_ns == at(k) and sample == (k,)
-        assert age_ns == min(k, 8) * PERIOD
-        assert reference == pytest.approx(quadratic(at(k)), rel=1e-12)
+        (found,) = pairing.take()
+        assert found == (at(k), (k,), pytest.approx(quadratic(at(k)), rel=1e-12), min(k, 8) * PERIOD)
+        pairing.add_sample(at(k), (k,))
+        assert list(pairing.take()) == [found]
 
 
 def test_the_numbers_do_not_depend_on_who_was_faster():
     def answered(order):
-        pairing = Pairing(4 * PERIOD, wait=True)
-        got = []
+        pairing, got = Pairing(4 * PERIOD, wait=True), []
         for kind, k in order:
             if kind == "sample":
                 pairing.add_sample(at(k), (k,))
@@ -41,12 +42,9 @@ def test_the_numbers_do_not_depend_on_who_was_faster():
             got += pairing.take()
         return got
 
-    count = 50
-    together = answered([(kind, k) for k in range(count) for kind in ("sample", "reference")])
-    references_first = answered([("reference", k) for k in range(count)] + [("sample", k) for k in range(count)])
-    samples_first = answered([("sample", k) for k in range(count)] + [("reference", k) for k in range(count)])
-    assert len(together) == count
-    assert together == references_first == samples_first
+    samples, references = ([(kind, k) for k in range(50)] for kind in ("sample", "reference"))
+    together = answered(itertools.chain(*zip(samples, references, strict=True)))
+    assert len(together) == 50 and together == answered(references + samples) == answered(samples + references)
 
 
 def test_in_lockstep_a_sample_waits_for_its_reference():
@@ -99,13 +97,3 @@ def test_references_run_short_when_a_sample_to_come_has_none_of_its_own():
     pairing.add_reference(at(12), quadratic(at(12)))
     assert not pairing.short(PERIOD)
     assert pairing.short(2 * PERIOD)
-
-
-def test_a_sample_that_is_sent_again_gets_the_same_reference_again():
-    pairing = Pairing(8 * PERIOD, wait=True)
-    for k in range(20):
-        pairing.add_sample(at(k), (k,))
-        pairing.add_reference(at(k), (float(k), 0.0, 0.0))
-        (first,) = pairing.take()
-        pairing.add_sample(at(k), (k,))
-        assert list(pairing.take()) == [first]

@@ -34,12 +34,8 @@ def by_equation_9(x, r, rho, boundary_layer):
     """i_c by (9), written with the matrices of the paper."""
     a, b = state_matrices(STAGE)
     s = np.array([DESIGN.omega_n**2, 2 * DESIGN.zeta * DESIGN.omega_n, 1.0])
-    b_r = np.array([-1.0, 0.0, 0.0])
-    sigma = s @ x
-    sb = s @ b
-    return float(
-        -(s @ a @ x + s @ b_r * r + DESIGN.phi * sigma) / sb - rho * switching_function(sigma, boundary_layer) / sb
-    )
+    switching = rho * switching_function(s @ x, boundary_layer)
+    return float(-(s @ a @ x - s[0] * r + DESIGN.phi * (s @ x) + switching) / (s @ b))
 
 
 @given(st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5))
@@ -79,11 +75,9 @@ def test_with_feedforward_the_surface_is_that_of_the_error():
 
 def test_the_surface_is_reached_in_the_time_of_its_closed_form():
     """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
-    design = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6)
-    period = 2e-6
+    design, period, y0 = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6), 2e-6, 2e-4
     servo = make_law(ControlParameters(law="smc", smc=design), limited(100.0, rate=500_000))
     a, b = state_matrices(STAGE)
-    y0 = 2e-4
     servo.reset(y0)
     y, v, t = y0, 0.0, 0.0
     sigma = sigma_0 = 2 * design.zeta * design.omega_n * y0
@@ -92,8 +86,8 @@ def test_the_surface_is_reached_in_the_time_of_its_closed_form():
         sigma = answer.sliding_variable
         acceleration = a[2, 1] * y + b[2] * answer.current
         y, v, t = y + period * v + 0.5 * period**2 * acceleration, v + period * acceleration, t + period
-    closed = lambda s: math.log(1 + design.phi * s / design.rho) / design.phi  # noqa: E731
-    assert t == pytest.approx(closed(sigma_0) - closed(0.01 * sigma_0), rel=0.02)
+    ratio = (1 + design.phi * sigma_0 / design.rho) / (1 + design.phi * 0.01 * sigma_0 / design.rho)
+    assert t == pytest.approx(math.log(ratio) / design.phi, rel=0.02)
 
 
 def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it():

@@ -43,9 +43,7 @@ def test_weights_count_the_length_and_not_the_time():
 def test_adding_a_line_changes_no_residual_and_least_squares_leave_neither_mean_nor_trend(values, level, slope):
     x, values = np.linspace(0.0, 1.76, len(values)), np.array(values)
     for residual in (least_squares_residual, end_point_residual):
-        np.testing.assert_allclose(
-            residual(x, values + level + slope * x), residual(x, values), atol=1e-18
-        )
+        np.testing.assert_allclose(residual(x, values + level + slope * x), residual(x, values), atol=1e-18)
         np.testing.assert_allclose(residual(x, level + slope * x), 0.0, atol=1e-19)
     left = least_squares_residual(x, values)
     assert abs(left.sum()) < 1e-17 and abs(left @ x) < 1e-17

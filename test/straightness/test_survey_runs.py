@@ -68,23 +68,27 @@ def found_of(forward, backward):
 
 def test_the_figures_are_those_of_the_standard_at_the_worst_point():
     found = found_of([[1, 0, 0, 0], [3, 0, 0, 0]], [[0, 0, 0, 5], [0, 0, 0, 9]])
-    s_forward, s_backward = math.sqrt(2.0), 2.0 * math.sqrt(2.0)
-    shown = found.to_display()
-    assert shown["repeatability_forward_um"] == pytest.approx(4.0 * s_forward)
-    assert shown["repeatability_backward_um"] == pytest.approx(4.0 * s_backward)
+    # s: √2 and 2√2 µm, which the bidirectional figure adds to the reversal.
+    assert found.to_display() == pytest.approx(
+        {
+            "repeatability_forward_um": 4.0 * math.sqrt(2.0),
+            "repeatability_backward_um": 8.0 * math.sqrt(2.0),
+            "repeatability_bidirectional_um": 4.0 * math.sqrt(2.0) + 7.0,
+            "reversal_max_um": 7.0,
+            "reversal_mean_um": -1.25,
+        }
+    )
     assert found.reversal == pytest.approx([2e-6, 0.0, 0.0, -7e-6])
-    assert shown["reversal_max_um"] == pytest.approx(7.0) and shown["reversal_mean_um"] == pytest.approx(-1.25)
-    assert shown["repeatability_bidirectional_um"] == pytest.approx(2.0 * s_backward + 7.0)
 
 
-def test_the_bidirectional_figure_adds_the_spreads_of_both_directions_and_the_reversal():
-    found = found_of([[1, 0, 0, 0], [3, 0, 0, 0]], [[0, 0, 0, 0], [4, 0, 0, 0]])
-    # s: √2 and 2√2 µm, no reversal.
-    assert found.bidirectional == pytest.approx(max(6.0 * math.sqrt(2.0), 8.0 * math.sqrt(2.0)) * 1e-6)
-    turned = found_of([[0, 0, 0, 0], [4, 0, 0, 0]], [[2, 0, 0, 0], [2, 0, 0, 0]])
-    assert turned.bidirectional == pytest.approx(8.0 * math.sqrt(2.0) * 1e-6)
-    apart = found_of([[11, 0, 0, 0], [13, 0, 0, 0]], [[0, 0, 0, 0], [4, 0, 0, 0]])
-    assert apart.bidirectional == pytest.approx((6.0 * math.sqrt(2.0) + 10.0) * 1e-6)
+@pytest.mark.parametrize(
+    "forward, backward, um",
+    [((1, 3), (0, 4), 8.0 * math.sqrt(2.0)), ((0, 4), (2, 2), 8.0 * math.sqrt(2.0)), ((11, 13), (0, 4), None)],
+)
+def test_the_bidirectional_figure_is_that_of_the_worse_direction_or_of_both_and_the_reversal(forward, backward, um):
+    found = found_of(*([[value, 0, 0, 0] for value in values] for values in (forward, backward)))
+    # s: √2 and 2√2 µm.
+    assert found.bidirectional == pytest.approx((um or 6.0 * math.sqrt(2.0) + 10.0) * 1e-6)
 
 
 def test_what_was_not_driven_twice_or_not_both_ways_has_no_figure():
