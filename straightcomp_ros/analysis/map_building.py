@@ -35,41 +35,34 @@ _FEWEST = 3
 """Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
 
-@dataclass(frozen=True)
-class Choices:
-    """Settings of the builder.
+MAP = MapParameters()
+"""Requirements on the map."""
 
-    Attributes:
-        step: length in m of the piece of x that makes one point of a run on the fly.
-        limit: number of robust standard deviations beyond which a value is an outlier.
-        level: subtract the least squares line of the mean from all runs: straight edge and guide were not parallel.
-        parameters: requirements on the finished map.
-    """
+
+class Choices(NamedTuple):
+    """Settings of the builder: ``step``, the length in m of the piece of x that makes one point of a run on the fly;
+    ``limit``, the number of robust standard deviations beyond which a value is an outlier; and whether the map is made
+    ``level``: the least squares line of the mean is taken out, since straight edge and guide were not parallel."""
 
     step: float
     limit: float
     level: bool = False
-    parameters: MapParameters = MapParameters()
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltMap:
     """A survey that became a map.
 
-    Attributes:
-        survey: the runs that are kept, without their rejected points.
-        straightness: the map made of them.
-        rejected_points: (run's name and direction, x in m) of points that no other run confirms.
-        rejected_runs: names and directions.
-        provenance: by name, in words; the head of the file.
-        counts: how many samples and movements of a recording were used and left out, by the names in
-            :meth:`figures`; empty for a survey that lists its points.
+    ``survey`` has the runs that are kept, without the ``rejected_points`` (run's name and direction, x in m) that no
+    other run confirms; ``rejected_runs`` are names and directions; ``provenance``, by name and in words, is the head of
+    the file. Of a recording, ``counts`` says by the names in :meth:`figures` how many samples and movements were used
+    and left out.
     """
 
     survey: Survey
     straightness: StraightnessMap
-    rejected_points: tuple[tuple[str, float], ...]
-    rejected_runs: tuple[str, ...]
+    rejected_points: list[tuple[str, float]]
+    rejected_runs: list[str]
     provenance: Mapping[str, str]
     counts: Mapping[str, int] = field(default_factory=dict)
 
@@ -114,17 +107,17 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     come from, ``inputs`` are words for the provenance. SurveyError if the runs do not fit together, too few are left,
     or the correction exceeds the platform's travel.
     """
-    grid = choices.parameters.min_points, choices.parameters.max_gap
-    kept, lost_runs, lost_points = _agreeing(survey, *on_common_grid(survey, *grid), choices)
+    grid = MAP.min_points, MAP.max_gap
+    kept, lost_runs, lost_points = _agreeing(survey, *on_common_grid(survey, *grid), choices.limit)
     if not kept:
         raise SurveyError(f"survey {survey.source}: no run is left after the rejection of outliers")
-    survey = Survey(kept, survey.source)
+    survey = Survey(tuple(kept), survey.source)
     x, values = on_common_grid(survey, *grid)
     mean = repeatability(survey, x, values).mean
     slope, height = np.polyfit(x, mean, 1) if choices.level else (0.0, float(mean.mean()))
     zeroed = [replace(run, deviation=run.deviation - (height + slope * run.x)) for run in kept]
     survey = Survey(tuple(zeroed), survey.source)
-    straightness = StraightnessMap(survey, choices.parameters)
+    straightness = StraightnessMap(survey, MAP)
     by, spread = origin(), straightness.report.bidirectional
     provenance = {
         "made by": f"straightcomp map build, {by['package']} {by['version']} ({by['revision']}), "
@@ -137,33 +130,31 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         f"rejected runs: {', '.join(lost_runs) or 'none'}; rejected points: {len(lost_points)}",
         "repeatability (ISO 230-2, bidirectional)": "unknown" if spread is None else f"{spread * 1e6:.3f} um",
     }
-    return BuiltMap(survey, straightness, tuple(lost_points), tuple(lost_runs), provenance)
+    return BuiltMap(survey, straightness, lost_points, lost_runs, provenance)
 
 
 def _agreeing(
-    survey: Survey, x: NDArray[np.float64], values: NDArray[np.float64], choices: Choices
-) -> tuple[tuple[Run, ...], list[str], list[tuple[str, float]]]:
+    survey: Survey, x: NDArray[np.float64], values: NDArray[np.float64], limit: float
+) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
     """The runs without outliers, in their order; names of rejected runs; rejected points."""
     outlier = np.zeros(values.shape, np.bool_)
     rejected = np.zeros(len(values), np.bool_)
     for direction in ("forward", "backward"):
         ours = np.array([run.direction == direction for run in survey.runs])
         if ours.any():
-            rejected[ours], outlier[ours] = disagreement(values[ours], choices.limit)
-    kept: list[Run] = []
-    lost: list[str] = []
-    points: list[tuple[str, float]] = []
+            rejected[ours], outlier[ours] = disagreement(values[ours], limit)
+    kept, lost, points = list[Run](), list[str](), list[tuple[str, float]]()
     for run, gone, bad in zip(survey.runs, rejected, outlier, strict=True):
         label = f"{run.name} {run.direction}"
         # The run's own point nearest to each bad point of the grid.
         nearest = np.unique([int(np.abs(run.x - at).argmin()) for at in x[bad]]).astype(np.intp)
         left = np.delete(run.x, nearest)
-        if gone or left.size < 2 or np.diff(left).max() > choices.parameters.max_gap + 1e-9:
+        if gone or left.size < 2 or np.diff(left).max() > MAP.max_gap + 1e-9:
             lost.append(label)
             continue
         points += [(label, float(run.x[index])) for index in nearest]
         kept.append(replace(run, x=left, deviation=np.delete(run.deviation, nearest)))
-    return tuple(kept), lost, points
+    return kept, lost, points
 
 
 def _digest(source: Path) -> str:
@@ -177,17 +168,11 @@ def _digest(source: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-class Disagreement(NamedTuple):
-    """Which runs are rejected as a whole, (runs,), and which single points of the other runs, (runs, n)."""
+def disagreement(values: NDArray[np.float64], limit: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which runs of one direction are rejected as a whole, (runs,), and which single points of the others, (runs, n).
 
-    runs: NDArray[np.bool_]
-    points: NDArray[np.bool_]
-
-
-def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
-    """Compare the runs of one direction by their ``values`` (runs, n) in m on one grid of at least four points.
-
-    ``limit`` is in robust standard deviations, which are taken over all points.
+    ``values`` (runs, n) in m are on one grid of at least four points; ``limit`` is in robust standard deviations, which
+    are taken over all points.
     """
     rejected = np.zeros(len(values), np.bool_)
     points = np.zeros(values.shape, np.bool_)
@@ -206,4 +191,4 @@ def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
         # One by one: the worst run moves the median for the others.
         worst = np.where(unusable, distance.sum(axis=1), -1.0).argmax()
         rejected[np.flatnonzero(~rejected)[worst]] = True
-    return Disagreement(rejected, points)
+    return rejected, points

@@ -111,30 +111,21 @@ class Survey:
         return tuple(run for run in self.runs if run.direction == direction)
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A length in a survey.
-
-    Attributes:
-        name: what the column's name begins with.
-        per_metre: units that may follow the name, with how many of them make a metre.
-        smallest, largest: allowed extent (largest minus smallest value) of a run in m. An extent outside of it is more
-            likely a wrong unit than an odd machine.
-    """
+class Quantity(NamedTuple):
+    """A length in a survey: how many of the unit make a metre by the names that its column may have, and the allowed
+    extent (largest minus smallest value) of a run in m. An extent outside of it is more likely a wrong unit than an odd
+    machine."""
 
     name: str
-    per_metre: Mapping[str, float]
+    columns: Mapping[str, float]
     smallest: float
     largest: float
 
-    @property
-    def columns(self) -> dict[str, float]:
-        """How many units make a metre, by the names that a column of this quantity may have."""
-        return {f"{self.name}_{unit}": per_metre for unit, per_metre in self.per_metre.items()}
 
-
-X = Quantity("x", {"m": 1.0, "mm": 1e3, "um": 1e6}, smallest=0.01, largest=20.0)
-DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, smallest=1e-8, largest=5e-3)
+X = Quantity("x", {"x_m": 1.0, "x_mm": 1e3, "x_um": 1e6}, 0.01, 20.0)
+DEVIATION = Quantity(
+    "deviation", {"deviation_m": 1.0, "deviation_mm": 1e3, "deviation_um": 1e6, "deviation_nm": 1e9}, 1e-8, 5e-3
+)
 
 
 class Row(NamedTuple):
@@ -410,10 +401,10 @@ def check_run(
     for neighbouring points farther apart than ``max_gap`` in m."""
     # Units before gaps: x in the wrong unit would else be called a gap of metres.
     for quantity, column, values in ((X, columns[0], run.x), (DEVIATION, columns[1], run.deviation)):
-        extent, low, high = float(np.ptp(values)), quantity.smallest, quantity.largest
+        _, units, low, high = quantity
+        extent = float(np.ptp(values))
         if low <= extent <= high:
             continue
-        units = quantity.columns
         fitting = [name for name, per_metre in units.items() if low <= extent * units[column] / per_metre <= high]
         hint = f"; is the unit wrong? It would fit as {' or '.join(fitting)}" if fitting else ""
         raise SurveyError(f"{where}: {column} extends over {extent:.6g} m; allowed: {low:g} m to {high:g} m{hint}")

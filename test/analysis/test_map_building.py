@@ -40,20 +40,20 @@ def test_single_points_are_rejected_up_to_three_neighbours_and_a_quarter_and_the
     values = noisy()
     values[2, list(bad)] -= 3e-6
     found = disagreement(values, 6.0)
-    assert found.runs.tolist() == [False, False, rejected, False, False]
-    assert np.argwhere(found.points).tolist() == ([] if rejected else [[2, at] for at in bad])
+    assert found[0].tolist() == [False, False, rejected, False, False]
+    assert np.argwhere(found[1]).tolist() == ([] if rejected else [[2, at] for at in bad])
 
 
 def test_the_worst_run_goes_first_and_the_others_are_judged_anew_while_there_are_three():
     values = noisy(7)
     values[3] += 9e-6
     values[5] += 3e-6
-    assert np.flatnonzero(disagreement(values, 6.0).runs).tolist() == [3, 5]
+    assert np.flatnonzero(disagreement(values, 6.0)[0]).tolist() == [3, 5]
     values = noisy(3)
     values[1, 10:22] += 3e-6
-    assert disagreement(values, 6.0).runs.tolist() == [False, True, False]
+    assert disagreement(values, 6.0)[0].tolist() == [False, True, False]
     found = disagreement(values[:2], 6.0)
-    assert not found.runs.any() and not found.points.any()
+    assert not found[0].any() and not found[1].any()
 
 
 def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whole():
@@ -63,7 +63,7 @@ def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whol
     guide = 1e-5 * np.sin(np.linspace(0.0, 6.0, 40))
     for count in (3, 4, 7):
         found = disagreement(guide + noisy(count), 6.0)
-        assert not found.runs.any() and not found.points.any()
+        assert not found[0].any() and not found[1].any()
     values = guide + noisy(4) / 60.0
     values[1, [5, 6]] += (0.9 * FLOOR, 1.1 * FLOOR)
-    assert np.argwhere(disagreement(values, 6.0).points).tolist() == [[1, 6]]
+    assert np.argwhere(disagreement(values, 6.0)[1]).tolist() == [[1, 6]]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Choices, build
+from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMap, Choices, build
 from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
@@ -35,14 +35,11 @@ _HALF_WINDOW = 7
 
 @dataclass(frozen=True)
 class Sensor:
-    """How the displacement sensor's readings become deviations.
+    """How the displacement sensor's readings, in ``unit``, become deviations.
 
-    Attributes:
-        readings: topic and field; a relative topic as :func:`straightcomp_ros.bags.topics.resolved` takes it.
-        unit: of the readings, ``m``, ``mm``, ``um`` or ``nm``.
-        inverted: the reading falls when the slider moves towards +y.
-        delay: time in s by which a reading is older than its stamp; an error in it shows as hysteresis.
-        on_platform: the sensor rides on the platform, so that the platform's own y is part of its reading.
+    ``inverted``: the reading falls when the slider moves towards +y. ``delay``: time in s by which a reading is older
+    than its stamp; an error in it shows as hysteresis. ``on_platform``: the sensor rides on the platform, so that the
+    platform's own y is part of its reading.
     """
 
     readings: Field = Field(DISPLACEMENT.topic, f"position[{DISPLACEMENT.topic}]")
@@ -54,14 +51,10 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Samples of a survey.
+    """Samples of a survey, (n,) each: rising time in s from the first sample, x and deviation in m.
 
-    Attributes:
-        source: the survey's name in messages.
-        time: (n,) s, rising, from the first sample.
-        x, deviation: (n,) m.
-        unusable: number of readings left out: not finite, or while the stage's x was not recorded.
-        inputs: origin of the columns, in words by name.
+    ``unusable`` is the number of readings left out: not finite, or while the stage's x was not recorded; ``inputs`` are
+    the origins of the columns, in words by name.
     """
 
     source: str
@@ -82,7 +75,7 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
     positions, readings = _read(bag, stage), _read(bag, sensor.readings)
     taken_at = readings.stamp - round(sensor.delay * 1e9)
     x, usable = positions.at(taken_at)
-    deviation = readings.values / DEVIATION.per_metre[sensor.unit] * (-1.0 if sensor.inverted else 1.0)
+    deviation = readings.values / DEVIATION.columns[f"deviation_{sensor.unit}"] * (-1.0 if sensor.inverted else 1.0)
     if sensor.on_platform:
         y, known = _read(bag, Field(stage.topic, f"position[{PLATFORM}]")).at(taken_at)
         deviation, usable = deviation - y, usable & known
@@ -218,15 +211,14 @@ def _middles(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[n
 def build_from_series(series: Series, source: Path, choices: Choices) -> tuple[BuiltMap, tuple[Passage, ...]]:
     """Recognise the runs of a recording, and :func:`build` the map; SurveyError also if there is no run."""
     passages, partial = recognise(series, choices.step, choices.limit)
-    parameters = choices.parameters
     for run in (passage.run for passage in passages):
         where = f"survey {series.source}, run '{run.name}' {run.direction}"
-        if run.x.size < parameters.min_points:
+        if run.x.size < MAP.min_points:
             raise SurveyError(
-                f"{where}: {run.x.size} points; allowed: >= {parameters.min_points} (min_points): "
+                f"{where}: {run.x.size} points; allowed: >= {MAP.min_points} (min_points): "
                 f"a smaller step than {choices.step * 1e3:g} mm gives more"
             )
-        check_run(where, run, parameters.max_gap)
+        check_run(where, run, MAP.max_gap)
     built = build(Survey(tuple(p.run for p in passages), series.source), source, choices, series.inputs)
     counts = {
         "partial_runs": partial,

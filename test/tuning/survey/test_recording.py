@@ -53,8 +53,8 @@ def test_clean_noise_is_hardly_ever_an_outlier():
     random = np.random.default_rng(1)
     assert spikes(random.normal(0.0, 1e-7, 20_000), 6.0).mean() < 1e-3
     rejected = [disagreement(random.normal(0.0, 1e-7, (count, 200)), 6.0) for count in (3, 4, 5, 10) for _ in range(10)]
-    assert not any(one.runs.any() for one in rejected)
-    assert np.mean([one.points.mean() for one in rejected]) < 2e-3
+    assert not any(one[0].any() for one in rejected)
+    assert np.mean([one[1].mean() for one in rejected]) < 2e-3
 
 
 def test_strokes_directions_and_a_broken_off_run_are_recognised():
