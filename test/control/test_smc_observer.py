@@ -81,11 +81,9 @@ def test_the_law_stiffens_between_one_and_two_tolerated_misfits(misfit, share):
 
 def test_at_rest_the_command_is_held_and_leaving_rest_makes_no_step():
     record, _ = stroke()
-    steps = np.abs(np.diff(record.current))
-    start = round(SETTLE / T)
-    turn = round(record.time.size / 2)  # in the middle of the pause; a half of it before
-    assert not steps[start - 200 : start].any()
-    assert not steps[turn + 100 : turn + 300].any()
+    steps, start, turn = np.abs(np.diff(record.current)), round(SETTLE / T), round(record.time.size / 2)
+    # In the middle of the pause, which begins half of it before.
+    assert not steps[start - 200 : start].any() and not steps[turn + 100 : turn + 300].any()
     leaving = steps[start : start + 400]
     assert leaving[leaving > 0.0][0] < 1e-3
     assert leaving.max() <= 1.1 * steps[start + 400 : turn - 400].max()
@@ -114,17 +112,14 @@ def test_a_reading_outside_the_band_and_a_moving_reference_end_the_hold(reading,
 
 
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
-    design = ObserverDesign(first_size=1.0, velocity_share=0.25)
-    one = make_law(ControlParameters(smc_observer=design), STAGE)
+    one = law(first_size=1.0, velocity_share=0.25)
     state = one.start(0.0)
     state = state._replace(prior=state.prior._replace(velocity=4e-5))
     state, answer = one.function(one.gains, state, 0.0, 0.0, 1e-4, 0.0, math.nan)
     velocity = 0.75 * 1e-4 + 0.25 * answer.velocity_estimate
-    lugre = one.gains.lugre
-    assert state.bristle == pytest.approx(bristle_after(lugre, 0.0, velocity, T), rel=1e-12)
-    friction = friction_force(lugre, state.bristle, velocity)
-    others = state.prior.disturbance
-    assert answer.disturbance_estimate == pytest.approx(others - friction * design.gain_allowance / 3.0, rel=1e-9)
+    assert state.bristle == pytest.approx(bristle_after(one.gains.lugre, 0.0, velocity, T), rel=1e-12)
+    friction = friction_force(one.gains.lugre, state.bristle, velocity) / one.gains.loop.mass
+    assert answer.disturbance_estimate == pytest.approx(state.prior.disturbance - friction, rel=1e-9)
 
 
 def test_friction_starts_at_its_first_size_within_the_largest_and_may_be_none():
@@ -138,14 +133,12 @@ def test_friction_starts_at_its_first_size_within_the_largest_and_may_be_none():
 
 def test_what_friction_takes_over_the_disturbance_gives():
     """Two laws that differ only in the bound of the size: s F̄ and d have the same sum."""
-    one = law(largest_size=0.2)
-    free = law()
+    free, bounded = law(), law(largest_size=0.2)
     state = free.start(0.0)
     for k in range(2000):
         sample = (1e-5 * math.sin(0.02 * k), 5e-6 * math.sin(0.02 * k), 2e-4 * math.cos(0.02 * k), 0.0, 0.0)
-        before = state
+        bound, _ = bounded.function(bounded.gains, state, *sample)
         state, _ = free.function(free.gains, state, *sample)
-        bound, _ = one.function(one.gains, before, *sample)
         totals = [each.prior.disturbance + each.fit.size * each.fit.lags.third for each in (state, bound)]
         assert totals[0] == pytest.approx(totals[1], abs=1e-9)
         if state.fit.size > 0.25:

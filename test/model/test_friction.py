@@ -201,15 +201,18 @@ def test_age_is_the_time_at_rest_and_sliding_renews_the_contact():
 
 @pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
 def test_break_away_grows_with_rest_and_a_step_multiplies_the_sliding_force_from_its_time_on(model):
+    def contact(**values):
+        contact = {f"contact.{name.replace('_', '.')}": value for name, value in values.items()}
+        return Contact({**UNDAMPED, "contact.model": model, **contact})
+
     peaks = []
     for rest in (0.0, 1.0, 10.0, 1e9):
-        contact = Contact({**UNDAMPED, "contact.model": model, "contact.rest.growth": 0.2})
-        contact.move(0.0, rest)
-        peaks.append(max(contact.go(1e-5, 2e-6, 2000)))
-    assert peaks == sorted(peaks) and len(set(peaks)) == 4
-    assert 0.75 < peaks[-1] <= 0.43 + 2.0 * (0.645 - 0.43)
-    contact = Contact({**UNDAMPED, "contact.model": model, "contact.step.factor": 2.0, "contact.step.time": 0.1})
-    forces = [contact.move(1e-2) for _ in range(8000)]
+        rested = contact(rest_growth=0.2)
+        rested.move(0.0, rest)
+        peaks.append(max(rested.go(1e-5, 2e-6, 2000)))
+    assert peaks == sorted(set(peaks)) and 0.75 < peaks[-1] <= 0.43 + 2.0 * (0.645 - 0.43)
+    stepped = contact(step_factor=2.0, step_time=0.1)
+    forces = [stepped.move(1e-2) for _ in range(8000)]
     assert forces[3900] == pytest.approx(0.43, rel=1e-3) and forces[-1] == pytest.approx(0.86, rel=1e-3)
 
 
@@ -257,21 +260,18 @@ def test_one_block_of_infinite_attraction_is_a_spring_that_slips_at_its_limit():
 
 @pytest.mark.parametrize("velocity", [1e-6, 2e-5, 1e-2, -3e-5])
 @pytest.mark.parametrize("limit_spread", [0.2, 1.0, 5.0])
-def test_sliding_long_enough_gives_the_stribeck_curve_plus_viscous_friction(velocity, limit_spread):
+def test_blocks_that_slide_long_enough_give_the_stribeck_curve_plus_viscous_friction(velocity, limit_spread):
     contact = Contact({**SLIP, "contact.maxwell_slip.limit_spread": limit_spread})
-    for _ in range(200):
-        force = contact.move(velocity, 0.1)
-    lugre = contact.plant.lugre
-    assert force == pytest.approx(math.copysign(stribeck_force(lugre, velocity), velocity) + lugre.viscous * velocity)
+    force = [contact.move(velocity, 0.1) for _ in range(200)][-1]
+    steady = math.copysign(stribeck_force(LUGRE, velocity), velocity) + LUGRE.viscous * velocity
+    assert force == pytest.approx(steady)
 
 
 def test_friction_lags_a_falling_speed():
     # At the same speed, friction is lower on the way down than on the way up: the frictional lag.
     contact = Contact({**SLIP, **UNDAMPED, "contact.maxwell_slip.attraction": 20.0})
     contact.go(2e-5, 2e-5)
-    speeds = np.linspace(5e-6, 6e-5, 300)
-    up = [contact.move(v, 2e-4) for v in speeds]
-    down = [contact.move(v, 2e-4) for v in speeds[::-1]][::-1]
+    up, down = ([contact.move(v, 2e-4) for v in np.linspace(*ends, 301)] for ends in ((5e-6, 6e-5), (6e-5, 5e-6)))
     assert up[150] > down[150] + 0.005
 
 
@@ -326,13 +326,11 @@ def test_the_machine_code_is_the_python_code():
 
 @pytest.mark.parametrize("values", KINDS)
 def test_the_board_moves_the_same_plant(values):
-    plant = plant_with(values)
-    hold = Hold(after_ns=625_000, weight=0.1, kept=0.6, braking=0.5, stiffness=7000.0)
-    board, alone = commanded_plant(plant, hold, PlantState(y=2e-6)), np.array(PlantState(y=2e-6))
+    plant, initial = plant_with(values), PlantState(y=2e-6)
+    board, alone = commanded_plant(plant, Hold(625_000, 0.1, 0.6, 0.5, 7000.0), initial), np.array(initial)
     board.state[BIAS] = 1.0
     current = round(0.1 / plant.drive.current_step) * plant.drive.current_step
-    for k in range(100):
-        begin = k * 500_000
+    for begin in range(0, 50_000_000, 500_000):
         advance_to_sample(*board, np.array([begin]), np.array([0.1]), 1, begin + 500_000, 0.0)
         advance(as_array(plant.constants()), alone, 1.0, 0.0, 0, current, 500_000)
     np.testing.assert_array_equal(board.state[: alone.size], alone)
@@ -342,10 +340,9 @@ def test_the_board_moves_the_same_plant(values):
 @pytest.mark.parametrize("values", [{}, SLIP])
 def test_friction_holds_the_platform_against_the_negative_stiffness_until_it_breaks_away(values):
     # 0.03 N of magnetic force, far below break-away: bristles or blocks deflect by F / (σ0 − K_y) and hold.
-    actuator, friction = PlantParameters().actuator, PlantParameters().friction
-    force = actuator.position_stiffness * 1e-6
+    actuator, sigma_0 = PlantParameters().actuator, LUGRE.bristle_stiffness
     stuck = run(values, PlantState(y=1e-6, bias=1.0), 0.0, 1000)[-1]
-    assert stuck[0] - 1e-6 == pytest.approx(force / (friction.bristle_stiffness - actuator.position_stiffness), rel=0.1)
-    assert abs(stuck[1]) < 1e-8
-    current = 1.5 * friction.static / actuator.current_stiffness
+    deflection = actuator.position_stiffness * 1e-6 / (sigma_0 - actuator.position_stiffness)
+    assert stuck[0] - 1e-6 == pytest.approx(deflection, rel=0.1) and abs(stuck[1]) < 1e-8
+    current = 1.5 * LUGRE.static / actuator.current_stiffness
     assert run(values, PlantState(bias=1.0), current, 200)[-1, 0] > 1e-5
