@@ -26,11 +26,12 @@ from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.offline.starts import run_stroke, with_values
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
-from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map, survey_check
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS, STROKE, LeftTravel
 from straightcomp_ros.tuning.commissioning.open_loop import latency_percentiles
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.survey.survey_check import survey_check
 
 _ALLOWANCE = 1.5
 """Of a later stroke over this one: a peak-to-peak moves from stroke to stroke."""

@@ -22,9 +22,9 @@ from straightcomp_ros.cli.options import (
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
 from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.tuning.commissioning import MADE, STEP_NAMES
+from straightcomp_ros.tuning.survey.survey_check import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.tuning.verbs.graph_option import (
     RUNNING,
     add_graph_option,
