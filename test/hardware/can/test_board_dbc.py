@@ -1,20 +1,13 @@
 """A board's DBC file and the meaning of its signals: what the driver makes of them, what it refuses, what they lack."""
 
-import dataclasses
 from dataclasses import replace
 
 import pytest
 from can_boards import BARE, FOREIGN_FILE, GUIDE, SPLIT, SPLIT_FILE, board_of
 
+from straightcomp_ros.hardware.can import can_parameters
 from straightcomp_ros.hardware.can.board_dbc import gaps
-from straightcomp_ros.hardware.can.can_parameters import (
-    SHIPPED_DBC,
-    CanParameters,
-    ProtectedMessages,
-    ProtectionParameters,
-    SignalParameters,
-    shipped_wire,
-)
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
 from straightcomp_ros.hardware.interface import State
@@ -26,12 +19,8 @@ from trials.can_servo import ServoTrial
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
 
 
-def driver(**changes):
-    return board_of(FOREIGN_FILE, **changes)
-
-
 def foreign(**changes):
-    return driver(**changes).make_wire()
+    return board_of(FOREIGN_FILE, **changes).make_wire()
 
 
 @pytest.fixture
@@ -167,17 +156,12 @@ def unprotected(group, **changes):
     return {f"wire/protection/{group}/{name}": value for name, value in {"profile": "none", **changes}.items()}
 
 
-def split(**changes):
-    """A board with a message for each axis, to which the host sends two."""
-    return board_of(SPLIT_FILE, **changes).make_wire()
-
-
 def names(several):
     return [frames.name for frames in several]
 
 
 def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
-    wire = split()
+    wire = SPLIT.make_wire()
     assert names(wire.parts) == ["DSP_X", "DSP_Y"] and names(wire.reports.values()) == ["DSP_X", "DSP_Y", "DSP_I"]
     # What acts comes last.
     assert names(wire.commands) == ["PC_SWITCH", "PC_CURRENT"] and names([wire.command]) == ["PC_CURRENT"]
@@ -190,7 +174,7 @@ def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
 
 
 def test_the_sample_is_numbered_by_the_message_that_has_a_count():
-    wire = split(**unprotected("sample", crc="", alive=""))
+    wire = board_of(SPLIT_FILE, **unprotected("sample", crc="", alive="")).make_wire()
     assert names(wire.parts) == ["DSP_Y", "DSP_X"] and wire.sample_modulus == 15
     assert wire.part_modulus == 0
 
@@ -211,12 +195,12 @@ def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
     said = CanParameters(dbc="config/straightcomp.dbc", wire=own.meaning).make_wire()
     assert said.sample.pack(REPORT._replace(counter=49), 0) == own.sample.pack(REPORT._replace(counter=49), 0)
     with pytest.raises(ParameterError, match="without a file in"):
-        dataclasses.replace(CanParameters(), wire=own.meaning)
+        replace(CanParameters(), wire=own.meaning)
 
 
 def without_counts(can):
     """The board of split.yaml without CRCs, counters and echo."""
-    wire = replace(can.wire, protection=ProtectedMessages(), echo=SignalParameters())
+    wire = replace(can.wire, protection=can_parameters.ProtectedMessages(), echo=can_parameters.SignalParameters())
     return replace(can, wire=wire)
 
 
@@ -224,14 +208,14 @@ def classic(**protection):
     """The board of the package's own file on a classic bus with other groups of protection."""
     wire = shipped_wire(fd=False)
     wire = replace(wire, protection=replace(wire.protection, **protection))
-    return CanParameters(dbc=str(share_path(SHIPPED_DBC)), wire=wire, fd=False)
+    return CanParameters(dbc=str(share_path("config/straightcomp.dbc")), wire=wire, fd=False)
 
 
 LACKING = {
     "own, classic": (classic(), []),
     "own, FD": (CanParameters(fd=True), []),
     "own without a CRC of the slow frames": (
-        classic(current=ProtectionParameters()),
+        classic(current=can_parameters.ProtectionParameters()),
         ["CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"],
     ),
     "foreign": (board_of(FOREIGN_FILE), ["DSP_MEAS counts to 256 only", "there is no heartbeat"]),
