@@ -99,7 +99,7 @@ class AddressSpace:
     async def build(self, nodes: Sequence[str], command: Commander) -> None:
         """Make all nodes; ``nodes`` are those of the graph whose state is shown, ``command`` is what methods do."""
         self._index = await self._server.register_namespace(NAMESPACE)
-        cell = await self._server.nodes.objects.add_object(ua.NodeId(CELL, self._index), self._named(CELL))
+        cell = await self._add(self._server.nodes.objects.add_object, CELL)
         counter = Value(T.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)
         folders = {
             "Status": {**_STATUS, "Heartbeat": counter},
@@ -117,8 +117,10 @@ class AddressSpace:
             },
         }
         for title, values in folders.items():
-            await self._add_folder(cell, title, values)
-        commands = await self._add_folder(cell, "Commands", {})
+            folder = await self._add(cell.add_folder, f"{CELL}.{title}")
+            for key, value in values.items():
+                await self._add_variable(folder, f"{CELL}.{title}.{key}", value)
+        commands = await self._add(cell.add_folder, f"{CELL}.Commands")
         for kind, text in _METHODS.items():
             await self._add_method(commands, kind, text, command)
         self._events = await self._server.get_event_generator(ua.ObjectIds.SystemEventType, cell)
@@ -146,32 +148,29 @@ class AddressSpace:
                 self._events.event.Severity = ALARMS[alarm][0] if alarm in self._active else 1
                 await self._events.trigger(message=f"{alarm}: {self._active.get(alarm, 'over')}")
 
-    def _id(self, path: str) -> ua.NodeId:
-        """An id by path is the same after each start."""
-        return ua.NodeId(f"{CELL}.{path}", self._index)
+    async def _add(self, make: Callable[..., Awaitable[Node]], path: str, *rest: object, description: str = "") -> Node:
+        """A node whose id is its path, so that it is the same after each start."""
+        title = ua.QualifiedName(path.rpartition(".")[2], self._index)
+        node = await make(ua.NodeId(path, self._index), title, *rest)
+        if description:
+            text = ua.DataValue(ua.Variant(ua.LocalizedText(description)))
+            await node.write_attribute(ua.AttributeIds.Description, text)
+        return node
 
-    def _named(self, text: str) -> ua.QualifiedName:
-        return ua.QualifiedName(text, self._index)
-
-    async def _add_folder(self, cell: Node, title: str, values: Mapping[str, Value]) -> Node:
-        folder = await cell.add_folder(self._id(title), self._named(title))
-        for key, value in values.items():
-            path, kind = f"{title}.{key}", value.kind
-            start = ua.get_default_value(kind)
-            node = await folder.add_variable(self._id(path), self._named(key), start, varianttype=kind)
-            await _describe(node, value.description)
-            if value.unit:
-                code = _UNITS[value.unit]
-                information = ua.EUInformation(
-                    NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
-                    UnitId=int.from_bytes(code.encode(), "big"),
-                    DisplayName=ua.LocalizedText(value.unit),
-                    Description=ua.LocalizedText(code),
-                )
-                unit = ua.QualifiedName("EngineeringUnits")
-                await node.add_property(self._id(f"{path}.EngineeringUnits"), unit, information)
-            self._values.append((node, value))
-        return folder
+    async def _add_variable(self, folder: Node, path: str, value: Value) -> None:
+        start = ua.get_default_value(value.kind)
+        node = await self._add(folder.add_variable, path, start, value.kind, description=value.description)
+        if value.unit:
+            code = _UNITS[value.unit]
+            information = ua.EUInformation(
+                NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+                UnitId=int.from_bytes(code.encode(), "big"),
+                DisplayName=ua.LocalizedText(value.unit),
+                Description=ua.LocalizedText(code),
+            )
+            unit = ua.QualifiedName("EngineeringUnits")
+            await node.add_property(ua.NodeId(f"{path}.EngineeringUnits", self._index), unit, information)
+        self._values.append((node, value))
 
     async def _add_method(self, folder: Node, kind: Command | Order, text: str, command: Commander) -> None:
         async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
@@ -196,10 +195,5 @@ class AddressSpace:
             argument.DataType, argument.ValueRank = ua.NodeId(data_type.value), -1
             argument.Description = ua.LocalizedText(meaning)
             arguments, types = [argument], [data_type]
-        title = name(kind)
-        method = await folder.add_method(self._id(f"Commands.{title}"), self._named(title), called, arguments, [])
-        await _describe(method, text)
-
-
-async def _describe(node: Node, text: str) -> None:
-    await node.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
+        path = f"{CELL}.Commands.{name(kind)}"
+        await self._add(folder.add_method, path, called, arguments, [], description=text)
