@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_streams
-from straightcomp_ros.bags.topics import typestore
+from straightcomp_ros.bags.topics import Definition, typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 
@@ -93,15 +93,15 @@ def read_field(bag: Path, field: Field) -> FieldValues:
 
 def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:
     """One of our layouts that the first message has, and the column that holds the field: the fast way."""
-    for stream in (*STREAMS, DISPLACEMENT):
-        layout = stream.layout
-        paths = [f"{array}[{joint}]" for array, joint in layout.places]
-        if layout.type_name == messages.type_name and field.path in paths:
+    for layout in (stream.layout for stream in (*STREAMS, DISPLACEMENT)):
+        paths = (f"{array}[{joint}]" for array, joint in layout.places)
+        columns = dict(zip(paths, layout.columns, strict=True))
+        if layout.type_name == messages.type_name and field.path in columns:
             try:
                 layout.unpack(messages.data[0])
             except LayoutMismatch:
                 continue
-            return layout, layout.columns[paths.index(field.path)]
+            return layout, columns[field.path]
     return None
 
 
@@ -113,14 +113,14 @@ def _register_type(bag: Path, messages: Messages) -> None:
     if name in store.fielddefs:
         return
     where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
-    text = messages.described.text if messages.described else ""
+    text, _, encoding = messages.described or Definition("", "")
     text = text if isinstance(text, str) else text.decode(errors="replace")
     if not text.strip():
         raise BagError(f"{where}; record again where the package of that type is installed")
     try:
-        if messages.described and messages.described.encoding == "ros2idl":
-            parts = filter(None, _IDL_HEAD.split(text))
-            described = {key: value for part in parts for key, value in get_types_from_idl(part).items()}
+        if encoding == "ros2idl":
+            parts = map(get_types_from_idl, filter(None, _IDL_HEAD.split(text)))
+            described = {key: value for part in parts for key, value in part.items()}
         else:
             described = get_types_from_msg(text, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
@@ -132,25 +132,18 @@ def _register_type(bag: Path, messages: Messages) -> None:
 
 def _value(where: str, message: Any, path: str) -> float:
     found = message
-    for step in path.split("."):
-        match = _STEP.fullmatch(step)
-        assert match is not None  # checked when the field was made
-        name, key = match.groups()
+    for name, key in (match.groups() for match in map(_STEP.fullmatch, path.split(".")) if match):
         owner, found = found, getattr(found, name, None)
         if found is None:
             names = ", ".join(entry for entry in vars(owner) if not entry.startswith("_"))
             raise BagError(f"{where} has no field '{name}' in '{path}'; it has {names}")
         if key is not None:
-            found = _element(where, owner, found, key, path)
+            joints = list(getattr(owner, "name", None) or getattr(owner, "joint_names", None) or [])
+            place = int(key) if key.isdecimal() else joints.index(key) if key in joints else None
+            if place is None or not hasattr(found, "__len__") or place >= len(found):
+                listed = f"; its names are {', '.join(map(str, joints))}" if joints else ""
+                raise BagError(f"{where} has no element '{key}' for '{path}'{listed}")
+            found = found[place]
     if not isinstance(found, int | float | np.number):
         raise BagError(f"{where}: '{path}' is no number but {type(found).__name__}; name a number in it")
     return float(found)
-
-
-def _element(where: str, owner: Any, values: Any, key: str, path: str) -> Any:
-    names = list(getattr(owner, "name", None) or getattr(owner, "joint_names", None) or [])
-    place = int(key) if key.isdecimal() else names.index(key) if key in names else None
-    if place is None or not hasattr(values, "__len__") or place >= len(values):
-        listed = f"; its names are {', '.join(map(str, names))}" if names else ""
-        raise BagError(f"{where} has no element '{key}' for '{path}'{listed}")
-    return values[place]

@@ -164,7 +164,6 @@ class Recorder:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
         self._min_free = options.min_free
         self._topics: list[Topic] = []
-        self._new_topics: deque[Topic] = deque()
         self._expected: list[Topic] = []
         self._count = self.written = 0
         self._stopping, self._splitting = threading.Event(), threading.Event()
@@ -181,7 +180,6 @@ class Recorder:
     def announce(self, topic: Topic) -> None:
         """Add a topic, to the present bag too. Its first message may follow at once."""
         self._topics.append(topic)
-        self._new_topics.append(topic)
 
     def expect(self, topic: Topic) -> None:
         """Name a topic that will be announced when its publishers' quality of service is known. A bag that ends before
@@ -197,14 +195,6 @@ class Recorder:
         bag = BagWriter(
             folder, compression=options.compression, max_size=options.max_size, max_duration=options.max_duration
         )
-        try:
-            bag.add_metadata(ORIGIN_METADATA, origin())
-            self._new_topics.clear()
-            for topic in self._topics:
-                bag.add(topic)
-        except BaseException:
-            bag.close()
-            raise
         self._count += 1
         self.folder, self.failure, self.written = folder, None, 0
         self._losses, self._bag, self._described = Losses(), bag, False
@@ -237,9 +227,12 @@ class Recorder:
             counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
             for name, numbers in (("logger", counts), ("losses", self._losses.by_topic())):
                 bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
-            for topic in self._expected:
-                if topic.name not in bag.topics:
-                    bag.add(topic)
+            self._add_topics(self._expected)
+
+    def _add_topics(self, topics: Iterable[Topic]) -> None:
+        for topic in topics:
+            if topic.name not in self._bag.topics:
+                self._bag.add(topic)
 
     def _closed_intake(self) -> Intake:
         intake = Intake(self._options.queue_limit)
@@ -255,6 +248,7 @@ class Recorder:
     def _write_until_stopped(self) -> None:
         intake = self.intake
         try:
+            self._bag.add_metadata(ORIGIN_METADATA, origin())
             while not self._stopping.wait(_WRITE_INTERVAL_S):
                 self._write(intake)
                 check_disk(self.folder, self._min_free)
@@ -273,8 +267,7 @@ class Recorder:
         queue = intake.queue
         count = len(queue)
         # After the count: the topic of each of these messages was announced before it came.
-        while self._new_topics:
-            self._bag.add(self._new_topics.popleft())
+        self._add_topics(self._topics)
         messages: list[Message] = []
         for _ in range(count):
             message = queue.popleft()

@@ -79,21 +79,21 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
     from straightcomp_ros.offline.what_if import what_if
 
     with working("simulating"):
-        result = what_if(bag, chosen_changes(options), remap, given)
-    figures = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
-    columns = [{**one, **verdict._asdict()} for one, verdict in zip(figures, result.verdicts, strict=True)]
-    verdict = result.verdicts[-1]
+        runs = what_if(bag, chosen_changes(options), remap, given)
+    columns = [{**run.metrics.to_display(), **run.verdict._asdict()} for run in runs]
+    verdict = runs[-1].verdict
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
-        found = {name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)}
+        found = {name: {"law": run.law, **one} for name, run, one in zip(names, runs, columns, strict=False)}
         print_json({**found, **verdict._asdict()})
     else:
         words = ("recorded", "simulated\nas recorded", "what if")
-        headings = [f"{word}\n{law}" for word, law in zip(words, result.laws, strict=False)]
-        rows = ([name, *(marked(name, shown(one[name]), one) for one in columns)] for name in figures[0])
+        headings = [f"{word}\n{run.law}" for word, run in zip(words, runs, strict=False)]
+        names = runs[0].metrics.to_display()
+        rows = ([name, *(marked(name, shown(one[name]), one) for one in columns)] for name in names)
         console.print(titled_table(f"What if: {bag}", "figure", *headings, rows=rows))
-        for word, one in zip(words, result.verdicts, strict=False):
-            print_verdict(one, f"'{' '.join(word.split())}'")
+        for word, run in zip(words, runs, strict=False):
+            print_verdict(run.verdict, f"'{' '.join(word.split())}'")
     fail_unless_in_order(verdict)
 
 

@@ -2,9 +2,8 @@
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,22 +27,12 @@ _APPROACH_NS = 1_000_000_000
 """Time for the simulated stage to go from 0 to the recorded start, before the first sample."""
 
 
-@dataclass(frozen=True)
-class WhatIf:
-    """Figures of a recorded run, and of two simulations with its motion and its map.
+class Run(NamedTuple):
+    """Law, figures and verdict of a recorded or a simulated run."""
 
-    Attributes:
-        again: with the recorded parameters: its difference from ``recorded`` is the error of the simulation.
-        changed: with the changes; None without any.
-        laws: names of the laws of the three, in this order.
-        verdicts: on those that there are, in this order.
-    """
-
-    recorded: Metrics
-    again: Metrics
-    changed: Metrics | None
-    laws: tuple[str, str, str | None]
-    verdicts: tuple[Verdict, ...]
+    law: str
+    metrics: Metrics
+    verdict: Verdict
 
 
 def what_if(
@@ -51,8 +40,9 @@ def what_if(
     changes: Mapping[str, Mapping[str, Any]],
     remap: Mapping[str, str] | None = None,
     given: Mapping[str, Mapping[str, Any]] | None = None,
-) -> WhatIf:
-    """Simulate a recorded run.
+) -> list[Run]:
+    """Simulate a recorded run: it as it was recorded, simulated with its own parameters, and, if any are given, with
+    the changes. The difference of the first two is the error of the simulation.
 
     The plant is that of the bag's parameters; the loop's delay is the recorded median. If no truth was recorded, the
     guide is that of the map.
@@ -69,15 +59,14 @@ def what_if(
     attachments = read_attachments(bag)
     record = evaluation.record
     parameters = parameters_of(bag, attachments, given)
+    partial = evaluation.partial()
+    verdict = partial or judged_run(record, record.reference, parameters, evaluation.map, evaluation.stalls)
+    runs = [Run(record.law, evaluate(record, record.reference), verdict)]
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))
         values = _recorded_values(parameters, evaluation, survey)
         motion = _recorded_motion(record)
-        again, law, verdict = _simulated(values, motion)
-        changed, changed_law = None, None
-        partial = evaluation.partial()
-        found = partial or judged_run(record, record.reference, parameters, evaluation.map, evaluation.stalls)
-        verdicts = [found, verdict]
+        runs.append(_simulated(values, motion))
         if any(changes.values()):
             for node, section in changes.items():
                 if node == STAGE:
@@ -86,9 +75,8 @@ def what_if(
                         of_node.update({f"{STAGE}.{name}": value for name, value in section.items()})
                 else:
                     values.setdefault(node, {}).update(section)
-            changed, changed_law, verdict = _simulated(values, motion)
-            verdicts.append(verdict)
-    return WhatIf(evaluate(record, record.reference), again, changed, (record.law, law, changed_law), tuple(verdicts))
+            runs.append(_simulated(values, motion))
+    return runs
 
 
 def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:
@@ -124,8 +112,8 @@ def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
     return Trajectory([Waypoint(0, 0.0, 0.0), *waypoints]), -_APPROACH_NS
 
 
-def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str, Verdict]:
+def _simulated(values: Values, motion: tuple[Trajectory, int]) -> Run:
     simulation = Simulation(values, motion=motion)
     record = simulation.run()
     verdict = judged_run(record, simulation.map, values, simulation.map)
-    return evaluate(record, simulation.map), record.law, verdict
+    return Run(record.law, evaluate(record, simulation.map), verdict)

@@ -154,15 +154,14 @@ def test_a_run_with_late_references_and_lost_samples_is_verified_whole(tmp_path,
 
 
 def test_the_recorded_parameters_give_the_recorded_figures_and_another_law_changes_them_and_not_the_motion(bag):
-    result = what_if(bag, {})
-    assert result.changed is None and result.laws[:2] == ("smc", "smc")
+    recorded, again = what_if(bag, {})
+    assert recorded.law == again.law == "smc"
     # The recorded motion is known to an encoder count; the peaks of friction reversals depend on less.
     for name, tolerance in {"true_rms": 0.05, "true_pp": 0.2, "uncompensated_pp": 1e-3}.items():
-        assert getattr(result.again, name) == pytest.approx(getattr(result.recorded, name), rel=tolerance)
-    result = what_if(bag, {"controller": {"control.law": "linear"}})
-    assert result.laws == ("smc", "smc", "linear")
-    assert result.changed.true_rms > 1.5 * result.recorded.true_rms
-    assert result.changed.uncompensated_pp == pytest.approx(result.recorded.uncompensated_pp, rel=1e-3)
+        assert getattr(again.metrics, name) == pytest.approx(getattr(recorded.metrics, name), rel=tolerance)
+    _, _, changed = what_if(bag, {"controller": {"control.law": "linear"}})
+    assert changed.law == "linear" and changed.metrics.true_rms > 1.5 * recorded.metrics.true_rms
+    assert changed.metrics.uncompensated_pp == pytest.approx(recorded.metrics.uncompensated_pp, rel=1e-3)
 
 
 def test_the_command_audits_and_asks_what_if(bag, tmp_path, capsys):

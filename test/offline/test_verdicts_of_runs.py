@@ -153,8 +153,8 @@ def test_the_sample_bags_are_in_order_but_for_the_one_that_is_cut_off_in_motion(
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_recorded_run_is_in_order_with_each_law(law):
-    found = what_if(BAGS / "smc", {"controller": {"control.law": law}})
-    assert [one.verdict for one in found.verdicts] == ["in_order"] * 3
+    runs = what_if(BAGS / "smc", {"controller": {"control.law": law}})
+    assert [run.verdict.verdict for run in runs] == ["in_order"] * 3
 
 
 def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float = 0.0) -> Path:
