@@ -131,7 +131,7 @@ setup(
         "console_scripts": [
             *(
                 f"{node}_node = {NAME}.nodes.{node}_node:main"
-                for node in ("driver", "feedforward", "controller", "logger", "cell", "player", "opcua")
+                for node in ("driver", "feedforward", "controller", "servo", "logger", "cell", "player", "opcua")
             ),
             f"commissioning_node = {NAME}.tuning.graph.commissioning_node:main",
             f"dsp_emulator = {NAME}.cli.dsp:main",

@@ -12,7 +12,7 @@ from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.bench.processes import Usage, cores, growth_mb_per_hour, usage
 from straightcomp_ros.bench.recorded_window import read_window
 from straightcomp_ros.cell.demonstration import free_port
-from straightcomp_ros.cell.launcher import RECORDED, LaunchError, run_cycle, verb_command
+from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, LaunchError, run_cycle, verb_command
 from straightcomp_ros.contract import PACKAGE, STROKE
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.node_parameters import (
@@ -95,6 +95,8 @@ def bench_parameters(
     return chosen
 
 
+_NODE_OF = {COMPOSED: "driver"}
+"""The node whose figures are those of a process with several."""
 _CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.bench.steady_cell"]}
 
 
@@ -114,6 +116,7 @@ def measure(
     *,
     progress: Callable[[float], None] = lambda fraction: None,
     beside: Mapping[str, Sequence[str]] | None = None,
+    composed: bool = False,
 ) -> tuple[dict[str, Any], dict[str, float]]:
     """Run the graph once with the parameters of :func:`bench_parameters` for the same ``seconds``, and measure it.
 
@@ -150,9 +153,10 @@ def measure(
             folder / "logs",
             duration,
             follow,
-            started=process_ids.update,
+            started=lambda ids: process_ids.update({_NODE_OF.get(name, name): pid for name, pid in ids.items()}),
             commands=_CELL,
             programs=beside,
+            composed=composed,
         )
         begin, end = window.looks[0], window.looks[-1]
         recording = read_window(bag, node_parameters("driver", values).stage.rate, begin.time_ns, end.time_ns)
@@ -164,7 +168,7 @@ def measure(
     for node, one in timing.items():
         shown = one.to_display()
         figures[node] = {key: shown[key] for key in ("rate_hz", "overruns", "stalls", "timer_error_us")}
-        figures[node] |= {"cpu_cores": cpu_cores[node], "rss_mb": [begin.rss_mb[node], end.rss_mb[node]]}
+        figures[node] |= {"cpu_cores": cpu_cores.get(node), "rss_mb": [one.rss_mb.get(node) for one in (begin, end)]}
     return {
         **figures,
         "lost_samples": recording.pop("lost_samples"),

@@ -82,6 +82,8 @@ def demonstrate(
     progress: Callable[[float], None] = lambda fraction: None,
     opcua_strokes: int = 0,
     namespace: str = "",
+    *,
+    composed: bool = False,
 ) -> Demonstration:
     """Run the graph for one cycle and evaluate the bag.
 
@@ -90,6 +92,7 @@ def demonstrate(
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; made if need be. There must be no bag.
         progress: called with the finished fraction of the cycle.
         opcua_strokes: strokes that a client of the OPC UA gateway runs; 0: the cell runs its own number.
+        composed: run driver, feedforward and controller in one process.
 
     Raises:
         DemonstrationFailed: a node died, the cycle failed, or the bag is short.
@@ -114,6 +117,7 @@ def demonstrate(
                 programs=programs,
                 in_place_of_cell=client,
                 namespace=namespace,
+                composed=composed,
             )
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error

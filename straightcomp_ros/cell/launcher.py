@@ -27,6 +27,8 @@ RECORDED = ("driver", "feedforward", "controller", "logger")
 """The nodes that must run as long as the cell does."""
 IN_THE_LOOP = ("driver", "feedforward", "controller")
 """Those of them whose delays move the platform."""
+COMPOSED = "servo"
+"""The process in which these run, if they run in one."""
 _SLACK_S = 90.0
 """Time for start, discovery and delays of a busy machine, beyond the duration of the cycle itself."""
 _STOP_WITHIN_S = 5.0
@@ -198,26 +200,29 @@ def run_cycle(
     programs: Mapping[str, Sequence[str]] | None = None,
     in_place_of_cell: Sequence[str] | None = None,
     namespace: str = "",
+    composed: bool = False,
 ) -> None:
     """Start the graph, follow the cell to the end of its cycle of ``duration`` s, and stop it; ``bag`` has the record.
 
     Args:
         logs: folder for the output of the nodes.
         progress: called about 20 times a second with the finished fraction of the cycle; True ends the cycle now.
-        started: called once with the process id of each node.
+        started: called once with the id of each process, by the name of its node or of :data:`COMPOSED`.
         commands: by node, a command to start instead of the node's executable.
         programs: commands by name, to start before the nodes, which need them: a bus, an emulated board.
         in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
+        composed: run driver, feedforward and controller in one process.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
     """
     commands, programs = commands or {}, programs or {}
+    processes = (COMPOSED, "logger") if composed else RECORDED
     with Graph(logs, namespace=namespace) as graph:
         for name, command in programs.items():
             graph.start_program(name, command)
         ids = {}
-        for name in RECORDED:
+        for name in processes:
             extra = {"output": str(bag)} if name == "logger" else {}
             ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
         if in_place_of_cell:
@@ -228,7 +233,7 @@ def run_cycle(
         started(ids)
         deadline, finished = time.monotonic() + duration + _SLACK_S, False
         while not finished and cell.poll() is None:
-            graph.check((*programs, *RECORDED))
+            graph.check((*programs, *processes))
             if time.monotonic() > deadline:
                 raise LaunchError("the cycle did not end in time")
             if select.select([cell.stdout], [], [], 0.2)[0] and cell.stdout is not None:
@@ -237,7 +242,7 @@ def run_cycle(
         if not finished and cell.returncode != 0:
             raise LaunchError(f"cell: {graph.last_words('cell')}")
         # The other nodes publish their last incomplete batches when they end.
-        codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
+        codes = graph.stop([name for name in processes if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
         # The bag is complete and the amplifier is off now, so how the other nodes ended does not affect the result.

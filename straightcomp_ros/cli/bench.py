@@ -34,6 +34,7 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
     triggers = "repeat with the controller's other trigger (sample, timer), and print the ratio of both"
     add("--triggers", action="store_true", help=triggers)
+    add("--composed", action="store_true", help="repeat with driver, feedforward and controller in one process")
     add("--view", action="store_true", help="repeat with the live view open")
     add("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
     add_json(parser)
@@ -61,6 +62,9 @@ def _graph(options: argparse.Namespace) -> None:
         figures, growth = _measured(values, folder / "graph", seconds, "graph")
         if options.soak is not None:
             figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}
+        if options.composed:
+            figures["composed"], _ = _measured(values, folder / "composed", seconds, "composed", composed=True)
+            figures["composed_ratio"] = ratios(figures["composed"], figures)
         if options.view:
             view = view_beside(options.priority)
             figures["with_view"], _ = _measured(values, folder / "view", seconds, "with view", view)
@@ -77,7 +81,13 @@ def _graph(options: argparse.Namespace) -> None:
 
 
 def _measured(
-    values: dict[str, dict[str, Any]], folder: Path, seconds: float, words: str, view: Any = None
+    values: dict[str, dict[str, Any]],
+    folder: Path,
+    seconds: float,
+    words: str,
+    view: Any = None,
+    *,
+    composed: bool = False,
 ) -> tuple[dict[str, Any], dict[str, float]]:
     """Figures, and the growth of each node's memory in MB/h."""
     from straightcomp_ros.bench.graph_bench import BenchFailed, measure
@@ -86,7 +96,7 @@ def _measured(
         raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
     try:
         with working(f"measuring {words}") as advance:
-            return measure(values, folder, seconds, progress=advance, beside=view)
+            return measure(values, folder, seconds, progress=advance, beside=view, composed=composed)
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
 
@@ -114,6 +124,10 @@ def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace) -> Non
     if "soak" in figures:
         growth = figures["soak"]["growth_mb_per_hour"]
         console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slope:.1f}" for node, slope in growth.items()))
+    if "composed" in figures:
+        _print_measurement(figures["composed"], "Driver, feedforward and controller in one process")
+        shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["composed_ratio"].items())
+        console.print(f"composed / separate: {shown}")
     if "with_view" in figures:
         _print_measurement(figures["with_view"], "With the live view open")
     if "trigger" in figures:

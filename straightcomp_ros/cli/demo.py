@@ -36,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", metavar="DIR", default="demo_output", help="folder for the results (default: %(default)s)")
     add("--keep", action="store_true", help="keep earlier results: write to a new folder in DIR, named by the time")
     add("--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can")
+    composed = "run driver, feedforward and controller in one process with one loop"
+    add("--composed", action="store_true", help=composed)
     hardware = "can: the machine is an emulated board in a process of its own, on a CAN bus between processes"
     add("--hardware", choices=("simulated", "can"), help=hardware)
     opcua = "a client of the OPC UA gateway runs the cycle, in place of the cell's node"
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
         elif options.hardware:
             values["driver"]["hardware"] = options.hardware
         opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
-        result = demonstrate(values, place, advance, opcua_strokes, options.namespace)
+        result = demonstrate(values, place, advance, opcua_strokes, options.namespace, composed=options.composed)
         result = dataclasses.replace(result, bag=output / result.bag.name)
         figures = result.figures()
         title = f"Recorded stroke, law '{figures['law']}'"

@@ -30,7 +30,6 @@ from straightcomp_ros.timing.delays import StampGaps
 from straightcomp_ros.timing.node_timing import EXCITATION, EXCITING, FINISHED, LOST, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
-_PAUSE_S = 0.001
 _SPARE_REFERENCES = 2
 """The loop fetches references when those it holds reach fewer than so many samples ahead."""
 
@@ -73,10 +72,11 @@ class ControllerComponent:
         self._spare_ns = _SPARE_REFERENCES * period_ns
         self._apart_ns = period_ns // 2
         self.loop: Loop = (
-            PeriodicLoop(period_ns, self._on_timer)
+            PeriodicLoop(period_ns, lambda wake_ns: self._cycle())
             if parameters.trigger == "timer"
             else LockedLoop(period_ns, self._wait_in_lockstep if lockstep else self._wait, self._cycle)
         )
+        streams.follow(self._cycle)
         if not lockstep:
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
@@ -98,7 +98,7 @@ class ControllerComponent:
         former = self._parameters
         same_law = (parameters.control, parameters.stage) == (former.control, former.stage)
         # Eigenvalues take several cycles.
-        law = self._law if same_law else awaited(lambda: self._made(parameters), self._go_on)
+        law = self._law if same_law else awaited(lambda: self._made(parameters), self._node.go_on)
 
         def take_over() -> None:
             self._parameters, self._law = parameters, law
@@ -117,7 +117,7 @@ class ControllerComponent:
             law = make_law(parameters.control, parameters.stage)
             return made_injection(parameters.excitation, law, parameters.stage)
 
-        return awaited(make, self._go_on)
+        return awaited(make, self._node.go_on)
 
     def _left_travel(self, reason: str) -> None:
         # Under a law the excitation fades out and the platform is held. In open loop nothing holds it.
@@ -133,24 +133,12 @@ class ControllerComponent:
             self._node.get_logger().warning(missing)
         return make_law(parameters.control, parameters.stage)
 
-    def _go_on(self) -> None:
-        """Answer samples while a job runs in the worker thread."""
-        if self._node.active:
-            self._wait(self._spare_ns)
-            self._cycle()
-        else:
-            time.sleep(_PAUSE_S)
-
     def deactivate(self) -> None:
         """Stop publishing commands, so that the driver switches off. Save what was learned."""
         self._publish_command.finish()
         self._publish_state.finish()
         if self._learning is not None:
             self._learning.save()
-
-    def _on_timer(self, wake_ns: int) -> None:
-        self._fetch_references()
-        self._cycle()
 
     def _wait(self, timeout_ns: int) -> None:
         """Wait for a sample. Before, while no sample waits for its command, fetch references for later samples."""
@@ -163,6 +151,7 @@ class ControllerComponent:
         self._fetch_references()
 
     def _cycle(self) -> tuple[int, int]:
+        self._fetch_references()
         arrived = self._read()
         answers = self._update()
         self._write(answers)
@@ -284,7 +273,9 @@ class ExcitationService:
         return "excites"
 
 
-main = partial(run_managed, "controller", ControllerNodeParameters, ControllerComponent)
+CONTROLLER = "controller", ControllerNodeParameters, ControllerComponent
+"""Name, parameters and component of the node."""
+main = partial(run_managed, *CONTROLLER)
 """Entry point of `ros2 run straightcomp_ros controller_node`."""
 
 

@@ -1,7 +1,6 @@
 """driver: publishes the machine's samples, writes the commands to it, switches its amplifier."""
 
 import math
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -42,8 +41,7 @@ _ANSWER_LOOK_NS = 100_000
 _ANSWER_SAMPLES = 4
 """The driver stops polling after so many samples without a command: no controller is running."""
 _SLOW_WATCH_S = 0.05
-_TURNS_OF_OTHERS = 3
-"""Threads that run between sample and command: the middleware's receiver, the controller, our own receiver."""
+_ANOTHER_PUBLISHES = "another node publishes commands"
 
 
 class DriverComponent:
@@ -74,7 +72,7 @@ class DriverComponent:
         self._publish_truth = streams.publisher(TRUTH, rate)
         self._publish_state = streams.publisher(DRIVER_STATE, rate)
         self._samples = 0
-        self._started = self._gives_way = False
+        self._started = False
         self._safety = SafetyMachine(self._hardware)
         limit = parameters.stage.actuator.current_limit
         self._commands = CommandIntake(self._hardware, self._command_timeout_ns, period_ns, limit, self._trip)
@@ -145,7 +143,6 @@ class DriverComponent:
             # The machine samples at this loop's wake-up times, so that a sample is never a period old when it is read.
             self._hardware.start(from_monotonic(wake_ns))
             self._started = True
-            self._gives_way = os.sched_getscheduler(0) == os.SCHED_FIFO
         now, system_now = now_ns(), self._system_ns()
         finding = self._clock_watch.check(now, system_now)
         if finding is not None:
@@ -154,11 +151,8 @@ class DriverComponent:
         self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
         latenesses = [self._hand_out(sample) for sample, _ in samples]
-        if samples and self._gives_way:
-            # Yield first: the controller, woken by this sample on the same CPU, must run before we publish the records.
-            for _ in range(_TURNS_OF_OTHERS):
-                os.sched_yield()
-            # The command has usually arrived by now: a board on a bus must not wait for it until the next cycle.
+        # The controller's answer comes before the records, and a board must not wait for it until the next cycle.
+        if samples and self._node.streams.let_readers_run():
             self._fetch_commands(now_ns(), self._system_ns())
         self._publish_sample.publish_batch()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
@@ -217,6 +211,8 @@ class DriverComponent:
         self._clock_watch.follow()
         if self._safety.condition is Condition.ON:
             self._sample_watch.hold()
+        if self._safety.condition is Condition.ON and self._node.streams.others_publish(COMMAND):
+            self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
         if self._newest is not None and self._node.active:
             finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
             if finding is not None:
@@ -234,6 +230,8 @@ class DriverComponent:
             return "the driver is not active"
         if self._lockstep:
             return ""
+        if self._node.streams.others_publish(COMMAND):
+            return _ANOTHER_PUBLISHES
         age_ns = now_ns() - self._commands.stamp_ns
         if age_ns > self._command_timeout_ns:
             return "no fresh command from the controller; is it running, and is its map loaded?"
@@ -292,7 +290,9 @@ def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
     return StageLimits.of(motion, first - guide.runout, last + guide.runout)
 
 
-main = partial(run_managed, "driver", DriverNodeParameters, DriverComponent)
+DRIVER = "driver", DriverNodeParameters, DriverComponent
+"""Name, parameters and component of the node."""
+main = partial(run_managed, *DRIVER)
 """Entry point of `ros2 run straightcomp_ros driver_node`."""
 
 

@@ -53,6 +53,7 @@ class FeedforwardComponent:
         self._gaps = StampGaps()
         self._queue = node.streams.batches(ENCODER)
         self.loop = LockedLoop(_BATCH_NS, self._queue.wait, self._cycle)
+        node.streams.follow(self._cycle)
         node.offer(Trigger, "~/reload_map", self._on_reload_map)
         node.offer(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
@@ -84,15 +85,7 @@ class FeedforwardComponent:
 
     def _loaded(self, parameters: MapParameters) -> StraightnessMap:
         """Read a map in the worker thread and answer samples meanwhile: it takes longer than the controller waits."""
-
-        def answer() -> None:
-            if self._node.active:
-                self._queue.wait(_BATCH_NS)
-                self._cycle()
-            else:
-                time.sleep(LOOK_AHEAD_S)
-
-        return awaited(lambda: load_map(parameters), answer)
+        return awaited(lambda: load_map(parameters), self._node.go_on)
 
     def _on_reload_map(self) -> str:
         """Read the map's file again; the reference fades over to it."""
@@ -133,7 +126,7 @@ class FeedforwardComponent:
             self._gaps.see(stamp_ns)
             self._x = numbers[0]
             self._publish(stamp_ns, *self._feedforward.step(stamp_ns, self._x))
-        self._publish.flush()
+        self._publish.publish_batch()
         return 1 + age_ns // _BATCH_NS, age_ns
 
     def _counters(self) -> dict[str, object]:
@@ -143,7 +136,9 @@ class FeedforwardComponent:
         """There is nothing to release."""
 
 
-main = partial(run_managed, "feedforward", FeedforwardNodeParameters, FeedforwardComponent)
+FEEDFORWARD = "feedforward", FeedforwardNodeParameters, FeedforwardComponent
+"""Name, parameters and component of the node."""
+main = partial(run_managed, *FEEDFORWARD)
 """Entry point of `ros2 run straightcomp_ros feedforward_node`."""
 
 

@@ -11,8 +11,9 @@ timer of the executor calls all timers of the node.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from rclpy.clock import Clock
@@ -64,15 +65,12 @@ class SteadyTimers:
         self._timers.append(SteadyTimer(period_ns, callback, self._begin_ns + ticks * _TICK_NS + period_ns))
         return self._timers[-1]
 
-    def mark(self) -> int:
-        """The number of timers so far, for :meth:`cancel_after`."""
-        return len(self._timers)
-
-    def cancel_after(self, mark: int) -> None:
-        """Cancel the timers that were added after :meth:`mark`."""
-        for timer in self._timers[mark:]:
+    def cancel(self, timers: Sequence[SteadyTimer]) -> None:
+        """Cancel some of them."""
+        for timer in timers:
             timer.cancel()
-        del self._timers[mark:]
+        gone = set(map(id, timers))
+        self._timers = [timer for timer in self._timers if id(timer) not in gone]
 
     def call_one(self) -> bool:
         """Call the timer that has been due longest; returns whether one was due."""
@@ -103,17 +101,33 @@ class GuardedNode(Node):
 
     @property
     def steady_timers(self) -> SteadyTimers:
-        """The node's timers."""
+        """The timers of this node, or of all nodes in its process."""
         if self._steady_timers is None:
             self._steady_timers = SteadyTimers()
             super().create_timer(TICK_S, self._steady_timers.call_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return self._steady_timers
 
+    def share_timers(self, other: "GuardedNode") -> None:
+        """Have timers in common with another node of this process: each timer of the executor takes its turns."""
+        self._steady_timers = other.steady_timers
+
     def create_timer(self, period: float, callback: Callable[[], object], *more: Any, **options: Any) -> Any:
         """A timer on the steady clock, with a resolution of :data:`TICK_S`; a faster one is the executor's own."""
         if period < TICK_S:
             return super().create_timer(period, callback, *more, **options)
-        return self.steady_timers.add(period, callback)
+        timer = self.steady_timers.add(period, callback)
+        self.own_timers.append(timer)
+        return timer
+
+    @cached_property
+    def own_timers(self) -> list[SteadyTimer]:
+        """Those of this node alone, in the order in which they were made."""
+        return []
+
+    def cancel_timers(self, first: int) -> None:
+        """Cancel the node's own timers from number ``first`` on."""
+        self.steady_timers.cancel(self.own_timers[first:])
+        del self.own_timers[first:]
 
     def create_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any], None], *more: Any, **options: Any

@@ -1,5 +1,6 @@
 """What the files in launch/ share: a node's arguments, and the parameters that they override. Only they import it."""
 
+import tempfile
 from collections.abc import Iterable, Mapping
 
 from launch import LaunchContext, LaunchDescription
@@ -20,7 +21,7 @@ from launch_ros.substitutions import FindPackageShare
 from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import STAGE
-from straightcomp_ros.parameters.parameter_file import files_beside, read_parameter_file
+from straightcomp_ros.parameters.parameter_file import as_parameter_file, files_beside, read_parameter_file
 
 SHARE = FindPackageShare(PACKAGE)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -39,8 +40,15 @@ OF_ALL = {
     "stage": (PathJoinSubstitution([SHARE, "config", "stage_synthetic.yaml"]), "YAML file that describes the stage"),
 }
 """Default and meaning of the arguments of each launch file."""
+IN_THE_LOOP = {
+    "driver": ("hardware", "rt_priority"),
+    "feedforward": ("map", "rt_priority"),
+    "controller": ("law", "rt_priority"),
+}
+"""Arguments of the nodes that can run in one process."""
 _CHOICES = {
     "record": "false: start no logger and record no bag",
+    "composed": "true: run driver, feedforward and controller in one process",
     "use_opcua": "true: start the OPC UA gateway instead of the cell; its client runs the cycles",
 }
 """Arguments that are true or false; other values, such as `True` or `1`, are refused."""
@@ -57,12 +65,10 @@ def launched(
     def actions(context: LaunchContext) -> list[object]:
         if any(_is_true(context, argument) is not wanted for argument, wanted in (only_if or {}).items()):
             return []
-        parameters = _surveys_of_stage(LaunchConfiguration("stage").perform(context), name)
-        for argument in overrides:
-            # The arguments' values are known only now. An empty one leaves the parameter to the file or the default.
-            if value := LaunchConfiguration(argument).perform(context):
-                parameter, kind, _ = OVERRIDES[argument]
-                parameters[parameter] = ParameterValue(value, value_type=kind)
+        parameters = {
+            parameter: ParameterValue(value, value_type=type(value))
+            for parameter, value in _given(context, name, overrides).items()
+        }
         if runs_cycle and not _is_true(context, "record"):
             parameters["nodes"] = ParameterValue("driver feedforward controller", value_type=str)
         node = Node(
@@ -86,6 +92,23 @@ def launched(
     return described(choices, overrides, [OpaqueFunction(function=actions)])
 
 
+def launched_composed() -> LaunchDescription:
+    """Start the nodes of :data:`IN_THE_LOOP` in one process."""
+
+    def actions(context: LaunchContext) -> list[object]:
+        given = {name: _given(context, name, overrides) for name, overrides in IN_THE_LOOP.items()}
+        # A parameter of the process would be one of all its nodes: only a file says which node it is for.
+        with tempfile.NamedTemporaryFile("w", prefix="servo_", suffix=".yaml", delete=False) as file:
+            file.write(as_parameter_file(given))
+        parameters = [LaunchConfiguration("params_file"), LaunchConfiguration("stage"), file.name]
+        namespace = LaunchConfiguration("namespace")
+        return [
+            Node(package=PACKAGE, executable="servo_node", namespace=namespace, parameters=parameters, output="screen")
+        ]
+
+    return described({}, dict.fromkeys(sum(IN_THE_LOOP.values(), ())), [OpaqueFunction(function=actions)])
+
+
 def described(choices: Mapping[str, str], overrides: Iterable[str], actions: Iterable[object]) -> LaunchDescription:
     """A launch description: the arguments, those of every launch file included, and the actions that start nodes.
     ``choices`` are the defaults of those that are true or false."""
@@ -103,15 +126,20 @@ def described(choices: Mapping[str, str], overrides: Iterable[str], actions: Ite
     return LaunchDescription([*declared, on_this_computer, *actions])
 
 
-def _surveys_of_stage(stage: str, node: str) -> dict[str, ParameterValue]:
-    """Parameters of ``node`` that name a survey in the folder of the stage file: a node alone would not look there."""
+def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[str, object]:
+    """Parameters of ``node`` by the arguments, whose values are known only now: an empty one leaves the parameter to
+    the file or the default. A survey in the folder of the stage file is named, as a node alone would not look there."""
+    stage, given = LaunchConfiguration("stage").perform(context), dict[str, object]()
     try:
         found = files_beside(stage, read_parameter_file(stage))
+        given = {f"{STAGE}.{name}": survey for name, survey in found.get(STAGE, {}).items()} | found.get(node, {})
     except ParameterError:
-        # The node refuses the file, and says why.
-        return {}
-    described = {f"{STAGE}.{name}": survey for name, survey in found.get(STAGE, {}).items()}
-    return {name: ParameterValue(survey, value_type=str) for name, survey in (described | found.get(node, {})).items()}
+        pass  # the node refuses the file, and says why
+    for argument in overrides:
+        if value := LaunchConfiguration(argument).perform(context):
+            parameter, kind, _ = OVERRIDES[argument]
+            given[parameter] = kind(value)
+    return given
 
 
 def _is_true(context: LaunchContext, argument: str) -> bool:

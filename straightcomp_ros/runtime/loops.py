@@ -44,8 +44,11 @@ def from_monotonic(monotonic_ns: int) -> int:
 class Loop(Protocol):
     """What a node runs instead of an executor."""
 
-    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
-        """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
+        """Loop until ``stopped()``; ``idle`` is called every ``idle_every_ns``, for work that can wait."""
+
+    def turn(self) -> None:
+        """Wait for one cycle and run it: what idle work calls while it waits for something."""
 
     def report(self) -> dict[str, object]:
         """Values for the diagnostics: missed periods, and how late the cycles since the last report were."""
@@ -69,6 +72,7 @@ class PeriodicLoop:
         self._period_ns = period_ns
         self._most_early_ns = period_ns // 8 if punctual else 0
         self._early_ns = 0
+        self._wake_ns = 0
         self._cycle = cycle
         self.cycles = 0
         self.missed = MissedPeriods(period_ns)
@@ -78,34 +82,36 @@ class PeriodicLoop:
         """See :class:`Loop`."""
         return {**self.missed.report(), **written(TIMER_ERROR, self._timer_errors.take())}
 
-    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
         """See :class:`Loop`."""
         _exact_sleep()
-        period_ns, cycle, missed = self._period_ns, self._cycle, self.missed
-        monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
-        give_way = os.sched_yield
-        wake_ns = monotonic_ns()
-        idle_turn = IdleWork(idle, wake_ns, period_ns)
+        self._wake_ns = time.monotonic_ns()
+        idle_turn = IdleWork(idle, self._wake_ns, self._period_ns, idle_every_ns)
         while not stopped():
-            wait_ns = wake_ns - self._early_ns - monotonic_ns()
-            if wait_ns > 0:
-                sleep(wait_ns * 1e-9)
-                self._follow(monotonic_ns() - (wake_ns - self._early_ns))
-            else:
-                # At a real-time priority a loop that never sleeps would keep the middleware's threads from running.
-                give_way()
-            while monotonic_ns() < wake_ns:
-                pass
-            record(monotonic_ns() - wake_ns)
-            cycle(wake_ns)
-            self.cycles += 1
-            idle_turn(wake_ns, wake_ns + period_ns - monotonic_ns())
-            wake_ns += period_ns
-            behind_ns = monotonic_ns() - wake_ns
-            if behind_ns > 0:
-                periods = behind_ns // period_ns
-                missed.count(periods)
-                wake_ns += periods * period_ns
+            self.turn()
+            idle_turn(self._wake_ns - self._period_ns, self._wake_ns - time.monotonic_ns())
+
+    def turn(self) -> None:
+        """See :class:`Loop`."""
+        monotonic_ns, wake_ns = time.monotonic_ns, self._wake_ns
+        behind_ns = monotonic_ns() - wake_ns
+        if behind_ns > 0:
+            periods = behind_ns // self._period_ns
+            self.missed.count(periods)
+            wake_ns += periods * self._period_ns
+        wait_ns = wake_ns - self._early_ns - monotonic_ns()
+        if wait_ns > 0:
+            time.sleep(wait_ns * 1e-9)
+            self._follow(monotonic_ns() - (wake_ns - self._early_ns))
+        else:
+            # At a real-time priority a loop that never sleeps would keep the middleware's threads from running.
+            os.sched_yield()
+        while monotonic_ns() < wake_ns:
+            pass
+        self._timer_errors.record(monotonic_ns() - wake_ns)
+        self._cycle(wake_ns)
+        self.cycles += 1
+        self._wake_ns = wake_ns + self._period_ns
 
     def _follow(self, late_ns: int) -> None:
         """Adapt how early to wake up, so that half of all wake-ups are late."""
@@ -132,6 +138,7 @@ class LockedLoop:
     def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
         self._period_ns, self._wait, self._cycle = period_ns, wait, cycle
         self.missed = MissedPeriods(period_ns)
+        self._due_ns = 0
         self.phase_error_ns = 0.0
         self._lateness = Histogram()
 
@@ -143,25 +150,29 @@ class LockedLoop:
             **written(TIMER_ERROR, self._lateness.take()),
         }
 
-    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
         """See :class:`Loop`."""
-        period_ns, wait, cycle, record = self._period_ns, self._wait, self._cycle, self._lateness.record
-        monotonic_ns = time.monotonic_ns
-        due_ns = monotonic_ns()
-        idle_turn = IdleWork(idle, due_ns, period_ns)
+        self._due_ns = time.monotonic_ns()
+        idle_turn = IdleWork(idle, self._due_ns, self._period_ns, idle_every_ns)
         while not stopped():
-            wait(IDLE_EVERY_NS)
-            now_ns = monotonic_ns()
-            count, age_ns = cycle()
-            if count:
-                record(age_ns)
-                if count > 1:
-                    self.missed.count(count - 1)
-                    # At a real-time priority a loop that never waits would keep the middleware's threads from running.
-                    os.sched_yield()
-                due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns
+            count = self.turn()
+            now_ns = time.monotonic_ns()
             # Without a message no cycle is due: the idle work has the whole period.
-            idle_turn(now_ns, due_ns - monotonic_ns() if count else period_ns)
+            idle_turn(now_ns, self._due_ns - now_ns if count else self._period_ns)
+
+    def turn(self) -> int:
+        """See :class:`Loop`; returns the number of messages."""
+        self._wait(IDLE_EVERY_NS)
+        now_ns = time.monotonic_ns()
+        count, age_ns = self._cycle()
+        if count:
+            self._lateness.record(age_ns)
+            if count > 1:
+                self.missed.count(count - 1)
+                # At a real-time priority a loop that never waits would keep the middleware's threads from running.
+                os.sched_yield()
+            self._due_ns = self._follow(now_ns - age_ns, self._due_ns) + self._period_ns
+        return count
 
     def _follow(self, arrival_ns: int, due_ns: int) -> int:
         """The corrected time at which the message received at ``arrival_ns`` was due."""
@@ -184,15 +195,15 @@ def sendings(sent_ns: Sequence[int], apart_ns: int) -> int:
 class IdleWork:
     """Schedules the turns of idle work; see :data:`IDLE_EVERY_NS`. ``first_ns`` is the time of the first turn."""
 
-    def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int) -> None:
-        self._idle, self._next_ns, self._enough_ns = idle, first_ns, period_ns // 2
+    def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int, every_ns: int) -> None:
+        self._idle, self._next_ns, self._enough_ns, self._every_ns = idle, first_ns, period_ns // 2, every_ns
 
     def __call__(self, now_ns: int, left_ns: int) -> None:
         """Do a turn if one is due; call it after a cycle that began at ``now_ns``, ``left_ns`` before the next."""
         late_ns = now_ns - self._next_ns
-        if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= IDLE_EVERY_NS):
+        if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= self._every_ns):
             self._idle()
-            self._next_ns = now_ns + IDLE_EVERY_NS
+            self._next_ns = now_ns + self._every_ns
 
 
 def _exact_sleep() -> None:

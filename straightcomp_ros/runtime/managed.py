@@ -12,7 +12,8 @@ What takes longer than a cycle is done at normal priority: another graph's loop 
 """
 
 import gc
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -26,6 +27,7 @@ from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.runtime.guarded_node import GuardedNode, ThrottledWarning, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
+from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.loops import Loop
 from straightcomp_ros.runtime.ros_parameters import ParameterChanges, declare
 from straightcomp_ros.runtime.streams import Streams
@@ -39,6 +41,7 @@ EXIT_FAILURE = 1
 _HEARTBEAT_S = 0.1
 _ENTITIES = ("service", "client", "subscription", "publisher")
 """What a component makes on its node."""
+_PAUSE_S = 0.001
 
 
 class Component(Protocol):
@@ -68,19 +71,29 @@ class ManagedNode(GuardedNode, LifecycleNode):
     """Handles the transitions; the component does their work.
 
     ``parameter_set`` has a field ``autostart`` and one ``realtime``; ``make(node, parameters)`` makes the component.
+    ``shared`` and ``place`` are as of :class:`~.streams.Streams`.
 
     Attributes:
         active: whether the state is active.
         done: its result is the process's exit code.
         turn: done when the state has changed, so that the runner runs another loop, or none.
         streams: the component's ends of the graph's streams.
+        loop_of_process: the loop that runs now in this process, if any: with several nodes, that of one of them.
     """
 
-    def __init__(self, name: str, parameter_set: type, make: MakeComponent) -> None:
+    def __init__(
+        self,
+        name: str,
+        parameter_set: type,
+        make: MakeComponent,
+        shared: IntraProcess | None = None,
+        place: int = 0,
+    ) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.node = self
         self.done, self.turn = Future(), Future()
-        self.streams = Streams(self)
+        self.streams = Streams(self, shared, place)
+        self.loop_of_process: Callable[[], Loop | None] = lambda: self.loop
         self._parameter_set, self._make = parameter_set, make
         self._component: Component | None = None
         self.active = False
@@ -112,6 +125,14 @@ class ManagedNode(GuardedNode, LifecycleNode):
         """The loop to run now instead of the executor, if any."""
         return self._component.loop if self._component is not None and self.active else None
 
+    def go_on(self) -> None:
+        """What a callback calls while it waits for a job in another thread: one cycle of the loop, or a pause."""
+        loop = self.loop_of_process()
+        if loop is not None:
+            loop.turn()
+        else:
+            time.sleep(_PAUSE_S)
+
     def fail(self, error: Exception) -> None:
         """Report a failure of the component: with ``autostart`` end the process, otherwise become unconfigured."""
         if self._failure is not None:
@@ -137,7 +158,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self._failure = None
         # Remember the node's own entities: they stay when the component is released.
         self._own = {id(entity) for kind in _ENTITIES for entity in getattr(self, f"{kind}s")}
-        self._own_timers = self.steady_timers.mark()
+        self._own_timers = len(self.own_timers)
 
         def configure() -> None:
             self._component = component = self._make(self, self._changes.parameters())
@@ -208,7 +229,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
 
     def _destroy_entities(self) -> None:
         self.streams.close()
-        self.steady_timers.cancel_after(self._own_timers)
+        self.cancel_timers(self._own_timers)
         for kind in _ENTITIES:
             for entity in list(getattr(self, f"{kind}s")):
                 if id(entity) not in self._own:
@@ -226,6 +247,61 @@ class ManagedNode(GuardedNode, LifecycleNode):
         before, self.turn = self.turn, Future()
         if not before.done():
             before.set_result(None)
+
+
+class Composition:
+    """Managed nodes in one process: they end together, and while the first is active its loop is the process's.
+
+    Attributes:
+        node: the first one; its parameters of scheduling are the process's.
+        done: its result is the process's exit code.
+    """
+
+    def __init__(self, nodes: Sequence[ManagedNode]) -> None:
+        self.nodes, self.node = nodes, nodes[0]
+        self.done = Future()
+        for node in nodes[1:]:
+            node.share_timers(self.node)
+        for node in nodes:
+            node.loop_of_process = lambda: self.loop
+            node.done.add_done_callback(lambda ended: self.done.done() or self.done.set_result(ended.result()))
+
+    def begun(self) -> "Composition":
+        """See :meth:`ManagedNode.begun`."""
+        for number, node in enumerate(self.nodes):
+            try:
+                node.begun()
+            except Exception:
+                for begun in self.nodes[:number]:
+                    begun.close()
+                raise
+        self.realtime = self.node.realtime
+        return self
+
+    @property
+    def loop(self) -> Loop | None:
+        """The loop to run now instead of the executor, if any."""
+        return self.node.loop
+
+    @property
+    def turn(self) -> Future:
+        """A future that is done when a node's state has changed, or all end."""
+        turn = Future()
+        for changed in (self.done, *(node.turn for node in self.nodes)):
+            changed.add_done_callback(lambda _: turn.done() or turn.set_result(None))
+        return turn
+
+    def fail(self, error: Exception) -> None:
+        """See :meth:`ManagedNode.fail`."""
+        self.node.fail(error)
+
+    def leave(self) -> None:
+        """Leave nothing to switch off: see `Runnable`."""
+
+    def close(self) -> None:
+        """Stop and release all components; the first one, the driver's, switches the amplifier off."""
+        for node in self.nodes:
+            node.close()
 
 
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:

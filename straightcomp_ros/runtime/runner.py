@@ -18,8 +18,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, GuardedNode
-from straightcomp_ros.runtime.loops import Loop
-from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, MakeComponent, ManagedNode
+from straightcomp_ros.runtime.intra_process import IntraProcess
+from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, Loop
+from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, Composition, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.cpus import give_up_priority
@@ -63,7 +64,7 @@ def run(
     name: str,
     make: Callable[[Any], Any],
     arguments: Sequence[str] | None = None,
-    make_node: Callable[[], GuardedNode] | None = None,
+    make_nodes: Callable[[], Sequence[GuardedNode]] | None = None,
 ) -> int:
     """Run what ``make`` makes of the node ``name`` until SIGINT, SIGTERM, shutdown of the context or its own end.
 
@@ -80,23 +81,27 @@ def run(
             rclpy.init(
                 args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
             )
-            node = make_node() if make_node else GuardedNode(name, automatically_declare_parameters_from_overrides=True)
+            nodes = (
+                make_nodes()
+                if make_nodes
+                else (GuardedNode(name, automatically_declare_parameters_from_overrides=True),)
+            )
             # Python handles signals only between its own instructions, and an idle executor runs none. The timer also
             # collects cyclic garbage while there is little, so that it is never collected during a cycle.
-            node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
+            nodes[0].create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
     except Exception as error:
         # rclpy has an exception type for each kind of bad argument; the user needs only the message.
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_CONFIGURATION
     try:
         try:
-            runnable = make(node)
+            runnable = make(*nodes)
         except REFUSALS as error:
             print(f"{name}: {error}", file=sys.stderr)
             return EXIT_CONFIGURATION
         try:
             stop.add_done_callback(lambda _: _complete(runnable.done, 0))
-            return _spin(runnable)
+            return _spin(runnable, nodes)
         finally:
             runnable.close()
             give_up_priority()
@@ -104,13 +109,29 @@ def run(
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_FAILURE
     finally:
-        node.destroy_node()
+        for node in nodes:
+            node.destroy_node()
         rclpy.try_shutdown()
 
 
 def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
     """Like :func:`run`, for a lifecycle node, whose configuration makes its component; see :mod:`~.managed`."""
-    return run(name, ManagedNode.begun, arguments, lambda: ManagedNode(name, parameter_set, make))
+    return run(name, ManagedNode.begun, arguments, lambda: (ManagedNode(name, parameter_set, make),))
+
+
+def run_composed(
+    name: str,
+    parts: Sequence[tuple[str, type, MakeComponent]],
+    shared: IntraProcess,
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Like :func:`run_managed`, for several nodes in a process called ``name``, with the loop of the first one; each is
+    given by its name, parameter set and component. Streams of ``shared`` are handed over in memory."""
+
+    def made() -> Sequence[ManagedNode]:
+        return [ManagedNode(*part, shared, place) for place, part in enumerate(parts)]
+
+    return run(name, lambda *nodes: Composition(nodes).begun(), arguments, made)
 
 
 def _complete(future: Future, result: int) -> None:
@@ -118,16 +139,18 @@ def _complete(future: Future, result: int) -> None:
         future.set_result(result)
 
 
-def _spin(runnable: Any) -> int:
+def _spin(runnable: Any, nodes: Sequence[GuardedNode]) -> int:
     executor = EventsExecutor()
-    idle = _settle(runnable, executor)
+    idle = _settle(runnable, nodes, executor)
+    # Each node has as much idle work as in a process of its own.
+    idle_every_ns = IDLE_EVERY_NS // len(nodes)
     interrupted = False
     try:
         while not runnable.done.done():
             turn = runnable.turn
             try:
                 if runnable.loop:
-                    runnable.loop.run(turn.done, idle)
+                    runnable.loop.run(turn.done, idle, idle_every_ns)
                 else:
                     executor.spin_until_future_complete(turn, timeout_sec=_LONGEST_WAIT_S)
             except ExternalShutdownException:
@@ -161,15 +184,15 @@ def _left(runnable: Any, executor: Executor) -> bool:
     return True
 
 
-def _settle(runnable: Any, executor: Executor) -> Callable[[], None]:
+def _settle(runnable: Any, nodes: Sequence[GuardedNode], executor: Executor) -> Callable[[], None]:
     """Do everything that is done once before the first cycle; returns the idle work for a loop."""
-    node = runnable.node
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
     gc.collect()
     gc.freeze()
     gc.disable()
-    logger = node.get_logger()
-    graph = f"{node.context.get_domain_id()}{node.get_namespace()}"
+    logger = nodes[0].get_logger()
+    graph = f"{nodes[0].context.get_domain_id()}{nodes[0].get_namespace()}"
     for refusal in realtime.apply(runnable.realtime, logger.info, graph):
         logger.warning(refusal)
     logger.info(middleware_in_words())
@@ -180,5 +203,5 @@ def _settle(runnable: Any, executor: Executor) -> Callable[[], None]:
         if not call_one_timer():
             executor.spin_once(timeout_sec=0)
 
-    call_one_timer = runnable.node.steady_timers.call_one
+    call_one_timer = nodes[0].steady_timers.call_one
     return idle

@@ -6,12 +6,12 @@ ahead take batches, the messages of some milliseconds in one, and cost the loop 
 waits for is published one by one only while it has a subscriber.
 
 The loops know a stream only as a function ``publish(stamp_ns, *numbers)`` and as a queue of (stamp, numbers, arrival);
-they get both from :class:`Streams`. Within a process another class with its methods could hand the numbers over.
+they get both from :class:`Streams`. Between nodes of one process the numbers are handed over in memory.
 """
 
 import importlib
 import itertools
-import math
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -34,6 +34,7 @@ from straightcomp_ros.messages.cdr import (
 )
 from straightcomp_ros.runtime.guarded_node import ThrottledWarning
 from straightcomp_ros.runtime.inside_rclpy import raw_publish, raw_take, waiter
+from straightcomp_ros.runtime.intra_process import IntraProcess, MemoryQueue
 
 BATCH_S, LOOK_AHEAD_S = 0.004, 0.002
 """Length of a batch for subscribers that record or display, and for the feedforward, which looks ahead."""
@@ -42,6 +43,10 @@ _LONGEST = 64
 _first_batches = itertools.cycle((0.125, 0.5, 0.875, 0.25, 0.625, 1.0, 0.375, 0.75))
 """Lengths of the first batches of a process's streams, relative to the later ones: its batches must not all be
 published in the same cycle."""
+_HANDED_OVER = 8
+"""Messages in a batch of a stream that its readers in this process have already."""
+_TURNS_OF_OTHERS = 3
+"""Threads that run between sample and command: the middleware's receiver, the controller, our own receiver."""
 _FLUSH_S = 0.5
 """Longest time for which an incomplete batch waits for more messages."""
 _DELIVERY = Duration(seconds=0.2)
@@ -62,11 +67,13 @@ def message_class(type_name: str) -> Any:
         return None
 
 
-def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
+def stream_qos(depth: int = 1000, reliable: bool = False, everything: bool = False) -> QoSProfile:
     """Best effort, since a late sample is useless to a servo; reliable for the batches that the recorder reads. The
-    depth covers some seconds in which a process is suspended, where a socket's buffer is full after 50 ms."""
+    depth covers some seconds in which a process is suspended, where a socket's buffer is full after 50 ms. A reader of
+    ``everything`` that is behind acknowledges nothing more, so that a publisher that waits for it loses nothing."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
+    history = HistoryPolicy.KEEP_ALL if everything else HistoryPolicy.KEEP_LAST
+    return QoSProfile(depth=depth, history=history, reliability=reliability)
 
 
 def stream_publisher(node: Node, stream: Stream) -> Publisher:
@@ -103,41 +110,56 @@ class StreamPublisher:
     """Publishes a stream in batches, and each message by itself: at once, or with its batch while it has a subscriber.
 
     A control loop waits for what is published ``at_once``; the batch follows when the caller has time for it. ``rate``
-    is in messages per second, ``seconds`` the length of a batch. With ``rate`` None a batch ends when the caller
-    flushes; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
-    batch would never fill.
+    is in messages per second, ``seconds`` the length of a batch. With ``rate`` None the caller's cycles end the
+    batches; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
+    batch would never fill. ``queues`` are those of this process that get the numbers at once; its loop does not wait
+    for messages, so each batch fills.
     """
 
     def __init__(
-        self, node: Node, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
+        self,
+        node: Node,
+        stream: Stream,
+        rate: float | None,
+        seconds: float = BATCH_S,
+        *,
+        at_once: bool = False,
+        queues: Sequence[MemoryQueue] | None = None,
     ) -> None:
-        self._pack, self._at_once = stream.layout.pack, at_once
+        self._pack, self._queues = stream.layout.pack, () if queues is None else queues
         self._publisher = stream_publisher(node, stream)
         self._publish = raw_publish(self._publisher)
+        batched = rate is not None or not at_once or queues is not None
+        self._at_once = at_once and queues is None
+        self._by_cycle = at_once or rate is None
         self._waiting: list[tuple[int, bytes]] = []
         """Serialised messages with the time each was made."""
-        self._length = math.inf if rate is None else max(1, round(rate * seconds))
-        self._room = self._length if rate is None else max(1, round(self._length * next(_first_batches)))
+        if rate is not None:
+            self._length = max(1, round(rate * seconds))
+        else:
+            self._length = 1 if queues is None else _HANDED_OVER
+        self._room = 1 if rate is None else max(1, round(self._length * next(_first_batches)))
         self._batches: Publisher | None = None
-        if rate is not None or not at_once:
+        if batched:
             self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
             self._publish_batch = raw_publish(self._batches)
-        if rate is not None:
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or in a batch with later ones."""
+        for queue in self._queues:
+            queue.put(stamp_ns, numbers)
         data = self._pack(stamp_ns, *numbers)
         if self._at_once:
             self._publish(data)
         if self._batches is not None:
             self._waiting.append((time.time_ns(), data))
             self._room -= 1
-            if not self._at_once:
+            if not self._by_cycle:
                 self.publish_batch()
 
     def publish_batch(self) -> None:
-        """Publish the batch if it is complete; for a stream at once call it after the control loop has its message."""
+        """Publish the batch if it is complete; at once streams: after the control loop has its message."""
         if self._room <= 0:
             self.flush()
 
@@ -156,6 +178,10 @@ class StreamPublisher:
         """Publish the incomplete batch and wait for its acknowledgement before the node ends: a subscriber that first
         learns that its publisher has ended drops the messages."""
         self.flush()
+        self.acknowledged()
+
+    def acknowledged(self) -> None:
+        """Wait for subscribers to acknowledge the batches."""
         if self._batches is not None:
             self._batches.wait_for_all_acked(_DELIVERY)
 
@@ -198,7 +224,7 @@ class BatchQueue:
         self._make_direct: Callable[[], RawQueue] = lambda: RawQueue(unspun, kind, topic, stream_qos(depth))
         self._size = stream.layout.size
         batches = node.resolve_topic_name(stream.batch_topic)
-        self._batches = RawQueue(unspun, UInt8MultiArray, batches, stream_qos(depth, complete))
+        self._batches = RawQueue(unspun, UInt8MultiArray, batches, stream_qos(depth, complete, complete))
         self._direct: RawQueue | None = self._make_direct()
         self._dropped = ThrottledWarning(node, f"batches on '{stream.batch_topic}' are dropped")
         self._newest_ns: int | None = None
@@ -289,10 +315,15 @@ class SubscriptionQueue:
 
 
 class Streams:
-    """The ends of streams that one component of ``node`` uses, until :meth:`close`."""
+    """The ends of streams that one component of ``node`` uses, until :meth:`close`.
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    With ``shared`` the streams of this process are handed over in memory; the node has a ``place`` in the order in
+    which nodes do their cycles.
+    """
+
+    def __init__(self, node: Any, shared: IntraProcess | None = None, place: int = 0) -> None:
+        self._node, self._shared, self._place = node, shared, place
+        self._memory: list[MemoryQueue] = []
         self._unspun: Node | None = None
 
     @property
@@ -316,22 +347,64 @@ class Streams:
         """The stream's serialised messages, taken from its batches; see :class:`BatchQueue`."""
         return BatchQueue(self._node, self.unspun, stream, depth, complete)
 
-    def queue(self, stream: Stream) -> SubscriptionQueue:
+    def queue(self, stream: Stream) -> SubscriptionQueue | MemoryQueue:
         """The stream's messages, each as it was published."""
+        queue = self._in_memory(stream)
+        if queue is not None:
+            return queue
         return SubscriptionQueue(self._node, stream, self.raw(message_class(stream.layout.type_name), stream.topic))
 
-    def batches(self, stream: Stream) -> SubscriptionQueue:
+    def batches(self, stream: Stream) -> SubscriptionQueue | MemoryQueue:
         """The stream's messages, taken from its batches."""
-        return SubscriptionQueue(self._node, stream, self.raw_batches(stream))
+        return self._in_memory(stream) or SubscriptionQueue(self._node, stream, self.raw_batches(stream))
 
     def publisher(
         self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
     ) -> StreamPublisher:
         """See :class:`StreamPublisher`."""
-        return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once)
+        queues = self._shared.queues.get(stream.topic) if self._shared else None
+        publisher = StreamPublisher(self._node, stream, rate, seconds, at_once=at_once, queues=queues)
+        if self._shared:
+            self._shared.publishers.append((self._place, stream.topic, publisher.acknowledged))
+        return publisher
+
+    def follow(self, cycle: Callable[[], object]) -> None:
+        """In a process of several nodes: let the driver's loop call ``cycle``, in place of this node's own loop."""
+        if self._shared:
+            self._shared.follow(self._place, lambda: cycle() if self._node.active else None)
+
+    def let_readers_run(self) -> bool:
+        """Let those run who wait for what was published just now; returns whether they have had their turn."""
+        if self._shared:
+            self._shared.deliver()
+            return True
+        if os.sched_getscheduler(0) != os.SCHED_FIFO:
+            return False
+        # At one real-time priority a process that was woken on this CPU runs only when this one yields.
+        for _ in range(_TURNS_OF_OTHERS):
+            os.sched_yield()
+        return True
+
+    def others_publish(self, stream: Stream) -> bool:
+        """Whether another process publishes a stream that is handed over in memory: its messages are not taken."""
+        if not self._shared:
+            return False
+        own = sum(topic == stream.topic for _, topic, _ in self._shared.publishers)
+        return bool(self._node.count_publishers(stream.topic) > own)
+
+    def _in_memory(self, stream: Stream) -> MemoryQueue | None:
+        if not self._shared or stream.topic not in self._shared.queues:
+            return None
+        queue = MemoryQueue(self._shared)
+        self._shared.queues[stream.topic].append(queue)
+        self._memory.append(queue)
+        return queue
 
     def close(self) -> None:
         """End the subscriptions."""
+        if self._shared:
+            self._shared.leave(self._place, self._memory)
+            self._memory = []
         if self._unspun is not None:
             self._unspun.destroy_node()
             self._unspun = None

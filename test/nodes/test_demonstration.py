@@ -27,7 +27,7 @@ from straightcomp_ros.offline.simulation import Simulation
 pytestmark = pytest.mark.keeps_time
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
-EVERYDAY = {("smc_observer", "sample"), ("smc", "timer")}
+EVERYDAY = {("smc_observer", "sample"), ("smc", "timer"), ("smc_observer", "composed")}
 
 
 @pytest.mark.live
@@ -35,15 +35,16 @@ EVERYDAY = {("smc_observer", "sample"), ("smc", "timer")}
     ("law", "trigger"),
     [
         pytest.param(*case, marks=[] if case in EVERYDAY else [pytest.mark.nightly])
-        for case in itertools.product(LAWS, ("sample", "timer"))
+        for case in itertools.product(LAWS, ("sample", "timer", "composed"))
     ],
 )
 def test_a_live_stroke_is_recorded_compensated_and_audited_with_each_law_and_trigger(
     tmp_path, short_cycle, law, trigger
 ):
-    short_cycle["controller"].update({"trigger": trigger, "control.law": law})
+    composed = trigger == "composed"
+    short_cycle["controller"].update({"trigger": "sample" if composed else trigger, "control.law": law})
     seen = []
-    result = demonstrate(short_cycle, tmp_path, seen.append)
+    result = demonstrate(short_cycle, tmp_path, seen.append, composed=composed)
     figures, record = result.figures(), result.evaluation.record
     assert figures["law"] == law
     assert figures["expected_samples"] >= 2000 * 3
@@ -165,9 +166,9 @@ def test_the_graph_learns_while_it_runs_and_each_stroke_leaves_less_than_the_fir
     assert learned["learned_forward"] >= 3 and learned["learned_backward"] >= 3
 
 
-def simulated_and_live(values, offline, folder):
+def simulated_and_live(values, offline, folder, composed=False):
     """The run of the graph in lockstep, which equals that of the simulation ``offline`` to the last bit."""
-    live = demonstrate(values, folder).evaluation
+    live = demonstrate(values, folder, composed=composed).evaluation
     assert live.expected_samples == live.received_samples == len(offline.x)
     for column in ("x", "y", "r", "current", "true_x", "true_y", "guide"):
         np.testing.assert_array_equal(getattr(live.record, column), getattr(offline, column), err_msg=column)
@@ -175,18 +176,19 @@ def simulated_and_live(values, offline, folder):
 
 
 @pytest.mark.parametrize(
-    ("law", "delay"),
+    ("law", "delay", "composed"),
     [
-        pytest.param(*case, marks=[] if case == ("smc_observer", 0.5) else [pytest.mark.nightly])
-        for case in itertools.product(LAWS, (0.5, 1.2))
+        pytest.param(*case, marks=[] if case[:2] == ("smc_observer", 0.5) else [pytest.mark.nightly])
+        for case in itertools.product(LAWS, (0.5, 1.2), (False, True))
     ],
 )
-def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, in_lockstep, law, delay):
+def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, in_lockstep, law, delay, composed):
     in_lockstep["controller"]["control.law"] = law
     # The delay is the one that is described.
     in_lockstep["stage"].update({"drive.delay": delay, "uncertainty.longest_delay": 1.0})
     offline = Simulation(in_lockstep).run()
-    assert simulated_and_live(in_lockstep, offline, tmp_path).record.law == law
+    assert simulated_and_live(in_lockstep, offline, tmp_path, composed).record.law == law
+    assert audit(tmp_path / "bag").passed
     assert np.ptp(offline.current) > 0.005  # it did work for its result
 
 

@@ -9,6 +9,7 @@ from parameters_of_tests import LOOP, loop_parameters
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.contract import CONTROLLER_STATE, DIAGNOSTICS, ENCODER
+from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.streams import subscribe
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
@@ -18,14 +19,19 @@ COUNT = re.compile(r"\d+")
 UNITS = ("_us", "_hz")
 
 
-@pytest.fixture(scope="module")
-def nodes(shared_graph, tmp_path_factory):
-    """Driver, feedforward and controller at work, and a logger that is managed."""
+@pytest.fixture(scope="module", params=["separate", "composed"])
+def nodes(request, shared_graph, tmp_path_factory):
+    """Driver, feedforward and controller at work, each in its process or all in one, and a logger that is managed."""
     folder = tmp_path_factory.mktemp("bags")
-    logger = {"autostart": False, "output": str(folder / "bag"), "nodes": "logger"}
-    for node, parameters in {**loop_parameters(), "logger": logger}.items():
-        shared_graph.start(node, parameters)
-    return folder
+    if request.param == "separate":
+        for node, parameters in loop_parameters().items():
+            shared_graph.start(node, parameters)
+    else:
+        (folder / "parameters.yaml").write_text(as_parameter_file(loop_parameters()))
+        shared_graph.start("servo", {}, folder / "parameters.yaml")
+    shared_graph.start("logger", {"autostart": False, "output": str(folder / "bag"), "nodes": "logger"})
+    yield folder
+    shared_graph.stop()
 
 
 @pytest.fixture
@@ -140,3 +146,14 @@ def test_a_managed_logger_ends_its_bag_at_cleanup_and_is_unconfigured_when_it_fa
     assert participant.set("logger", {"min_free_bytes": 0, "output": str(nodes / "third")}).successful
     assert participant.change("logger", "configure") and participant.change("logger", "activate")
     assert participant.state("logger") == "active"
+
+
+def test_a_node_of_one_process_stops_and_starts_while_the_others_run(loop):
+    for node, fault in (("feedforward", "command_timeout"), ("controller", "command_timeout")):
+        assert loop.change(node, "deactivate")
+        loop.until(lambda fault=fault: loop.safety[-1].fault.startswith(fault))
+        received(loop, ENCODER)  # the driver samples on
+        assert loop.change(node, "cleanup") and loop.change(node, "configure") and loop.change(node, "activate")
+        assert loop.trigger("driver/reset_fault").success
+        loop.switch_on()
+        received(loop, CONTROLLER_STATE)

@@ -14,6 +14,7 @@ import pytest
 
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.parameters.parameter_file import read_parameter_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
@@ -22,6 +23,7 @@ KNOWN = {
     "launch": "LaunchContext LaunchDescription",
     "launch.actions": "DeclareLaunchArgument EmitEvent IncludeLaunchDescription OpaqueFunction RegisterEventHandler "
     "SetEnvironmentVariable",
+    "launch.conditions": "IfCondition UnlessCondition",
     "launch.event_handlers": "OnProcessExit",
     "launch.events": "Shutdown",
     "launch.launch_description_sources": "PythonLaunchDescriptionSource",
@@ -75,8 +77,10 @@ def entities(path, arguments=None):
         if kind(entity) == "OpaqueFunction":
             found += entity.kwargs["function"](context)
         elif kind(entity) == "IncludeLaunchDescription":
-            [source] = entity.args
-            assert set(dict(entity.kwargs["launch_arguments"])) == set(defaults)
+            [source], condition = entity.args, entity.kwargs["condition"]
+            assert set(dict(entity.kwargs["launch_arguments"])) == set(defaults) - {"composed"}
+            if condition and (kind(condition) == "IfCondition") != (condition.args[0].perform(context) == "true"):
+                continue
             found += entities(REPOSITORY.joinpath(*source.args[0].args[0][1:]), context)
     return found
 
@@ -99,7 +103,7 @@ def configurations(value):
 
 
 def named(nodes):
-    return [node.kwargs["name"] for node in nodes]
+    return [node.kwargs["executable"].removesuffix("_node") for node in nodes]
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
@@ -109,9 +113,11 @@ def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on
     scripts = re.findall(r"\w+", re.search(r"for node in \((.*?)\)", (REPOSITORY / "setup.py").read_text())[1])
     for node in nodes:
         assert set(node.kwargs) <= NODE_KEYWORDS and node.kwargs["package"] == "straightcomp_ros"
-        assert node.kwargs["executable"] == f"{node.kwargs['name']}_node" and node.kwargs["name"] in scripts
+        assert node.kwargs["executable"].removesuffix("_node") in scripts
+        # Three nodes run in the servo's process: it has no name that would be theirs.
+        assert node.kwargs.get("name", "servo") == node.kwargs["executable"].removesuffix("_node")
     for argument in of_kind("DeclareLaunchArgument", path):
-        either = argument.args[0] in ("record", "use_opcua")
+        either = argument.args[0] in ("record", "use_opcua", "composed")
         assert argument.kwargs["choices"] == (["true", "false"] if either else None), argument.args
 
     # What is launched stays on this computer unless the environment says otherwise.
@@ -126,7 +132,7 @@ def test_every_launch_file_uses_declared_arguments_and_starts_installed_nodes_on
 def test_the_cell_takes_all_that_its_nodes_take():
     nodes = set().union(*(declared(path) for path in LAUNCH_FILES if path != CELL))
     common = {"namespace", "record", "rt_priority", "params_file", "stage", "output"}
-    assert declared(CELL) == nodes == common | {"law", "map", "hardware", "use_opcua", "opcua_users"}
+    assert declared(CELL) - {"composed"} == nodes == common | {"law", "map", "hardware", "use_opcua", "opcua_users"}
 
 
 @pytest.mark.parametrize("record", ["true", "false"])
@@ -143,7 +149,7 @@ def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_th
     assert waited == ([] if record == "true" else [(" ".join(others),)])
     for node in nodes:
         given = node.kwargs["parameters"][-1]["realtime.priority"]
-        assert (given.args, given.kwargs) == (("20",), {"value_type": int})
+        assert (given.args, given.kwargs) == ((20,), {"value_type": int})
     # The whole launch ends when the last has ended; who watches for that is there before it starts.
     [handler] = [entity for entity in found if kind(entity) == "RegisterEventHandler"]
     [on_exit] = handler.args
@@ -181,3 +187,20 @@ def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started
     for node in of_kind("Node", CELL, stage=str(stage)):
         [_, _, given] = node.kwargs["parameters"]
         assert given["stage.guide.file"].args == (str(tmp_path / "guide.csv"),)
+
+
+def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(tmp_path: Path) -> None:
+    (tmp_path / "guide.csv").touch()
+    stage = tmp_path / "stage.yaml"
+    stage.write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")
+    found = of_kind("Node", CELL, composed="true", hardware="can", law="smc", rt_priority="30", stage=str(stage))
+    assert named(found) == ["servo", "logger", "cell"]
+    file = found[0].kwargs["parameters"][-1]
+    given = {node: values for node, values in read_parameter_file(file).items() if values}
+    Path(file).unlink()
+    survey = {"stage.guide.file": str(tmp_path / "guide.csv"), "realtime.priority": 30}
+    assert given == {
+        "driver": {**survey, "hardware": "can"},
+        "feedforward": survey,
+        "controller": {**survey, "control.law": "smc"},
+    }
