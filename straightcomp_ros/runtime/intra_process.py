@@ -14,8 +14,6 @@ _DEPTH = 1000
 """Messages that wait for a node that is not active: those of half a second, as in a subscription's queue."""
 _PAUSE_S = 0.001
 """Between two looks for a message that none of the nodes has sent."""
-_AHEAD = 256
-"""Samples in lockstep before the batches' readers must have acknowledged them: they are made faster than recorded."""
 
 
 class IntraProcess:
@@ -23,12 +21,12 @@ class IntraProcess:
 
     Attributes:
         queues: by topic, those that get a stream's messages.
-        publishers: place of the node, topic, and a function that waits until the batches are acknowledged.
+        publishers: those of these nodes, by place of the node and topic.
     """
 
     def __init__(self, streams: Iterable[Stream]) -> None:
         self.queues: dict[str, list[MemoryQueue]] = {stream.topic: [] for stream in streams}
-        self.publishers: list[tuple[int, str, Callable[[], None]]] = []
+        self.publishers: list[tuple[int, str]] = []
         self._cycles: dict[int, Callable[[], object]] = {}
 
     def follow(self, place: int, cycle: Callable[[], object]) -> None:
@@ -53,7 +51,7 @@ class MemoryQueue:
     """What one node has not fetched yet of one stream; used like a `SubscriptionQueue`."""
 
     def __init__(self, shared: IntraProcess) -> None:
-        self._shared, self._waits = shared, 0
+        self._shared = shared
         self._messages: deque[tuple[int, Sequence[float], int]] = deque(maxlen=_DEPTH)
         self.sent_ns: list[int] = []
 
@@ -71,10 +69,6 @@ class MemoryQueue:
     def wait(self, timeout_ns: int) -> None:
         """Let the other nodes do their cycles, and pause if none of them sends a message. Only a driver in lockstep
         waits for another node of its process."""
-        self._waits += 1
-        if self._waits % _AHEAD == 0:
-            for _, _, acknowledged in self._shared.publishers:
-                acknowledged()
         self._shared.deliver()
         if not self._messages:
             time.sleep(_PAUSE_S)

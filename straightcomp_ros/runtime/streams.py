@@ -45,6 +45,8 @@ _first_batches = itertools.cycle((0.125, 0.5, 0.875, 0.25, 0.625, 1.0, 0.375, 0.
 published in the same cycle."""
 _HANDED_OVER = 8
 """Messages in a batch of a stream that its readers in this process have already."""
+_KEPT = 5000
+"""Batches that a publisher keeps for a recorder that is behind: a whole run in lockstep is faster than it can write."""
 _TURNS_OF_OTHERS = 3
 """Threads that run between sample and command: the middleware's receiver, the controller, our own receiver."""
 _FLUSH_S = 0.5
@@ -67,13 +69,11 @@ def message_class(type_name: str) -> Any:
         return None
 
 
-def stream_qos(depth: int = 1000, reliable: bool = False, everything: bool = False) -> QoSProfile:
+def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
     """Best effort, since a late sample is useless to a servo; reliable for the batches that the recorder reads. The
-    depth covers some seconds in which a process is suspended, where a socket's buffer is full after 50 ms. A reader of
-    ``everything`` that is behind acknowledges nothing more, so that a publisher that waits for it loses nothing."""
+    depth covers some seconds in which a process is suspended, where a socket's buffer is full after 50 ms."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    history = HistoryPolicy.KEEP_ALL if everything else HistoryPolicy.KEEP_LAST
-    return QoSProfile(depth=depth, history=history, reliability=reliability)
+    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
 
 def stream_publisher(node: Node, stream: Stream) -> Publisher:
@@ -141,7 +141,7 @@ class StreamPublisher:
         self._room = 1 if rate is None else max(1, round(self._length * next(_first_batches)))
         self._batches: Publisher | None = None
         if batched:
-            self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
+            self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(_KEPT, reliable=True))
             self._publish_batch = raw_publish(self._batches)
             node.create_timer(_FLUSH_S, self.flush)
 
@@ -178,10 +178,6 @@ class StreamPublisher:
         """Publish the incomplete batch and wait for its acknowledgement before the node ends: a subscriber that first
         learns that its publisher has ended drops the messages."""
         self.flush()
-        self.acknowledged()
-
-    def acknowledged(self) -> None:
-        """Wait for subscribers to acknowledge the batches."""
         if self._batches is not None:
             self._batches.wait_for_all_acked(_DELIVERY)
 
@@ -224,7 +220,7 @@ class BatchQueue:
         self._make_direct: Callable[[], RawQueue] = lambda: RawQueue(unspun, kind, topic, stream_qos(depth))
         self._size = stream.layout.size
         batches = node.resolve_topic_name(stream.batch_topic)
-        self._batches = RawQueue(unspun, UInt8MultiArray, batches, stream_qos(depth, complete, complete))
+        self._batches = RawQueue(unspun, UInt8MultiArray, batches, stream_qos(depth, complete))
         self._direct: RawQueue | None = self._make_direct()
         self._dropped = ThrottledWarning(node, f"batches on '{stream.batch_topic}' are dropped")
         self._newest_ns: int | None = None
@@ -365,7 +361,7 @@ class Streams:
         queues = self._shared.queues.get(stream.topic) if self._shared else None
         publisher = StreamPublisher(self._node, stream, rate, seconds, at_once=at_once, queues=queues)
         if self._shared:
-            self._shared.publishers.append((self._place, stream.topic, publisher.acknowledged))
+            self._shared.publishers.append((self._place, stream.topic))
         return publisher
 
     def follow(self, cycle: Callable[[], object]) -> None:
@@ -389,7 +385,7 @@ class Streams:
         """Whether another process publishes a stream that is handed over in memory: its messages are not taken."""
         if not self._shared:
             return False
-        own = sum(topic == stream.topic for _, topic, _ in self._shared.publishers)
+        own = sum(topic == stream.topic for _, topic in self._shared.publishers)
         return bool(self._node.count_publishers(stream.topic) > own)
 
     def _in_memory(self, stream: Stream) -> MemoryQueue | None:
