@@ -67,8 +67,6 @@ class DriverComponent:
             ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S, at_once=True
         )
         self._publish_position = publisher(node, POSITION)
-        # In lockstep the run may end with the motion's last sample, so every position is published.
-        self._position_every = 1 if parameters.lockstep else POSITION_EVERY
         self._publish_truth = streams.publisher(TRUTH, rate)
         self._publish_state = streams.publisher(DRIVER_STATE, rate)
         self._samples = 0
@@ -184,7 +182,7 @@ class DriverComponent:
 
     def _record(self, sample: Sample, truth: Truth | None, lateness: float) -> None:
         """Publish what is only watched and recorded."""
-        if self._samples % self._position_every == 0:
+        if self._samples % POSITION_EVERY == 0:
             self._publish_position(*sample[:3])
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
@@ -211,8 +209,11 @@ class DriverComponent:
         self._clock_watch.follow()
         if self._safety.condition is Condition.ON:
             self._sample_watch.hold()
-        if self._safety.condition is Condition.ON and self._node.streams.others_publish(COMMAND):
-            self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
+            if self._node.streams.others_publish(COMMAND):
+                self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
+        if self._lockstep and self._newest is not None:
+            # Its samples end with the motion, and who follows the stage must see the end.
+            self._publish_position(*self._newest[:3])
         if self._newest is not None and self._node.active:
             finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
             if finding is not None:

@@ -12,6 +12,8 @@ from straightcomp_ros.contract import Stream
 
 _DEPTH = 1000
 """Messages that wait for a node that is not active: those of half a second, as in a subscription's queue."""
+_LOCKSTEP_S = 0.0002
+"""Pause after each sample in lockstep, which else would come faster than the recorder can write."""
 _PAUSE_S = 0.001
 """Between two looks for a message that none of the nodes has sent."""
 
@@ -70,5 +72,4 @@ class MemoryQueue:
         """Let the other nodes do their cycles, and pause if none of them sends a message. Only a driver in lockstep
         waits for another node of its process."""
         self._shared.deliver()
-        if not self._messages:
-            time.sleep(_PAUSE_S)
+        time.sleep(_LOCKSTEP_S if self._messages else _PAUSE_S)

@@ -46,7 +46,7 @@ published in the same cycle."""
 _HANDED_OVER = 8
 """Messages in a batch of a stream that its readers in this process have already."""
 _KEPT = 5000
-"""Batches that a publisher keeps for a recorder that is behind: a whole run in lockstep is faster than it can write."""
+"""Batches that a publisher keeps for a recorder that is behind: those of 20 s."""
 _TURNS_OF_OTHERS = 3
 """Threads that run between sample and command: the middleware's receiver, the controller, our own receiver."""
 _FLUSH_S = 0.5
