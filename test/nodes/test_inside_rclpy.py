@@ -20,6 +20,7 @@ SECOND = 10**9
 # What rclpy does not document begins with an underscore, is its C++ layer, or a handle into that.
 PRIVATE = re.compile(r"rclpy\.impl|rclpy_implementation|\.handle\b|(?<!self)(?<!cls)(?<!super\(\))\._[a-z]+\b")
 ROS = re.compile(r"^(from|import) rclpy", re.MULTILINE)
+FAST_DDS = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.MULTILINE)
 
 
 @pytest.fixture
@@ -83,10 +84,11 @@ def test_state_and_state_service_of_a_lifecycle_node_are_there(node):
     assert inside_rclpy.state_service(node).srv_name.endswith("/change_state")
 
 
-def test_no_other_file_uses_what_rclpy_does_not_document():
+def test_no_other_file_uses_what_rclpy_does_not_document_and_none_a_package_of_fast_dds():
     found = []
     for file in sorted(Path(straightcomp_ros.__file__).parent.rglob("*.py")):
         text = file.read_text(encoding="utf-8")
+        assert not FAST_DDS.search(text), file
         if ROS.search(text) and file.name != "inside_rclpy.py":
             found += [f"{file}: {line.strip()}" for line in text.splitlines() if PRIVATE.search(line)]
     assert found == []

@@ -1,16 +1,13 @@
 """A process's profile of its middleware: sockets on this machine, unless the user has chosen."""
 
 import os
-import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pytest
 import rclpy
 
-import straightcomp_ros
 from straightcomp_ros.parameters.middlewares import RANGE_VARIABLE
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
@@ -80,12 +77,6 @@ def test_the_profiles_have_sockets_only_and_those_of_loopback_no_other_interface
     }
     assert profile["NetworkInterface"] == "lo" and profile["Peer"] == "localhost"
     assert profile["AllowMulticast"] == "false" and profile["ParticipantIndex"] == "auto"
-
-
-def test_no_module_needs_a_package_of_fast_dds():
-    imports = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.MULTILINE)
-    for module in Path(straightcomp_ros.__file__).parent.rglob("*.py"):
-        assert not imports.search(module.read_text(encoding="utf-8")), module
 
 
 def test_a_process_opens_no_shared_memory_and_no_socket_beyond_loopback(monkeypatch):

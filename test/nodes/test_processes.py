@@ -11,7 +11,6 @@ from parameters_of_tests import FORGIVING
 from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
@@ -123,11 +122,10 @@ def test_a_cell_that_the_driver_refuses_to_enable_fails(single, short_cycle):
     assert "enable: amplifier on" not in single.log("driver").read_text()
 
 
-def test_a_program_that_is_started_again_appends_to_its_log(tmp_path):
-    with Graph(tmp_path) as graph:
-        for word in ("first", "second"):
-            graph.start_program("node", [sys.executable, "-c", f"print('{word}')"]).wait(60)
-        assert graph.log("node").read_text().split() == ["first", "second"] and graph.exit_code("node") == 0
+def test_a_program_that_is_started_again_appends_to_its_log(single):
+    for word in ("first", "second"):
+        single.start_program("node", [sys.executable, "-c", f"print('{word}')"]).wait(60)
+    assert single.log("node").read_text().split() == ["first", "second"] and single.exit_code("node") == 0
 
 
 BLAS = "import sys, os, straightcomp_ros.nodes; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"

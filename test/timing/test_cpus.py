@@ -41,15 +41,13 @@ class Stand:
         self.all = os.sched_getaffinity(0)
         self.cpu = max(self.all)
         self.name, self.loops = f"test/{os.getpid()}/", f"test_loops/{os.getpid()}/"
-        self.processes, self.queues, self.server = folder / "proc", folder / "mask", folder / "server.py"
-        self.notes = folder / "notes"
+        self.processes, self.queues, self.notes = folder / "proc", folder / "mask", folder / "notes"
         self.processes.mkdir()
         self.notes.mkdir()
         self.queues.write_text("ff\n")
-        paths = {"root": Path(cpus.__file__).parents[2], "processes": self.processes, "queues": self.queues}
-        self.server.write_text(
-            SERVER.format(**{name: str(path) for name, path in paths.items()}, notes=str(self.notes))
-        )
+        paths = {"processes": self.processes, "queues": self.queues, "notes": self.notes}
+        self.server, root = folder / "server.py", str(Path(cpus.__file__).parents[2])
+        self.server.write_text(SERVER.format(root=root, **{name: str(path) for name, path in paths.items()}))
         self._started = []
 
     def bystander(self, cpus=None):
@@ -67,10 +65,9 @@ class Stand:
         return node, node.stdout.readline().strip() or node.stderr.read().strip().splitlines()[-1]
 
     def _start(self, code):
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        process = subprocess.Popen([sys.executable, "-c", code], text=True, **pipes)
-        self._started.append(process)
-        return process
+        pipe = subprocess.PIPE
+        self._started.append(subprocess.Popen([sys.executable, "-c", code], text=True, stdout=pipe, stderr=pipe))
+        return self._started[-1]
 
     def back(self, pid, cpus):
         return comes_true(lambda: os.sched_getaffinity(pid) == cpus)
@@ -202,22 +199,19 @@ def other(cpu, graph, process=1):
     return claim(f"{cpus._LOOPS}{cpu}/{graph}/{process}")
 
 
-def test_graphs_take_different_cpus_from_the_last_one_down_and_wait_a_moment_for_one_that_chooses(own_names):
+def test_graphs_take_different_cpus_from_the_last_one_down_and_keep_them_as_long_as_one_of_their_processes_lives(
+    own_names,
+):
     with claim(cpus._CHOICE), pytest.raises(OSError, match="choosing"):
         loop_cpu("0/a", CPUS)
-    assert [loop_cpu(graph, CPUS) for graph in ("0/a", "0/b", "1/a")] == [3, 2, 1]
-    assert loop_cpus() == {1, 2, 3}
-
-
-def test_all_processes_of_a_graph_have_the_same_cpu_for_as_long_as_one_of_them_lives(own_names):
-    first = loop_cpu("a", CPUS)
-    # That process asks again, and another one of the graph comes while a second graph has begun.
+    assert loop_cpu("0/a", CPUS) == 3
+    # That process asks again, and another one of the graph comes while other graphs have begun.
     mark = claimed(cpus._LOOPS)[0].split("/")[1]
-    assert other(first, mark, process=2) is not None
-    assert loop_cpu("b", CPUS) == 2
-    assert loop_cpu("a", CPUS) == first
+    assert other(3, mark, process=2) is not None
+    assert [loop_cpu(graph, CPUS) for graph in ("0/b", "1/a", "0/a")] == [2, 1, 3]
     cpus._held.pop(0).close()
-    assert loop_cpu("a", CPUS) == first
+    assert loop_cpu("0/a", CPUS) == 3
+    assert loop_cpus() == {1, 2, 3}
 
 
 def test_where_each_cpu_has_a_loop_a_graph_takes_the_permitted_one_with_the_fewest(own_names):
