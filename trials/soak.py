@@ -2,7 +2,7 @@
 
 Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
 amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each action the
-safety state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory.
+safety state and the work of the whole graph are checked; at the end bags, descriptors, threads and memory.
 Exit code 0 only if nothing failed."""
 
 import argparse
@@ -10,24 +10,27 @@ import random
 import shutil
 import signal
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.recovery import default_output, recover
 from straightcomp_ros.cell.launcher import RECORDED, LaunchError
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
+from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from trials.faults import trial_parameters
 from trials.rig import Progress, add_output, output, progress
 from trials.soak_actions import ACTIONS, Scene
-from trials.soak_strokes import Commanded, Stroke, missing, readable, strokes_in
-from trials.soak_verdict import Lives, Soak
+from trials.soak_verdict import Lives, Soak, gaps
 from trials.stalls import Stalls
 from trials.stand import Stand
 
@@ -104,7 +107,7 @@ def run_soak(
             _nothing_by_itself(scene, kind, result)
         advance("stopping", 1.0)
         _end(scene, result, lives)
-    _judge_bags(folder, scene.commanded, result)
+    _judge_bags(folder, scene.recorded, result)
     result.seconds = time.monotonic() - begin
     return result
 
@@ -148,7 +151,6 @@ def _take_failures(scene: Scene, kind: str, result: Soak) -> None:
 def _start_anew(scene: Scene, result: Soak) -> None:
     """Kill and start all nodes, so that the rest of the time is not lost."""
     scene.interrupt(before_s=1.0)
-    scene.end_motion()
     for name in RECORDED:
         if scene.stand.exit_code(name) is None:
             scene.stand.signal(name, signal.SIGKILL)
@@ -189,26 +191,38 @@ def _end(scene: Scene, result: Soak, lives: Lives) -> None:
     _look(scene, lives)
     result.lives = lives.finished(list(scene.stand.processes.values()))
     scene.interrupt()
-    scene.end_motion()
     codes = scene.stand.stop()  # None: the node did not stop
     result.failures += [f"{name} stopped with exit code {code}" for name, code in codes.items() if code != 0]
 
 
-def _judge_bags(folder: Path, commanded: Commanded, result: Soak) -> None:
-    found: list[Stroke] = []
+def _judge_bags(folder: Path, recorded: Sequence[tuple[int, int]], result: Soak) -> None:
+    stamps = [np.empty(0, np.int64)]
     for bag in sorted(path for path in folder.glob("bag_*") if path.is_dir()):
         try:
-            whole, finished = readable(bag)
-            result.bags["finished" if finished else "recovered"] += 1
-            found += strokes_in(whole, commanded.motions)
+            whole = readable(bag)
+            result.bags["finished" if whole == bag else "recovered"] += 1
+            streams = read_streams(whole, {ENCODER.topic: ENCODER.layout})
+            stamps += [stream.stamp for stream in streams.values()]
         except BagError as error:
             result.failures.append(str(error))
-    strokes = commanded.strokes()
-    lost = missing(strokes, found)
-    result.strokes = {"commanded": len(strokes), "found": len(strokes) - len(lost)}
-    if not strokes:
-        result.failures.append("no stroke counts: the recording was never known to be whole")
+    result.recorded_s = sum(end - begin for begin, end in recorded) * 1e-9
+    if not recorded:
+        result.failures.append("the recording was never known to be whole")
     result.failures += [
-        f"the stroke {stroke.direction} at {stroke.begin_ns * 1e-9:.3f} s since the epoch is in no bag"
-        for stroke in lost
+        f"no bag has the {length_s:.1f} s from {begin_ns * 1e-9:.3f} s since the epoch on"
+        for begin_ns, length_s in gaps(np.concatenate(stamps), recorded)
     ]
+
+
+def readable(bag: Path) -> Path:
+    """The bag itself if it was finished, otherwise what `recover` makes of it.
+
+    Raises:
+        BagError: nothing in it can be recovered.
+    """
+    if (bag / "metadata.yaml").exists():
+        return bag
+    output = default_output(bag)
+    if not recover(bag, output).saved:
+        raise BagError(f"bag {bag}: no message could be saved")
+    return output

@@ -27,10 +27,9 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.faults import HELD_UP, Fault
 from straightcomp_ros.timing.node_timing import SAMPLES
-from trials.soak_strokes import Commanded
 from trials.soak_verdict import Soak
 from trials.stalls import Stalls
-from trials.stand import ACCELERATION, MOTION, MOTION_STROKES, STROKE_S, Stand, request_of
+from trials.stand import Stand, request_of
 
 _STALL_MS, _STALL_S = 80.0, 1.0
 """Total duration of stalls, in the time before a fault, that may have caused it."""
@@ -38,10 +37,8 @@ _REACTION_S = 3.0
 """Longest time until a fault is latched. The fault trials measure how soon; this run checks whether."""
 _REQUESTS = 2
 _BACK_S = 15.0
-_LEFT, _BEGUN = 50e-6, 2e-3
-"""Distance in m from a motion's start within which its beginning is detected."""
-_ASTRAY = 5e-3
-"""Distance in m from the stage's commanded position that ends a motion: the machine was replaced."""
+_MOVED, _RESTS_S = 50e-6, 0.5
+"""m by which the stage moves within this time, unless it stands."""
 _WHOLE = 0.9
 """Fraction of the samples that a logger must receive from report to report to count as connected."""
 
@@ -66,6 +63,9 @@ class Scene:
 
     Attributes:
         killable: nodes that may be killed now.
+        recorded: times (begin, end) during which the recording was known to be complete, ns since the epoch: the
+            driver was active, the logger's reports said that it recorded, and neither was stopped, paused, killed,
+            deactivated or restarted.
         about: which node an action is about, for its failures.
     """
 
@@ -83,10 +83,10 @@ class Scene:
         self._stalls, self._log = stalls, log
         self.killable: tuple[str, ...] = ()
         self.about = ""
-        self.commanded = Commanded(round(STROKE_S * 1e9), MOTION_STROKES)
+        self.recorded: list[tuple[int, int]] = []
         self._rate = rate
-        self._before: tuple[int, float] = (0, 0.0)
-        self._ended_ns = self._began_ns = self._interrupted_ns = 0
+        self._x, self._moved_s = 0.0, -math.inf
+        self._interrupted_ns = self._recording_ns = 0
         self._report: _Report | None = None
         subscribe(stand.node, POSITION, self._on_position)
         stand.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
@@ -96,15 +96,18 @@ class Scene:
         with self._log.open("a") as log:
             log.write(f"{time.time():.3f} {words}\n")
 
-    def end_motion(self) -> None:
-        """Note that the machine, and with it the motion, ends now."""
-        self._ended_ns = time.time_ns()
-        self.commanded.end(self._ended_ns)
+    @property
+    def moving(self) -> bool:
+        """Whether the stage moves."""
+        return time.monotonic() - self._moved_s < _RESTS_S
 
     def interrupt(self, before_s: float = 0.0) -> None:
         """Note that from now on, or since a little before, the recording is not known to be complete."""
         self._interrupted_ns, self._report = time.time_ns(), None
-        self.commanded.interrupt(self._interrupted_ns - round(before_s * 1e9))
+        end_ns = self._interrupted_ns - round(before_s * 1e9)
+        if 0 < self._recording_ns < end_ns:
+            self.recorded.append((self._recording_ns, end_ns))
+        self._recording_ns = 0
 
     def ask(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service, a second time if no answer comes: a node that has just started may lose the request.
@@ -155,13 +158,10 @@ class Scene:
         """
         begin = time.monotonic()
         stand = self.stand
-        if self.commanded.over(time.time_ns()):
-            self.end_motion()
         stand.switch_on()
-        if not self.commanded.moving:
-            # The trajectory may have been published before the driver was connected.
-            self._until(lambda: self.commanded.moving > 0, "the stage does not move", then=stand.move)
-        self._until(lambda: self.commanded.recording > 0, "the logger does not record every stream")
+        # The trajectory may have been published before the driver was connected.
+        self._until(lambda: self.moving, "the stage does not move", then=stand.move)
+        self._until(lambda: self._recording_ns > 0, "the logger does not record every stream")
         self.result.back_s.append(time.monotonic() - begin)
 
     def _until(self, condition: Callable[[], bool], refusal: str, then: Callable[[], None] = lambda: None) -> None:
@@ -183,18 +183,9 @@ class Scene:
             others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
             self.fail(f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)")
 
-    def _on_position(self, stamp_ns: int, numbers: Any) -> None:
-        (before_ns, x_before), x = self._before, numbers[0]
-        if stamp_ns <= max(before_ns, self._ended_ns):
-            return
-        self._before = stamp_ns, x
-        if self.commanded.moving:
-            if abs(x - MOTION.position(stamp_ns - self._began_ns)) > _ASTRAY:
-                self._ended_ns = before_ns
-                self.commanded.end(before_ns)
-        elif x_before < x and _LEFT <= x <= _BEGUN:
-            self._began_ns = stamp_ns - round(math.sqrt(2.0 * x / ACCELERATION) * 1e9)
-            self.commanded.moving = self._began_ns
+    def _on_position(self, _: int, numbers: Sequence[float]) -> None:
+        if abs(numbers[0] - self._x) > _MOVED:
+            self._x, self._moved_s = numbers[0], time.monotonic()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -204,11 +195,11 @@ class Scene:
                 continue
             report = _Report(time_ns, int(values[SAMPLES]), int(values["written"]))
             before, self._report = self._report, report
-            if before is not None and not self.commanded.recording:
+            if before is not None and not self._recording_ns:
                 samples = report.samples - before.samples
                 expected = self._rate * (report.time_ns - before.time_ns) * 1e-9
                 if samples >= _WHOLE * expected and report.written - before.written >= samples:
-                    self.commanded.recording = before.time_ns
+                    self._recording_ns = before.time_ns
 
 
 ENABLE_LIMIT_S = 2.0
@@ -306,7 +297,6 @@ def kill(scene: Scene) -> None:
         scene.stand.spin(1.0)
         scene.may_latch()
     elif name == "driver":
-        scene.end_motion()
         scene.must_trip()
     else:
         scene.must_latch(HELD_UP)

@@ -1,4 +1,4 @@
-"""Result of a soak run: actions by kind, processes that grew, strokes, bags; and whether the run passed."""
+"""Result of a soak run: actions by kind, processes that grew, recorded time, bags; and whether the run passed."""
 
 import os
 import time
@@ -7,12 +7,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from straightcomp_ros.bench.processes import Usage, growth_mb_per_hour, usage
 
 MEMORY_SPAN_S = 600.0
 """Shortest time over which the slope of a process's memory is meaningful: a logger takes 5 MB in the first four minutes
 of its work, and 6 to 8 MB in fifteen."""
 MEMORY_LIMIT_MB_PER_HOUR = 60.0
+
+
+LONGEST_GAP_S = 0.6
+"""Half a stroke: a stalled computer may lose so much of a recording."""
+
+
+def gaps(stamps: NDArray[np.int64], recorded: Sequence[tuple[int, int]]) -> list[tuple[int, float]]:
+    """Begin (ns) and length (s) of each longer time without a sample, while the recording was known to be complete."""
+    found, stamps = [], np.unique(stamps)
+    for begin, end in recorded:
+        times = np.array([begin, *stamps[(stamps > begin) & (stamps < end)], end])
+        lengths_s = np.diff(times) * 1e-9
+        found += [(int(times[k]), float(lengths_s[k])) for k in np.flatnonzero(lengths_s > LONGEST_GAP_S)]
+    return found
 
 
 class Look(NamedTuple):
@@ -97,7 +114,7 @@ class Soak:
         answers_lost: service requests that were not answered in time, and were repeated.
         enable_s, back_s: times from a request for the amplifier to 'on', and from an action to normal operation.
         lives: processes.
-        strokes: numbers ``commanded`` and ``found``, see :mod:`trials.soak_strokes`.
+        recorded_s: time during which the recording was known to be complete.
         bags: numbers ``finished`` and ``recovered``.
         failures: in words, those of an action behind its kind.
     """
@@ -111,7 +128,7 @@ class Soak:
     enable_s: list[float] = field(default_factory=list)
     back_s: list[float] = field(default_factory=list)
     lives: list[Life] = field(default_factory=list)
-    strokes: dict[str, int] = field(default_factory=dict)
+    recorded_s: float = 0.0
     bags: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
 
@@ -129,7 +146,7 @@ class Soak:
             "longest_enable_s": max(self.enable_s, default=None),
             "longest_back_to_work_s": max(self.back_s, default=None),
             "processes": [life.to_display() for life in self.lives],
-            "strokes": self.strokes,
+            "recorded_s": self.recorded_s,
             "bags": dict(self.bags),
             "failures": failures,
         }

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.launcher import RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
-from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
+from straightcomp_ros.model.motion import Waypoint, trapezoid
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import Heartbeats, ServiceClient, message_from_waypoints
@@ -47,9 +47,8 @@ _SETTLE_S = 0.1
 _REFUSALS = 2
 _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
-_STROKE, _SPEED, ACCELERATION = 0.1, 0.1, 0.4
-MOTION_STROKES, STROKE_S = 600, _STROKE / _SPEED + _SPEED / ACCELERATION
-"""Number of strokes in a motion, and duration of each in s: forward and backward in turn, without a rest."""
+_STROKES, _STROKE, _SPEED, _ACCELERATION = 600, 0.1, 0.1, 0.4
+"""Of a motion: forward and backward in turn, without a rest."""
 _STOP_S = 30.0
 
 
@@ -290,8 +289,6 @@ def request_of(values: Mapping[str, Any]) -> SetParametersAtomically.Request:
 
 
 _points = [Waypoint(0, 0.0, 0.0)]
-for _stroke in range(MOTION_STROKES):
-    _points += trapezoid(_points[-1], 0.0 if _stroke % 2 else _STROKE, _SPEED, ACCELERATION)
-MOTION = Trajectory(_points)
-"""The motion that :meth:`Stand.move` starts."""
-_MOTION = message_from_waypoints(MOTION.waypoints)
+for _stroke in range(_STROKES):
+    _points += trapezoid(_points[-1], 0.0 if _stroke % 2 else _STROKE, _SPEED, _ACCELERATION)
+_MOTION = message_from_waypoints(_points)

@@ -8,6 +8,7 @@ import sys
 import time
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -16,15 +17,20 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cell.launcher import LaunchError
+from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.safety.faults import HELD_UP, Fault
 from trials import soak_actions
 from trials.__main__ import run
 from trials.faults import TRIALS, Row
+from trials.soak import readable
 from trials.soak_actions import Scene
-from trials.soak_verdict import MEMORY_LIMIT_MB_PER_HOUR, Life, Lives, Look, Soak, look
+from trials.soak_verdict import MEMORY_LIMIT_MB_PER_HOUR, Life, Lives, Look, Soak, gaps, look
 from trials.stalls import Stalls
-from trials.stand import MOTION, Seen, Stand
+from trials.stand import Seen, Stand
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 
@@ -137,38 +143,77 @@ def test_a_fault_of_a_machine_that_stood_still_is_counted_apart_and_another_faul
     assert stand.failures_of(scene.may_latch)
 
 
-def test_a_motion_begins_where_the_stage_was_seen_to_leave_and_ends_where_it_goes_astray(scene):
-    def positions(*times_s, offset=0.0):
-        for time_s in times_s:
-            time_ns = round(time_s * SECOND)
-            scene._on_position(NOW + time_ns, (MOTION.position(time_ns) + offset, 0.0))
-
-    positions(-0.01, 0.0, 0.01, 0.02, 0.03)
-    assert scene.commanded.moving
-    positions(0.5, 1.0, 1.5, 3.0, 3.9)
-    assert scene.commanded.moving
-    positions(3.91, offset=0.02)
-    assert not scene.commanded.moving
-    ((begin, end),) = scene.commanded.motions
-    assert begin == pytest.approx(NOW, abs=3_000_000) and end == NOW + 3_900_000_000
+def test_the_stage_moves_while_its_position_changes(scene, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(soak_actions.time, "monotonic", lambda: now[0])
+    assert not scene.moving
+    for x, moves in ((1e-3, True), (1.01e-3, True), (1.02e-3, False), (1.1e-3, True)):
+        now[0] += 0.4
+        scene._on_position(0, (x, 0.0))
+        assert scene.moving is moves
 
 
-def test_a_recording_is_whole_between_two_reports_of_a_recording_logger_that_have_all_samples(scene):
+def test_a_recording_is_whole_between_two_reports_of_a_recording_logger_that_have_all_samples(scene, monkeypatch):
     def report(second, samples, written, recording="True"):
         values = {"samples": samples, "written": written, "recording": recording}
         status = DiagnosticStatus(name="logger", values=[KeyValue(key=key, value=str(v)) for key, v in values.items()])
         message = DiagnosticArray(status=[status])
         message.header.stamp.sec = NOW // SECOND % 2**31 + second
         scene._on_diagnostics(message)
-        return scene.commanded.recording
+        return scene._recording_ns
 
     assert not any(report(second, 2000 * second, 12000 * second, "False") for second in range(3))
     assert not report(3, 0, 0)
     assert not report(4, 1000, 6000), "half of the samples"
     assert not report(5, 3000, 6500), "paused"
-    assert report(6, 5000, 18500)
+    begin = report(6, 5000, 18500)
+    assert begin
+    monkeypatch.setattr(soak_actions.time, "time_ns", lambda: begin + 5 * SECOND)
+    scene.interrupt(before_s=1.0)
     scene.interrupt()
-    assert not scene.commanded.recording
+    assert scene.recorded == [(begin, begin + 4 * SECOND)]
+    # What was known to be complete before an interruption that reaches further back is nothing.
+    scene._recording_ns = begin + 5 * SECOND - 1
+    scene.interrupt(before_s=1.0)
+    assert len(scene.recorded) == 1
+
+
+@pytest.mark.parametrize(
+    ("spans", "missing"),
+    [
+        ([(-1.0, 11.0)], []),
+        ([(-1.0, 5.0), (5.5, 11.0)], []),
+        ([(-1.0, 5.0), (6.0, 8.0)], [(5.0, 1.0), (8.0, 2.0)]),
+        ([], [(0.0, 10.0)]),
+    ],
+)
+def test_a_longer_time_without_samples_in_a_recording_that_was_complete_is_missing(spans, missing):
+    stamps = [NOW + k * 2_000_000 for begin, end in spans for k in range(round(begin * 500), round(end * 500))]
+    found = gaps(np.array(stamps[::-1], np.int64), [(NOW, NOW + 10 * SECOND), (NOW - 5 * SECOND, NOW - 5 * SECOND)])
+    assert [((begin - NOW) / SECOND, length) for begin, length in found] == [
+        (pytest.approx(begin, abs=0.01), pytest.approx(length, abs=0.01)) for begin, length in missing
+    ]
+
+
+def test_an_unfinished_bag_is_recovered_unless_nothing_of_it_can_be_saved(tmp_path):
+    def bag(name, samples):
+        with BagWriter(tmp_path / name) as writer:
+            writer.add_topic("/encoder", ENCODER.layout.type_name)
+            for stamp in range(samples):
+                writer.write("/encoder", ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0), stamp, stamp)
+        return tmp_path / name
+
+    whole = bag("bag", 1000)
+    assert readable(whole) == whole
+    (whole / "metadata.yaml").unlink()
+    file = next(whole.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-300])
+    recovered = readable(whole)
+    assert recovered != whole and len(read_streams(recovered, {ENCODER.topic: ENCODER.layout})[ENCODER.topic]) == 1000
+    empty = bag("empty", 0)
+    (empty / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match="no message could be saved"):
+        readable(empty)
 
 
 @pytest.mark.parametrize(
