@@ -29,7 +29,7 @@ from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import Heartbeats, ServiceClient, message_from_waypoints
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.streams import Streams, SubscriptionQueue, publisher, subscribe
+from straightcomp_ros.runtime.streams import StreamPublisher, Streams, SubscriptionQueue, subscribe
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -103,7 +103,7 @@ class Stand:
         self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
         self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self.command = publisher(self.node, COMMAND)
+        self.command = StreamPublisher(self.node, COMMAND, at_once=True)
         subscribe(self.node, POSITION, self._on_position)
         self._clients: dict[str, ServiceClient] = {}
         self._streams = Streams(self.node)

@@ -101,7 +101,7 @@ def main() -> int:
     from straightcomp_ros.runtime.loops import PeriodicLoop, from_monotonic
     from straightcomp_ros.runtime.ros_parameters import declare
     from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
-    from straightcomp_ros.runtime.streams import publisher
+    from straightcomp_ros.runtime.streams import StreamPublisher
 
     class Traffic:
         """After a stall it publishes the missed messages, so that their number follows the time."""
@@ -110,7 +110,7 @@ def main() -> int:
             self._parameters = parameters = declare(node, TrafficParameters)
             self.node, self.done, self.realtime = node, Future(), parameters.realtime
             noise = random.Random(1)
-            self._publishers = [publisher(node, stream) for stream in TRAFFIC]
+            self._publishers = [StreamPublisher(node, stream, at_once=True) for stream in TRAFFIC]
             self._rows = [[[noise.random() for _ in one.layout.columns] for _ in range(_ROWS)] for one in TRAFFIC]
             self._count = round(parameters.seconds * DEFAULT_RATE)
             self._made, self._sent, self._begin_ns, self._end_ns = time.monotonic(), 0, 0, 0

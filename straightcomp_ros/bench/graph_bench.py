@@ -100,7 +100,7 @@ _NODE_OF = {COMPOSED: "driver"}
 _CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.bench.steady_cell"]}
 
 
-def view_beside(priority: int) -> dict[str, Sequence[str]]:
+def view_programs(priority: int) -> dict[str, Sequence[str]]:
     """Commands of the live view, with the graph's ``priority``, and of a client that reads its page."""
     port = str(free_port())
     return {
@@ -115,13 +115,13 @@ def measure(
     seconds: float,
     *,
     progress: Callable[[float], None] = lambda fraction: None,
-    beside: Mapping[str, Sequence[str]] | None = None,
+    programs: Mapping[str, Sequence[str]] | None = None,
     composed: bool = False,
 ) -> tuple[dict[str, Any], dict[str, float]]:
     """Run the graph once with the parameters of :func:`bench_parameters` for the same ``seconds``, and measure it.
 
     Bag, logs and parameter file go to ``folder``, which must not hold a bag. ``progress`` is called with the finished
-    fraction of the stage's motion; ``beside`` are further programs to run, by name. BenchFailed if a node died or the
+    fraction of the stage's motion; ``programs`` are further ones to run, by name. BenchFailed if a node died or the
     bag cannot be read.
 
     Returns:
@@ -155,7 +155,7 @@ def measure(
             follow,
             started=lambda ids: process_ids.update({_NODE_OF.get(name, name): pid for name, pid in ids.items()}),
             commands=_CELL,
-            programs=beside,
+            programs=programs,
             composed=composed,
         )
         begin, end = window.looks[0], window.looks[-1]

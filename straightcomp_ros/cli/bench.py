@@ -46,7 +46,7 @@ def _graph(options: argparse.Namespace) -> None:
     Prints the rate, missed periods, lateness of the loop, CPU and memory of each node, and the graph's latency from
     sample to command and its losses. The window begins when all nodes are connected and have settled.
     """
-    from straightcomp_ros.bench.graph_bench import bench_parameters, view_beside
+    from straightcomp_ros.bench.graph_bench import bench_parameters, view_programs
     from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 
     require_ros()
@@ -66,7 +66,7 @@ def _graph(options: argparse.Namespace) -> None:
             figures["composed"], _ = _measured(values, folder / "composed", seconds, "composed", composed=True)
             figures["composed_ratio"] = ratios(figures["composed"], figures)
         if options.view:
-            view = view_beside(options.priority)
+            view = view_programs(options.priority)
             figures["with_view"], _ = _measured(values, folder / "view", seconds, "with view", view)
         if options.triggers:
             first = values["controller"].setdefault("trigger", ControllerNodeParameters().trigger)
@@ -96,7 +96,7 @@ def _measured(
         raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
     try:
         with working(f"measuring {words}") as advance:
-            return measure(values, folder, seconds, progress=advance, beside=view, composed=composed)
+            return measure(values, folder, seconds, progress=advance, programs=view, composed=composed)
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
 

@@ -30,7 +30,7 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import SafetyPanel
-from straightcomp_ros.runtime.streams import LOOK_AHEAD_S, publisher
+from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
@@ -66,7 +66,7 @@ class DriverComponent:
         self._publish_sample = streams.publisher(
             ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S, at_once=True
         )
-        self._publish_position = publisher(node, POSITION)
+        self._publish_position = streams.publisher(POSITION, None, at_once=True)
         self._publish_truth = streams.publisher(TRUTH, rate)
         self._publish_state = streams.publisher(DRIVER_STATE, rate)
         self._samples = 0

@@ -14,14 +14,11 @@ from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import (
     CPU_WAIT,
     DESCRIPTION,
-    LOST,
     NORMAL,
-    OVERRUNS,
     RATE,
     REFUSED,
     SAMPLES,
     SCHEDULING,
-    STALLED_MS,
     Levels,
 )
 
@@ -81,15 +78,11 @@ class Diagnostics:
         if self._collected is None:
             return
         (stamp, values), self._collected = self._collected, None
-        error = str(values.get("error", ""))
-        samples, lost, overruns, stalled_ms = (
-            int(str(values.get(name, 0))) for name in (SAMPLES, LOST, OVERRUNS, STALLED_MS)
-        )
-        level, words = self._levels.next(samples, lost, overruns, stalled_ms, bool(error))
+        level, words = self._levels.next(values)
         status = DiagnosticStatus(
             level=bytes([level]),
             name=self._node.get_fully_qualified_name().lstrip("/"),
-            message=error or words,
+            message=words,
             hardware_id=self._hardware_id,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )

@@ -81,16 +81,6 @@ def stream_publisher(node: Node, stream: Stream) -> Publisher:
     return node.create_publisher(message_class(stream.layout.type_name), stream.topic, stream_qos())
 
 
-def publisher(node: Node, stream: Stream) -> Callable[..., None]:
-    """A function ``publish(stamp_ns, *numbers)`` for one stream."""
-    publish, pack = raw_publish(stream_publisher(node, stream)), stream.layout.pack
-
-    def send(stamp_ns: int, *numbers: float) -> None:
-        publish(pack(stamp_ns, *numbers))
-
-    return send
-
-
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:
     """Call ``callback(stamp_ns, numbers)`` for each message of a stream as it arrives.
 
@@ -120,7 +110,7 @@ class StreamPublisher:
         self,
         node: Node,
         stream: Stream,
-        rate: float | None,
+        rate: float | None = None,
         seconds: float = BATCH_S,
         *,
         at_once: bool = False,

@@ -118,23 +118,25 @@ class Levels:
     """
 
     def __init__(self) -> None:
-        self._counters = (0, 0, 0, 0)
+        self._counters = [0, 0, 0, 0]
         self._clean = _CLEAN_REPORTS
 
-    def next(self, samples: int, lost: int, overruns: int, stalled_ms: int, error: bool) -> tuple[Level, str]:
-        """Level and text of a report, from the node's counters since its start."""
-        counters = (samples, lost, overruns, stalled_ms)
-        new = [now - before for now, before in zip(counters, self._counters, strict=True)]
+    def next(self, values: Mapping[str, object]) -> tuple[Level, str]:
+        """Level and text of a report, from its values: counters since the node's start, and ``error``."""
+        counters = [int(str(values.get(name, 0))) for name in (SAMPLES, LOST, OVERRUNS, STALLED_MS)]
+        samples, lost, overruns, stalled_ms = (
+            now - before for now, before in zip(counters, self._counters, strict=True)
+        )
         self._counters = counters
         problems = (
-            (new[1] > 0, f"{new[1]} samples lost in the last second"),
-            (new[2] > _OVERRUN_SHARE * max(new[0], 1), f"{new[2]} overruns in the last second"),
-            (new[3] > _STALLED_MS, f"the host held the loop up for {new[3]} ms in the last second"),
+            (lost > 0, f"{lost} samples lost in the last second"),
+            (overruns > _OVERRUN_SHARE * max(samples, 1), f"{overruns} overruns in the last second"),
+            (stalled_ms > _STALLED_MS, f"the host held the loop up for {stalled_ms} ms in the last second"),
         )
-        problem = next((words for found, words in problems if found), "")
+        problem, error = next((words for found, words in problems if found), ""), str(values.get("error", ""))
         self._clean = 0 if problem or error else self._clean + 1
         if error:
-            return Level.ERROR, ""
+            return Level.ERROR, error
         if problem:
             return Level.WARN, problem
         if self._clean < _CLEAN_REPORTS:

@@ -11,7 +11,7 @@ from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJ
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
-from straightcomp_ros.runtime.streams import publisher, subscribe
+from straightcomp_ros.runtime.streams import StreamPublisher, subscribe
 from straightcomp_ros.safety.faults import Fault
 
 pytestmark = pytest.mark.live
@@ -27,7 +27,7 @@ class Peer(Participant):
     def __init__(self):
         super().__init__("peer")
         self.samples, self.states, self.current = [], [], 0.0
-        self.command = publisher(self.node, COMMAND)
+        self.command = StreamPublisher(self.node, COMMAND, at_once=True)
         self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         subscribe(self.node, ENCODER, self._on_sample)
         subscribe(self.node, DRIVER_STATE, lambda _, numbers: self.states.append(numbers))

@@ -19,7 +19,7 @@ from straightcomp_ros.runtime.commissioning_client import CommissioningSign
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
-from straightcomp_ros.runtime.streams import publisher
+from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
@@ -34,7 +34,7 @@ class Driver:
 
     def __init__(self):
         self.node = Node("driver")
-        self._state = publisher(self.node, DRIVER_STATE)
+        self._state = StreamPublisher(self.node, DRIVER_STATE, at_once=True)
         self._safety = self.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
         self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         # Latched: the watch comes later.

@@ -46,12 +46,12 @@ class StandIn:
         try:
             yield Access(None, shipped_parameters(), lambda doing: self.act())
         finally:
-            if self.act is told_to_end:
-                told_to_end()
+            if self.act is terminate:
+                terminate()
             self.released = True
 
 
-def told_to_end():
+def terminate():
     os.kill(os.getpid(), signal.SIGTERM)
 
 
@@ -70,7 +70,7 @@ def stands_for_graph(monkeypatch):
 
 
 def test_sigterm_releases_the_machine_even_if_it_comes_twice(stands_for_graph, capsys):
-    before, one = signal.getsignal(signal.SIGTERM), stands_for_graph(told_to_end)
+    before, one = signal.getsignal(signal.SIGTERM), stands_for_graph(terminate)
     assert main(["frequency-response", "--graph", "running"]) == 143
     assert one.released and "terminated" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == before

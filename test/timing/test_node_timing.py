@@ -1,6 +1,5 @@
 """The level of a node's diagnostics, its missed periods, and what its reports add up to."""
 
-import itertools
 import math
 import random
 
@@ -27,14 +26,15 @@ from straightcomp_ros.timing.node_timing import (
 
 
 def levels_of(*reports):
-    """The level of each report of (new samples, newly lost, new overruns, ms newly stalled, error)."""
-    levels = Levels()
-    counters = (itertools.accumulate(counts) for counts in zip(*(report[:4] for report in reports), strict=True))
-    errors = [report[4] for report in reports]
-    return [levels.next(*report)[0] for report in zip(*counters, errors, strict=True)]
+    """Level and text of each report of new samples, newly lost ones, new overruns, ms newly stalled, and an error."""
+    levels, values = Levels(), {}
+    for *new, error in reports:
+        counters = zip(("samples", "lost_samples", "overruns", "stalled_ms"), new, strict=True)
+        values.update({name: values.get(name, 0) + count for name, count in counters}, error=error)
+        yield levels.next(values)
 
 
-CLEAN, LOSSY, BROKEN = (2000, 0, 0, 0, False), (2000, 1, 0, 0, False), (2000, 0, 0, 0, True)
+CLEAN, LOSSY, BROKEN = (2000, 0, 0, 0, ""), (2000, 1, 0, 0, ""), (2000, 0, 0, 0, "coil burnt")
 
 
 @pytest.mark.parametrize(
@@ -46,35 +46,35 @@ CLEAN, LOSSY, BROKEN = (2000, 0, 0, 0, False), (2000, 1, 0, 0, False), (2000, 0,
     ],
 )
 def test_a_loss_or_an_error_is_a_warning_until_five_reports_in_a_row_were_clean(reports, levels):
-    assert levels_of(*reports) == levels
+    assert [level for level, _ in levels_of(*reports)] == levels
 
 
 def test_the_words_give_what_is_new_since_the_last_report_and_a_loss_before_late_cycles():
-    levels = Levels()
-    for counters, words in (
-        ((2000, 3, 2000, 0, False), "3 samples lost"),
-        ((4000, 5, 2000, 0, False), "2 samples lost"),
-        ((6000, 5, 2100, 0, False), "100 overruns"),
-        ((8000, 5, 2100, 0, False), "running again"),
-        ((10_000, 5, 2100, 11, False), "the host held the loop up for 11 ms"),
-    ):
-        assert levels.next(*counters)[1].startswith(words)
-    assert levels.next(12_000, 9, 4100, 11, True) == (Level.ERROR, "")
+    reports = {
+        (2000, 3, 2000, 0, ""): "3 samples lost",
+        (2000, 2, 0, 0, ""): "2 samples lost",
+        (2000, 0, 100, 0, ""): "100 overruns",
+        CLEAN: "running again",
+        (2000, 0, 0, 11, ""): "the host held the loop up for 11 ms",
+        (2000, 4, 2000, 0, "coil burnt"): "coil burnt",
+    }
+    for (_, found), words in zip(levels_of(*reports), reports.values(), strict=True):
+        assert found.startswith(words)
 
 
 @pytest.mark.parametrize(
     ("report", "level"),
     [
-        ((2000, 0, 20, 0, False), Level.OK),
-        ((2000, 0, 21, 0, False), Level.WARN),
+        ((2000, 0, 20, 0, ""), Level.OK),
+        ((2000, 0, 21, 0, ""), Level.WARN),
         # A node without new samples that missed a cycle is late.
-        ((0, 0, 1, 0, False), Level.WARN),
-        ((2000, 0, 0, 10, False), Level.OK),
-        ((2000, 0, 0, 11, False), Level.WARN),
+        ((0, 0, 1, 0, ""), Level.WARN),
+        ((2000, 0, 0, 10, ""), Level.OK),
+        ((2000, 0, 0, 11, ""), Level.WARN),
     ],
 )
 def test_overruns_of_one_percent_and_ten_milliseconds_of_stalls_are_allowed(report, level):
-    assert levels_of(CLEAN, report, report)[1:] == [level] * 2
+    assert [found for found, _ in levels_of(CLEAN, report, report)][1:] == [level] * 2
 
 
 @pytest.mark.parametrize("rate", [500, 2000, 8000])

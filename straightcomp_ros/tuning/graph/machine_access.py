@@ -33,7 +33,7 @@ class Access(NamedTuple):
 
     machine: RunningMachine
     values: Values
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
 
 
 @contextmanager
@@ -42,13 +42,13 @@ def running_graph(folder: Path, namespace: str = "", check: Callable[[], object]
     the graph cannot be used; ``check`` raises if it cannot work any more."""
     with WaitingClient(RECORDED, namespace, check) as client:
         # Before the nodes are asked: another client would have its own parameters in them.
-        tell = client.claim()
+        report = client.claim()
         first = FirstParameters(client.values(), client.processes())
         values = described(first.values)
         machine = RunningMachine(client, values, first.values["logger"], folder)
         first.keep()
         try:
-            yield Access(machine, values, tell)
+            yield Access(machine, values, report)
         finally:
             # Whatever happened, the amplifier is off already.
             machine.release()

@@ -106,7 +106,7 @@ def _measure_running(
         else:
             folder = Path(stack.enter_context(TemporaryDirectory()))
         access = stack.enter_context(graph_access(options, values, folder))
-        access.tell("frequency response")
+        access.report("frequency response")
         return access.machine.response(access.values, excitation, moving=options.moving), access.values
 
 
