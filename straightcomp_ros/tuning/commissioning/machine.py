@@ -37,25 +37,17 @@ COASTING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Samples in the order of their stamps; all arrays (n,).
+    """Samples in the order of their stamps; all arrays (n,)."""
 
-    Attributes:
-        stamps: ns.
-        x, y: readings, m.
-        current: measured control current of the coils, A; NaN while the amplifier is off.
-        command: commanded in answer to each sample, A.
-        latency: from each sample until its command arrived at the machine's driver, s; NaN where none arrived.
-        left_at: the sample at which the platform was beyond the travel that was allowed, and the amplifier went off;
-            those after it tell how far it coasts. None if it stayed within.
-    """
-
-    stamps: NDArray[np.int64]
-    x: Array
+    stamps: NDArray[np.int64]  # ns
+    x: Array  # readings, m
     y: Array
-    current: Array
-    command: Array
-    latency: Array
+    current: Array  # measured control current of the coils, A; NaN while the amplifier is off
+    command: Array  # commanded in answer to each sample, A
+    latency: Array  # from each sample until its command arrived at the machine's driver, s; NaN where none arrived
     left_at: int | None = None
+    """The sample at which the platform was beyond the travel that was allowed, and the amplifier went off; those after
+    it show how far it coasts. None if it stayed within."""
 
 
 class Machine(Protocol):

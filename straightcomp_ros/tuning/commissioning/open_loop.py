@@ -170,21 +170,13 @@ def _histogram(series: Series) -> list[list[float]]:
 
 
 class CurrentReadback(NamedTuple):
-    """The way from command to readback.
+    """The way from command to readback; without an amplifier that fits, bandwidth and delay are NaN."""
 
-    Attributes:
-        gain: measured current per commanded current, at rest.
-        offset: measured current without a command, A.
-        bandwidth: of a first-order amplifier, Hz; NaN if none fits.
-        delay: of a command, samples; NaN likewise.
-        unexplained: RMS of what such an amplifier leaves, relative to that of the steps of the current.
-    """
-
-    gain: float
-    offset: float
-    bandwidth: float
-    delay: float
-    unexplained: float
+    gain: float  # measured current per commanded current, at rest
+    offset: float  # measured current without a command, A
+    bandwidth: float  # of a first-order amplifier, Hz
+    delay: float  # of a command, samples
+    unexplained: float  # RMS of what such an amplifier leaves, relative to that of the steps of the current
 
 
 def current_readback(series: Series, drive: DriveParameters, period: float) -> CurrentReadback:

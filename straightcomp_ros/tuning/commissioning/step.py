@@ -17,49 +17,29 @@ _TRAVEL_SHARE = 0.35
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a step.
+    """The result of a step."""
 
-    Attributes:
-        passed: whether commissioning may go on.
-        sentence: what was found, and where it did not pass, what would help.
-        figures: by name with unit; plain numbers, texts, lists and mappings.
-        stage: facts of the description as found, by dotted name.
-        gains: of the law from here on, by dotted name in the node controller.
-    """
-
-    passed: bool
-    sentence: str
-    figures: Mapping[str, Any] = field(default_factory=dict)
-    stage: Mapping[str, Any] = field(default_factory=dict)
-    gains: Mapping[str, Any] = field(default_factory=dict)
+    passed: bool  # whether commissioning may go on
+    sentence: str  # what was found, and where it did not pass, what would help
+    figures: Mapping[str, Any] = field(default_factory=dict)  # by name with unit; plain numbers, texts, lists, mappings
+    stage: Mapping[str, Any] = field(default_factory=dict)  # facts of the description as found, by dotted name
+    gains: Mapping[str, Any] = field(default_factory=dict)  # of the law from here on, by dotted name in the controller
 
 
 @dataclass(frozen=True)
 class Work:
-    """What a step works on.
-
-    Attributes:
-        values: parameters by node and dotted name, with what the steps before found.
-        description: the stage as first described, with its uncertainty.
-        folder: for bags and other files.
-        evaluations: candidates of the search for gains.
-        machines: uncertain machines of its verification.
-        outcomes: of the steps that are done, by name.
-        learning_strokes: cycles in which the law's reference is corrected before the acceptance; 0 for none.
-        check_survey: an independent measurement of the guide, by which the map is checked; None without one.
-        progress: called with the fraction of the step that is done.
-    """
+    """What a step works on."""
 
     machine: Machine
-    values: Mapping[str, Mapping[str, Any]]
-    description: StageParameters
-    folder: Path
-    evaluations: int
-    machines: int
-    outcomes: Mapping[str, Outcome]
-    learning_strokes: int = 0
-    check_survey: Survey | None = None
-    progress: Callable[[float], None] = lambda fraction: None
+    values: Mapping[str, Mapping[str, Any]]  # by node and dotted name, with what the steps before found
+    description: StageParameters  # the stage as first described, with its uncertainty
+    folder: Path  # for bags and other files
+    evaluations: int  # candidates of the search for gains
+    machines: int  # uncertain machines of its verification
+    outcomes: Mapping[str, Outcome]  # of the steps that are done, by name
+    learning_strokes: int = 0  # cycles in which the law's reference is corrected before the acceptance
+    check_survey: Survey | None = None  # an independent measurement of the guide, by which the map is checked
+    progress: Callable[[float], None] = lambda fraction: None  # called with the fraction of the step that is done
 
     @property
     def stage(self) -> StageParameters:

@@ -56,32 +56,19 @@ class DesignFigures(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A design.
-
-    Attributes:
-        law: its name.
-        values: what to set, by dotted name in the node controller.
-        figures: what is predicted.
-        start_values, start_figures: those of the closed form.
-        quiet: the trade that was asked for.
-        demands: what the linear loop holds.
-        verification: sweep over uncertain machines.
-        budget: what limits the error, the stage as described first.
-        limits: until where the linear loop is stable, by the law's state.
-        rounds: searches, more than one if the first result failed on an uncertain machine.
-    """
+    """A design."""
 
     law: str
-    values: Mapping[str, float]
-    figures: DesignFigures
-    start_values: Mapping[str, float]
+    values: Mapping[str, float]  # what to set, by dotted name in the node controller
+    figures: DesignFigures  # what is predicted
+    start_values: Mapping[str, float]  # those of the closed form
     start_figures: DesignFigures
-    quiet: float
-    demands: Demands
-    verification: LawSummary
-    budget: Sequence[BudgetEntry]
-    limits: Mapping[str, FailingLimits]
-    rounds: int
+    quiet: float  # the trade that was asked for
+    demands: Demands  # what the linear loop holds
+    verification: LawSummary  # sweep over uncertain machines
+    budget: Sequence[BudgetEntry]  # what limits the error, the stage as described first
+    limits: Mapping[str, FailingLimits]  # until where the linear loop is stable, by the law's state
+    rounds: int  # searches, more than one if the first result failed on an uncertain machine
 
     @property
     def holds(self) -> bool:

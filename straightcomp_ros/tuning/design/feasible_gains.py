@@ -187,23 +187,14 @@ def _outward(value: float, *, up: bool) -> float:
 
 
 class SafeLaw(NamedTuple):
-    """A law that is stable at all corners.
+    """A law that is stable at all corners."""
 
-    Attributes:
-        values: what to set, by dotted name in the node controller.
-        decay: of the slowest mode at the worst corner, 1/s.
-        worst: that corner in words.
-        corners: number of corners.
-        excursion: largest |y| in the strokes with friction, m.
-        pp: largest peak-to-peak error in them, m.
-    """
-
-    values: Mapping[str, float]
-    decay: float
-    worst: str
-    corners: int
-    excursion: float
-    pp: float
+    values: Mapping[str, float]  # what to set, by dotted name in the node controller
+    decay: float  # of the slowest mode at the worst corner, 1/s
+    worst: str  # that corner in words
+    corners: int  # number of corners
+    excursion: float  # largest |y| in the strokes with friction, m
+    pp: float  # largest peak-to-peak error in them, m
 
 
 def safe_law(

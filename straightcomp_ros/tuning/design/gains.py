@@ -34,18 +34,12 @@ _POINTS = 5000
 
 
 class SearchedGain(NamedTuple):
-    """One gain of a law.
+    """One gain of a law."""
 
-    Attributes:
-        name: dotted, from ``control.`` on.
-        low, high: range of the search, relative to the rule's value; itself if ``power`` is 0.
-        power: of 1/T_d with which the gain grows; 0 for a gain whose useful range is the same for all stages.
-    """
-
-    name: str
-    low: float
+    name: str  # dotted, from ``control.`` on
+    low: float  # range of the search, relative to the rule's value; itself if ``power`` is 0
     high: float
-    power: int = 1
+    power: int = 1  # of 1/T_d with which the gain grows; 0 for a gain whose useful range is the same for all stages
 
 
 _OBSERVER = "control.smc_observer."

@@ -26,46 +26,28 @@ _RESTING = 0.2
 
 
 class RunFigures(NamedTuple):
-    """One run.
+    """One run; all are infinite if it broke off."""
 
-    Attributes:
-        pp, rms: true compensation error over the motion, m; infinite if the run broke off.
-        work: RMS step of the commanded current from sample to sample over the motion, A; likewise.
-        rest_work: the same between the strokes, A.
-        oscillation: amplitude of the strongest held line in the error, relative to what a verdict tolerates.
-        excursion: largest |y|, m.
-    """
-
-    pp: float
+    pp: float  # true compensation error over the motion, m
     rms: float
-    work: float
-    rest_work: float
-    oscillation: float
-    excursion: float
+    work: float  # RMS step of the commanded current from sample to sample over the motion, A
+    rest_work: float  # the same between the strokes
+    oscillation: float  # amplitude of the strongest held line in the error, relative to what a verdict tolerates
+    excursion: float  # largest |y|, m
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedStroke:
-    """One motion of the stage, ready to run under any law.
+    """One motion of the stage, ready to run under any law."""
 
-    Attributes:
-        stamps: of the samples, ns.
-        given: (n, 3) references as the law is given them, m, m/s, m/s².
-        target: (n,) r at the true x, m.
-        motion: samples of the motion.
-        rest: samples between the strokes, empty without.
-        plant, hold: the machine and its board.
-        initial_y: m.
-    """
-
-    stamps: NDArray[np.int64]
-    given: NDArray[np.float64]
-    target: NDArray[np.float64]
-    motion: slice
-    rest: slice
+    stamps: NDArray[np.int64]  # of the samples, ns
+    given: NDArray[np.float64]  # (n, 3) references as the law is given them, m, m/s, m/s²
+    target: NDArray[np.float64]  # (n,) r at the true x, m
+    motion: slice  # samples of the motion
+    rest: slice  # samples between the strokes, empty without
     plant: PlantParameters
     hold: Hold
-    initial_y: float
+    initial_y: float  # m
 
     def run(self, law: Law, delay: float, start: int = 0, plant: PlantParameters | None = None) -> RunFigures:
         """Run the motion once under ``law``, on the stroke's own machine or on ``plant``.

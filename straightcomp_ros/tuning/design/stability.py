@@ -41,26 +41,19 @@ MECHANICS = ("mass", "force", "gap")
 
 @dataclass(frozen=True)
 class Demands:
-    """What is demanded of the loop.
+    """What is demanded of the loop."""
 
-    Attributes:
-        gain_low, gain_high: factors of the loop gain at which the law must be stable.
-        stiff_gain_low, stiff_gain_high: the same where the law is at its stiffest.
-        amplifier_gain: factor, up and down, of the current that the amplifier makes of a command and the law measures;
-            its square root where the law is at its stiffest.
-        phase: least phase margin, degrees.
-        spare_delay: of a command beyond the longest one of the uncertainty, samples; a third of it at its stiffest.
-        decay: least decay of the nominal loop, in 1/T_d.
-    """
-
-    gain_low: float = 0.62
+    gain_low: float = 0.62  # factors of the loop gain at which the law must be stable
     gain_high: float = 2.1
-    stiff_gain_low: float = 0.7
+    stiff_gain_low: float = 0.7  # the same where the law is at its stiffest
     stiff_gain_high: float = 1.9
     amplifier_gain: float = 1.5
-    phase: float = 10.0
+    """Factor, up and down, of the current that the amplifier makes of a command and the law measures; its square root
+    where the law is at its stiffest."""
+    phase: float = 10.0  # least phase margin, degrees
     spare_delay: float = 0.25
-    decay: float = 0.03
+    """Of a command beyond the longest one of the uncertainty, samples; a third of it at its stiffest."""
+    decay: float = 0.03  # least decay of the nominal loop, in 1/T_d
 
     def tightened(self, by: float) -> "Demands":
         """The demands with gain ranges wider by the factor ``by``, and ``by`` times the phase and the spare delay."""
@@ -178,23 +171,15 @@ def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "ampl
 
 
 class FailingLimits(NamedTuple):
-    """Between what the loop is stable.
+    """Between what the loop is stable."""
 
-    Attributes:
-        gain_low, gain_high: factors of the loop gain.
-        amplifier_low, amplifier_high: factors of the amplifier's gain, with the current measured behind it.
-        phase: smallest phase margin, with and without the measured current, degrees.
-        longest_delay: of a command, samples.
-        mass_low, mass_high: factors of the mass.
-    """
-
-    gain_low: float
+    gain_low: float  # factors of the loop gain
     gain_high: float
-    amplifier_low: float
+    amplifier_low: float  # factors of the amplifier's gain, with the current measured behind it
     amplifier_high: float
-    phase: float
-    longest_delay: float
-    mass_low: float
+    phase: float  # smallest phase margin, with and without the measured current, degrees
+    longest_delay: float  # of a command, samples
+    mass_low: float  # factors of the mass
     mass_high: float
 
 

@@ -34,26 +34,20 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse:
-    """Responses at the lines of an excitation.
+    """Responses at the lines of an excitation; arrays (lines,).
 
-    Attributes:
-        frequencies: (lines,) Hz.
-        response: plant, open loop and sensitivity.
-        coherence: (lines,) of the plant's response: the lesser one of signal with reading and signal with command.
-        plant_radius, open_loop_radius, sensitivity_radius: (lines,) of the circles in the complex plane that hold the
-            true values with a confidence of 95 %, in the responses' units.
-        speed: RMS velocity of the platform at the lines, m/s.
-        draws: of phases, which the circles are from.
+    A radius is that of the circle in the complex plane that holds the true value with a confidence of 95 %, in the
+    response's unit.
     """
 
-    frequencies: Array
-    response: LoopResponse
-    coherence: Array
+    frequencies: Array  # Hz
+    response: LoopResponse  # plant, open loop and sensitivity
+    coherence: Array  # of the plant's response: the lesser one of signal with reading and signal with command
     plant_radius: Array
     open_loop_radius: Array
     sensitivity_radius: Array
-    speed: float
-    draws: int
+    speed: float  # RMS velocity of the platform at the lines, m/s
+    draws: int  # of phases, which the circles are from
 
     @property
     def coherent(self) -> NDArray[np.bool_]:
@@ -122,24 +116,15 @@ def _coherence(one: Complex, other: Complex) -> Array:
 
 
 class ResponseMargins(NamedTuple):
-    """Margins; None where the response does not reach that far, all of them without a response.
+    """Margins; None where the response does not reach that far, all of them without a response."""
 
-    Attributes:
-        gain_low, gain_high: factors of the loop gain between which it stays stable.
-        phase: smallest one over the gain crossovers, degrees.
-        crossover: the highest gain crossover, Hz.
-        delay: further delay of the commands up to which it stays stable, s.
-        peak: of the sensitivity's magnitude.
-        peak_frequency: there, Hz.
-    """
-
-    gain_low: float | None
-    gain_high: float | None
-    phase: float | None
-    crossover: float | None
-    delay: float | None
-    peak: float | None
-    peak_frequency: float | None
+    gain_low: float | None = None  # factors of the loop gain between which it stays stable
+    gain_high: float | None = None
+    phase: float | None = None  # smallest one over the gain crossovers, degrees
+    crossover: float | None = None  # the highest gain crossover, Hz
+    delay: float | None = None  # further delay of the commands up to which it stays stable, s
+    peak: float | None = None  # of the sensitivity's magnitude
+    peak_frequency: float | None = None  # there, Hz
 
     def to_display(self) -> dict[str, Any]:
         """The margins with their units in the names."""
@@ -164,7 +149,7 @@ def response_margins(frequencies: Array, open_loop: NDArray[np.complex128]) -> R
     finite = np.isfinite(open_loop)
     frequencies, open_loop = frequencies[finite], open_loop[finite]
     if not frequencies.size:
-        return ResponseMargins(None, None, None, None, None, None, None)
+        return ResponseMargins()
     log_f, log_gain = np.log(frequencies), np.log(np.abs(open_loop))
     # Phase of −L: zero on the negative real axis, where the critical point is.
     phase = np.unwrap(np.angle(-open_loop))
@@ -197,24 +182,17 @@ def _at_zeros(values: Array, others: Array) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class ComparedResponse:
-    """A measured response under ``law``, compared with that of the description.
-
-    Attributes:
-        model: of the description, at the measured lines: its closed form with friction linearised at the measured
-            speed, unless something else is put in its place.
-        damping: that friction, N·s/m.
-        clipped: samples in which the current limit cut the excitation.
-        duration: of the excitation, s.
-        late_share: of the samples, those whose command arrived after it was due, or not before the next sample's.
-    """
+    """A measured response under ``law``, compared with that of the description."""
 
     law: str
     measured: MeasuredResponse
     model: LoopResponse
-    damping: float
-    clipped: int
-    duration: float
-    late_share: float = 0.0
+    """Of the description, at the measured lines: its closed form with friction linearised at the measured speed, unless
+    something else is put in its place."""
+    damping: float  # that friction, N·s/m
+    clipped: int  # samples in which the current limit cut the excitation
+    duration: float  # of the excitation, s
+    late_share: float = 0.0  # of the samples whose command came after it was due, or only after the next sample
 
     @property
     def lateness(self) -> str:

@@ -97,22 +97,13 @@ class Estimated:
 
 @dataclass(frozen=True)
 class Estimate:
-    """All parameters, in the order of UNITS, and how well the model explains the record.
+    """All parameters, in the order of UNITS, and how well the model explains the record."""
 
-    Attributes:
-        parameters: by dotted name below ``stage.``.
-        recording: the used stretch of the bag.
-        path: the coil current between the samples.
-        fit: figures of the search.
-        centre: where the magnets balance, in the encoder's y; None where the record has none. If it is certainly
-            not zero, ``recording`` has y from there on.
-    """
-
-    parameters: dict[str, Estimated]
-    recording: Recording
-    path: CurrentPath
-    fit: Fit
-    centre: Centre | None = None
+    parameters: dict[str, Estimated]  # by dotted name below ``stage.``
+    recording: Recording  # the used stretch of the bag; y from the magnets' centre on, if that is certainly not zero
+    path: CurrentPath  # the coil current between the samples
+    fit: Fit  # figures of the search
+    centre: Centre | None = None  # where the magnets balance, in the encoder's y; None where the record has none
 
     @property
     def advice(self) -> dict[str, str]:

@@ -62,19 +62,12 @@ _STEPS = (1e-10, 1e-8, 1e-10)
 
 
 class Record(NamedTuple):
-    """A record as the compiled functions take it.
+    """A record as the compiled functions take it."""
 
-    Attributes:
-        bias: bias current, A.
-        y, current: (n,) measured position in m and coil current in A.
-        before, after, switch_ns: (n,) of the current path.
-        period_ns: sampling period.
-    """
-
-    bias: float
-    y: Array
-    current: Array
-    before: Array
+    bias: float  # bias current, A
+    y: Array  # (n,) measured position, m
+    current: Array  # (n,) measured coil current, A
+    before: Array  # (n,) of the current path, as the next two
     after: Array
     switch_ns: NDArray[np.int64]
     period_ns: int
@@ -229,23 +222,14 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Solution of the search, in the order of the unknowns' vector.
+    """Solution of the search, in the order of the unknowns' vector."""
 
-    Attributes:
-        vector: (9,) logarithms.
-        covariance: (free, free) of the free logarithms by the spread of the prediction errors, block by block.
-        pulls: (1 or 2, free) moves of the solution to this assumption, and to the next one if that failed.
-        missed: that assumption, m/s.
-        rms_error: prediction errors in their standard deviations; about 1 if the model explains the record.
-        rms_error_m: prediction errors in m.
-    """
-
-    vector: Array
-    covariance: Array
-    pulls: Array
-    missed: float
-    rms_error: float
-    rms_error_m: float
+    vector: Array  # (9,) logarithms
+    covariance: Array  # (free, free) of the free logarithms by the spread of the prediction errors, block by block
+    pulls: Array  # (1 or 2, free) moves of the solution to this assumption, and to the next one if that failed
+    missed: float  # that assumption, m/s
+    rms_error: float  # prediction errors in their standard deviations; about 1 if the model explains the record
+    rms_error_m: float  # prediction errors in m
 
 
 def fit(

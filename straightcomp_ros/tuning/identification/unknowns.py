@@ -69,20 +69,14 @@ _LEAST_VISCOUS = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Start and bounds of the search.
+    """Start and bounds of the search."""
 
-    Attributes:
-        start, low, high: (9,) natural logarithms of the values of NAMES in SI units.
-        free: indices of the unknown elements.
-        pole_area, bias_current: of the magnets, m² and A; taken as given.
-    """
-
-    start: Array
+    start: Array  # (9,) natural logarithms of the values of NAMES in SI units, as the bounds
     low: Array
     high: Array
-    free: tuple[int, ...]
-    pole_area: float
-    bias_current: float
+    free: tuple[int, ...]  # indices of the unknown elements
+    pole_area: float  # of the magnets, m²; taken as given
+    bias_current: float  # A; likewise
 
     def constants(self, vector: Array, rate: float) -> Array:
         """The plant's constants (40,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
