@@ -220,7 +220,7 @@ def frequency_response(work: Work) -> Outcome:
     plot_response(found, work.folder / LOOP, f"Stage '{stage.name}' under law '{found.law}'")
     measured, lines = found.measured, found.measured.coherent
     margins, of_model = found.margins
-    gain, phase = (float(np.abs(values[lines]).max(initial=0.0)) for values in found.deviations)
+    gain, phase = found.largest_deviations
     figures = {
         "margins": margins.to_display(),
         "model_margins": of_model.to_display(),

@@ -1,6 +1,7 @@
 """The procedure of commissioning: steps in their order, each done once, with a record that no interrupt harms."""
 
 import hashlib
+import itertools
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
@@ -72,16 +73,15 @@ class Procedure:
         Raises:
             CommissioningError: a step before it has not passed.
         """
-        names = list(STEPS)
-        for before in names[: names.index(step)]:
-            if before not in self.outcomes or not self.outcomes[before].passed:
-                raise CommissioningError(f"step '{step}' rests on '{before}', which has not passed; do that one first")
+        later = list(STEPS)[list(STEPS).index(step) + 1 :]
+        if (first := self.remaining()[:1]) and first[0] not in (step, *later):
+            raise CommissioningError(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
         former = self.outcomes.get(step)
         # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
         self._forget(step, "certificate")
         outcome = STEPS[step](self.work(step, progress))
         if former is None or (former.stage, former.gains) != (outcome.stage, outcome.gains) or not outcome.passed:
-            self._forget(*names[names.index(step) + 1 :])
+            self._forget(*later)
         self.outcomes[step] = outcome
         self._write()
         return outcome
@@ -102,15 +102,13 @@ class Procedure:
         Those after it are among them even if they have passed: where a repeat was interrupted, it is no longer known
         whether they rest on what it will find.
         """
-        names = list(STEPS)
-        passed = [name in self.outcomes and self.outcomes[name].passed for name in names]
-        return [] if all(passed) else names[passed.index(False) :]
+        done = itertools.takewhile(lambda name: name in self.outcomes and self.outcomes[name].passed, STEPS)
+        return list(STEPS)[len(list(done)) :]
 
     def work(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Work:
         """What ``step`` works on: the description with what the steps before it found."""
         values = {node: dict(section) for node, section in self._values.items()}
-        names = list(STEPS)
-        for name in names[: names.index(step)]:
+        for name in itertools.takewhile(lambda name: name != step, STEPS):
             if name in self.outcomes:
                 values.setdefault("stage", {}).update(self.outcomes[name].stage)
                 values.setdefault("controller", {}).update(self.outcomes[name].gains)

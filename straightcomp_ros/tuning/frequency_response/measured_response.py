@@ -221,6 +221,12 @@ class ComparedResponse:
         return 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
 
     @property
+    def largest_deviations(self) -> tuple[float, float]:
+        """The largest of the coherent lines, dB and degrees; 0 without any."""
+        gain, phase = (np.abs(values[self.measured.coherent]).max(initial=0.0) for values in self.deviations)
+        return float(gain), float(phase)
+
+    @property
     def explained(self) -> bool:
         """Whether there are coherent lines, all are finite, and none contradicts the description.
 

@@ -1,6 +1,7 @@
 """A frequency response measured: of the simulated stage, whose loop is excited in simulated time, or from a bag."""
 
 import dataclasses
+import functools
 from array import array
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import StreamColumns, read_streams, values_at
+from straightcomp_ros.bags.reader import read_streams, values_at
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER
 from straightcomp_ros.control.excitation import (
     FrequencyResponseError,
@@ -114,9 +115,7 @@ def response_from_bag(
     missing = [stream.topic for stream in wanted if stream.topic not in streams]
     if missing:
         raise FrequencyResponseError(f"bag {bag}: has no messages on {', '.join(missing)}")
-    common = np.unique(streams[ENCODER.topic].stamp)
-    for stream in wanted[1:]:
-        common = np.intersect1d(common, streams[stream.topic].stamp)
+    common = functools.reduce(np.intersect1d, (streams[stream.topic].stamp for stream in wanted))
     state = streams[CONTROLLER_STATE.topic]
     commands = values_at(streams[COMMAND.topic], "control_current", common)
     asked = values_at(state, "equivalent_current", common) + values_at(state, "switching_current", common)
@@ -140,18 +139,12 @@ def response_from_bag(
     reading = values_at(streams[ENCODER.topic], "y", common)
     clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
     found = compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
-    return dataclasses.replace(found, late_share=_late_share(streams.get(DRIVER_STATE.topic), common[part], stage))
-
-
-def _late_share(state: StreamColumns | None, stamps: NDArray[np.int64], stage: StageParameters) -> float:
-    """Part of the samples at ``stamps`` (n,) whose command was late, as the driver recorded it; 0 if it did not.
-
-    A sample without a latency is one before which no command arrived: it came after it, together with the next one.
-    """
-    if state is None:
-        return 0.0
-    latency = values_at(state, "command_latency", stamps)
-    return float(np.mean(~(latency <= _IN_TIME * stage.drive.delay * stage.period)))
+    if DRIVER_STATE.topic not in streams:
+        return found
+    latency = values_at(streams[DRIVER_STATE.topic], "command_latency", common[part])
+    # A sample without a latency is one before which no command arrived: it came after it, together with the next one.
+    late = ~(latency <= _IN_TIME * stage.drive.delay * stage.period)
+    return dataclasses.replace(found, late_share=float(np.mean(late)))
 
 
 def _missing_draws(excitation: Multisine, added: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:

@@ -48,6 +48,13 @@ the spread of the prediction errors shows. Found on the machines 0 to 11 of docs
 _WIDEST = 1e3
 DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}
 """K̄_i and K̄_y with their units: shown, but not parameters of their own."""
+_POWERS = {
+    "friction.static": {"friction.coulomb": 1.0, RATIO: 1.0},
+    # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0
+    "actuator.current_stiffness": {"actuator.turns": 2.0, "actuator.air_gap": -2.0},
+    "actuator.position_stiffness": {"actuator.turns": 2.0, "actuator.air_gap": -3.0},
+}
+"""What is shown and is not among the unknowns, as a product of their powers."""
 _DECLARED = {one.name: one.unit for one in declarations(StageParameters)}
 _SHOWN = [name.replace(RATIO, "friction.static") for name in NAMES]
 UNITS = {**{n: _DECLARED[n] for n in _SHOWN[:3]}, **DERIVED, **{n: _DECLARED[n] for n in _SHOWN[3:]}}
@@ -137,14 +144,12 @@ class Estimate:
             sentences.append(
                 "The latency jitters too much to identify the amplifier's bandwidth: that of the description holds."
             )
-        named: set[frozenset[str]] = set()
+        places = {name: place for place, name in enumerate(self.parameters)}
         for one in self.parameters.values():
             for other in one.with_others:
-                if (pair := frozenset((one.name, other))) not in named:
-                    named.add(pair)
-                    sentences.append(
-                        f"{one.name} and {other} can hardly be told apart: each may take what the other lacks."
-                    )
+                if one.name not in self.parameters[other].with_others or places[one.name] < places[other]:
+                    words = "can hardly be told apart: each may take what the other lacks"
+                    sentences.append(f"{one.name} and {other} {words}.")
             if one.poor:
                 unit = f" {UNITS[one.name]}" if UNITS[one.name] else ""
                 sentences.append(f"{one.name} is only known to lie between {one.low:.3g} and {one.high:.3g}{unit}.")
@@ -188,20 +193,14 @@ def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> 
     scaled = rounded * _scale_of_forces(free)
     total += np.outer(scaled, scaled)
     quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, max(1, blocks - len(free))))
-    logarithm_of: dict[str, dict[str, float]] = {name: {name: 1.0} for name in NAMES if name != RATIO}
-    logarithm_of["friction.static"] = {"friction.coulomb": 1.0, RATIO: 1.0}
-    # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0
-    logarithm_of["actuator.current_stiffness"] = {"actuator.turns": 2.0, "actuator.air_gap": -2.0}
-    logarithm_of["actuator.position_stiffness"] = {"actuator.turns": 2.0, "actuator.air_gap": -3.0}
     # (3) at the magnets' constants: μ0 N² A / 4, y0, I0
     coefficient, gap, bias = searched.constants(found.vector, 1.0)[3:6].tolist()
     current_stiffness = 4.0 * coefficient * bias / gap**2
     stiffness = dict(zip(DERIVED, (current_stiffness, current_stiffness * bias / gap), strict=True))
     estimated = {}
     for name in UNITS:
-        weights = np.zeros(len(NAMES))
-        for unknown, weight in logarithm_of[name].items():
-            weights[NAMES.index(unknown)] = weight
+        powers = _POWERS.get(name, {name: 1.0})
+        weights = np.array([powers.get(unknown, 0.0) for unknown in NAMES])
         value = stiffness.get(name) or float(np.exp(weights @ found.vector))
         deviation = math.sqrt(max(0.0, float(weights @ total @ weights)))
         factor = math.exp(min(quantile * deviation, math.log(_WIDEST)))
@@ -214,17 +213,14 @@ def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> 
 
 def _scale_of_forces(free: list[int]) -> NDArray[np.float64]:
     """How the logarithms (9,) of the unknowns change with that of all forces relative to the mass."""
-    mass, turns = (NAMES.index(name) for name in FORCE_SCALE)
-    change = np.zeros(len(NAMES))
-    if mass in free:
-        change[mass] = -1.0
-    elif turns in free:
+    searched = [NAMES[place] for place in free]
+    powers = {"platform.mass": -1.0}
+    if "platform.mass" not in searched:
         # (2): the magnets' force goes with the square of the turns.
-        change[turns] = 0.5
-        for name in ("coulomb", "bristle_stiffness", "bristle_damping", "viscous"):
-            change[NAMES.index(f"friction.{name}")] = 1.0
-    change[[place for place in range(len(NAMES)) if place not in free]] = 0.0
-    return change
+        powers = {"actuator.turns": 0.5} if "actuator.turns" in searched else {}
+        forces = ("coulomb", "bristle_stiffness", "bristle_damping", "viscous") if powers else ()
+        powers |= {f"friction.{name}": 1.0 for name in forces}
+    return np.array([powers.get(name, 0.0) if name in searched else 0.0 for name in NAMES])
 
 
 def _alike(name: str, covariance: NDArray[np.float64], free: list[int]) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from straightcomp_ros.cli.options import (
     add_force,
+    add_json,
     add_setting_option,
     check_range,
     named_files,
@@ -45,24 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_graph_option(parser)
     add = parser.add_argument
     add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
-    add(
-        "--only",
-        choices=STEP_NAMES,
-        metavar="STEP",
-        help=f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}",
-    )
+    only = f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}"
+    add("--only", choices=STEP_NAMES, metavar="STEP", help=only)
     for name, words in (("evaluations", "candidates of the design"), ("machines", "uncertain machines of its check")):
         default = getattr(CommissioningNodeParameters(), name)
         add(f"--{name}", type=int, default=default, metavar="N", help=f"{words} (default: %(default)s)")
     learn = "before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)"
     add("--learn", type=int, default=0, metavar="N", help=learn)
-    add(
-        "--check-survey",
-        metavar="FILE",
-        help="independent measurement of the guide at some places, at least twice: acceptance checks the map by it",
-    )
+    check = "independent measurement of the guide at some places, at least twice: acceptance checks the map by it"
+    add("--check-survey", metavar="FILE", help=check)
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -75,10 +69,10 @@ def run(options: argparse.Namespace) -> None:
         )
     refuse_parameters_of_running(options, "--set")
     values = stage_values(options) if options.file else {}
-    # Wide meshes will do, for a check.
-    check = (
-        read_survey(options.check_survey, min_points=LEAST_POINTS, max_gap=WIDEST_GAP) if options.check_survey else None
-    )
+    check = None
+    if options.check_survey:
+        # Wide meshes will do, for a check.
+        check = read_survey(options.check_survey, min_points=LEAST_POINTS, max_gap=WIDEST_GAP)
     # Nodes that run may have been started in another folder.
     folder = output_folder("--output", options.output).resolve()
     # A record that is there is taken up again.
@@ -91,23 +85,6 @@ def run(options: argparse.Namespace) -> None:
         from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 
         _commission(options, folder, check, SimulatedMachine(values), values, lambda doing: None)
-
-
-def _refuse_to_ignore(options: argparse.Namespace, acceptance: Any, check: Survey | None) -> None:
-    """Raise CommandFailed with exit code 2 if acceptance has passed without what is asked of it now.
-
-    A command that goes on after an interrupt has asked for the same before.
-    """
-    if acceptance is None or not acceptance.passed:
-        return
-    option = ""
-    if check is not None and acceptance.figures.get("survey_check") != check.source:
-        option = "--check-survey"
-    elif options.learn and not acceptance.gains:
-        option = "--learn"
-    if option:
-        remedy = f"--only {_ACCEPTANCE} repeats it"
-        raise CommandFailed(f"{option}: step '{_ACCEPTANCE}' has passed without it; {remedy}", exit_code=2)
 
 
 def _commission(
@@ -129,10 +106,18 @@ def _commission(
         learning_strokes=options.learn,
         check_survey=check,
     )
-    if not options.only:
-        _refuse_to_ignore(options, procedure.outcomes.get(_ACCEPTANCE), check)
+    accepted = procedure.outcomes.get(_ACCEPTANCE)
+    if not options.only and accepted is not None and accepted.passed:
+        # A command that goes on after an interrupt has asked for the same before.
+        ignored = {
+            "--check-survey": check is not None and accepted.figures.get("survey_check") != check.source,
+            "--learn": options.learn and not accepted.gains,
+        }
+        for option in filter(ignored.get, ignored):
+            remedy = f"--only {_ACCEPTANCE} repeats it"
+            raise CommandFailed(f"{option}: step '{_ACCEPTANCE}' has passed without it; {remedy}", exit_code=2)
     done: dict[str, Any] = {}
-    failed = ""
+    failed = None
     for step in [options.only] if options.only else procedure.remaining():
         report(step)
         with working(step) as advance:
@@ -145,7 +130,7 @@ def _commission(
             failed = step
             break
     if options.json:
-        print_json({"output": str(folder), "failed": failed or None, "remaining": procedure.remaining(), "steps": done})
+        print_json({"output": str(folder), "failed": failed, "remaining": procedure.remaining(), "steps": done})
     elif not done:
         console.print("all steps have been done; --only STEP repeats one", highlight=False)
     if failed:

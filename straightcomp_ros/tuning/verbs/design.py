@@ -8,12 +8,18 @@ import time
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.options import add_force, add_stage_argument, check_range, output_file, stage_values
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_json,
+    add_stage_argument,
+    check_range,
+    output_file,
+    stage_values,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.offline.starts import Spread
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
@@ -37,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of a search (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: 1)")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -82,13 +88,9 @@ def _writable(source: Path, output: Path) -> None:
             exit_code=2,
         )
     rest = load_yaml(_OURS.sub("", source.read_text(encoding="utf-8"))) or {}
-    for key in rest:
-        if str(key).rsplit("/", 1)[-1] == "controller":
-            raise CommandFailed(
-                f"{source}: has a section '{key}' of its own, to which the gains would be added; "
-                "move its parameters to a file for --params-file",
-                exit_code=2,
-            )
+    for key in [key for key in rest if str(key).rsplit("/", 1)[-1] == "controller"]:
+        words = "to which the gains would be added; move its parameters to a file for --params-file"
+        raise CommandFailed(f"{source}: has a section '{key}' of its own, {words}", exit_code=2)
 
 
 def _with_gains(text: str, design: Design) -> str:
@@ -119,30 +121,34 @@ def _in_json(design: Design) -> dict[str, Any]:
     }
 
 
+_SHOWN = {
+    "true_pp_um": ("true error p-p", 1e6, "µm", 3),
+    "true_rms_um": ("true error RMS", 1e6, "µm", 4),
+    "control_rms_step_mA": ("step of the current", 1e3, "mA", 2),
+    "resting_rms_step_mA": ("the same at rest", 1e3, "mA", 2),
+}
+"""The figures in their order, by their names in JSON: words, factor from SI, unit, digits."""
+
+
 def _figures(figures: DesignFigures) -> dict[str, Any]:
-    names = {"true_pp_um": 1e6, "true_rms_um": 1e6, "control_rms_step_mA": 1e3, "resting_rms_step_mA": 1e3}
-    return {name: one.scaled(unit)._asdict() for (name, unit), one in zip(names.items(), figures, strict=True)}
+    return {name: one.scaled(_SHOWN[name][1])._asdict() for name, one in zip(_SHOWN, figures, strict=True)}
 
 
 def _print(design: Design, name: str) -> None:
-    gains = titled_table(f"Law '{design.law}' for stage '{name}'", "parameter", "closed form", "designed")
-    for key, value in design.values.items():
-        gains.add_row(key, f"{design.start_values[key]:.4g}", f"{value:.4g}")
-    console.print(gains)
-    promised = titled_table("What it promises", "figure", "closed form", "designed", "unit", left=("unit",))
-    for words, key, unit, digits in (
-        ("true error p-p", "true_pp_um", "µm", 3),
-        ("true error RMS", "true_rms_um", "µm", 4),
-        ("step of the current", "control_rms_step_mA", "mA", 2),
-        ("the same at rest", "resting_rms_step_mA", "mA", 2),
-    ):
-        start, found = (Spread(**_figures(one)[key]) for one in (design.start_figures, design.figures))
-        promised.add_row(words, start.text(digits), found.text(digits), unit)
-    console.print(promised)
-    budget = titled_table("What limits it, one cause changed at a time", "cause", "p-p [µm]", "RMS [µm]")
-    for entry in design.budget:
-        budget.add_row(entry.cause, f"{entry.pp * 1e6:.3f}", f"{entry.rms * 1e6:.4f}")
-    console.print(budget)
+    gains = ((key, f"{design.start_values[key]:.4g}", f"{value:.4g}") for key, value in design.values.items())
+    title = f"Law '{design.law}' for stage '{name}'"
+    console.print(titled_table(title, "parameter", "closed form", "designed", rows=gains))
+    promised = (
+        (words, *(one.scaled(factor).text(digits) for one in both), unit)
+        for (words, factor, unit, digits), *both in zip(
+            _SHOWN.values(), design.start_figures, design.figures, strict=True
+        )
+    )
+    headings = ("figure", "closed form", "designed", "unit")
+    console.print(titled_table("What it promises", *headings, left=("unit",), rows=promised))
+    budget = ((one.cause, f"{one.pp * 1e6:.3f}", f"{one.rms * 1e6:.4f}") for one in design.budget)
+    title = "What limits it, one cause changed at a time"
+    console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
     for state, limit in design.limits.items():
         console.print(
             f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, of the amplifier "

@@ -16,6 +16,7 @@ from typing import Any
 from straightcomp_ros.cli.options import (
     PICTURES,
     add_force,
+    add_json,
     add_parameter_options,
     chosen_parameters,
     output_file,
@@ -24,14 +25,10 @@ from straightcomp_ros.cli.options import (
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.excitation import MultisineParameters
-from straightcomp_ros.parameters.declaration import Declaration, declarations, from_mapping
+from straightcomp_ros.parameters.declaration import declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.tuning.frequency_response.measured_response import (
-    WITHIN_DB,
-    WITHIN_DEG,
-    ComparedResponse,
-)
+from straightcomp_ros.tuning.frequency_response.measured_response import WITHIN_DB, WITHIN_DEG, ComparedResponse
 from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.verbs.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 
@@ -48,14 +45,10 @@ _WORDS = {
 }
 
 
-def _excitation() -> list[Declaration]:
-    return list(declarations(MultisineParameters))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    for one in _excitation():
+    for one in declarations(MultisineParameters):
         unit = f" {one.unit}" if one.unit else ""
         text = f"{one.description} (default: {one.default:g}{unit})"
         add(f"--{one.name}", type=one.kind, default=one.default, metavar=one.unit or "N", help=text)
@@ -63,14 +56,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
     add("--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF)")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     refuse_parameters_of_running(options, "--stage", "--law", "--params-file", "--set")
     values = chosen_parameters(options)
     plot = output_file(options, "--output", PICTURES)
-    excitation = from_mapping(MultisineParameters, {one.name: getattr(options, one.name) for one in _excitation()})
+    given = {one.name: getattr(options, one.name) for one in declarations(MultisineParameters)}
+    excitation = from_mapping(MultisineParameters, given)
     with working("measuring") as advance:
         if options.graph is None:
             found = measure_simulated(values, excitation, moving=options.moving, progress=advance)
@@ -113,6 +107,11 @@ def _measure_running(
 def _figures(found: ComparedResponse) -> dict[str, Any]:
     measured, (gain, phase) = found.measured, found.deviations
     of_measured, of_model = found.margins
+    names = ("plant", "open_loop", "sensitivity")
+    curves = {
+        name: {**_curve(getattr(measured.response, name)), "radius_95": getattr(measured, f"{name}_radius").tolist()}
+        for name in names
+    }
     return {
         "law": found.law,
         "duration_s": found.duration,
@@ -125,37 +124,33 @@ def _figures(found: ComparedResponse) -> dict[str, Any]:
         "model_explains_the_plant": found.explained,
         "frequency_Hz": measured.frequencies.tolist(),
         "coherence": measured.coherence.tolist(),
-        "plant": _curve(measured.response.plant, measured.plant_radius),
-        "open_loop": _curve(measured.response.open_loop, measured.open_loop_radius),
-        "sensitivity": _curve(measured.response.sensitivity, measured.sensitivity_radius),
-        "model_plant": _curve(found.model.plant),
-        "model_open_loop": _curve(found.model.open_loop),
-        "model_sensitivity": _curve(found.model.sensitivity),
+        **curves,
+        **{f"model_{name}": _curve(getattr(found.model, name)) for name in names},
         "deviation_dB": gain.tolist(),
         "deviation_deg": phase.tolist(),
     }
 
 
-def _curve(values: Any, radius: Any = None) -> dict[str, list[float]]:
-    curve = {"real": values.real.tolist(), "imag": values.imag.tolist()}
-    return curve if radius is None else {**curve, "radius_95": radius.tolist()}
+def _curve(values: Any) -> dict[str, list[float]]:
+    return {"real": values.real.tolist(), "imag": values.imag.tolist()}
 
 
 def _print(found: ComparedResponse, name: str) -> None:
-    table = titled_table(f"Loop of stage '{name}' under law '{found.law}'", "margin", "measured", "description")
-    of_measured, of_model = (margins.to_display() for margins in found.margins)
-    for key, words in _WORDS.items():
-        table.add_row(words, *(_number(margins[key]) for margins in (of_measured, of_model)))
-    console.print(table)
+    margins = [one.to_display() for one in found.margins]
+    rows = (
+        (words, *("beyond the lines" if one[key] is None else f"{one[key]:.3g}" for one in margins))
+        for key, words in _WORDS.items()
+    )
+    title = f"Loop of stage '{name}' under law '{found.law}'"
+    console.print(titled_table(title, "margin", "measured", "description", rows=rows))
     if found.explained:
         console.print(_verdict(found), style="green", highlight=False)
-    measured = found.measured
     if found.lateness:
         notes.print(found.lateness, highlight=False)
     if found.clipped:
         notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
     notes.print(
-        f"Friction is taken as the damping that it equals at {measured.speed * 1e3:.2f} mm/s RMS: "
+        f"Friction is taken as the damping that it equals at {found.measured.speed * 1e3:.2f} mm/s RMS: "
         f"{found.damping:.0f} N·s/m"
     )
 
@@ -165,13 +160,9 @@ def _verdict(found: ComparedResponse) -> str:
     coherent = found.measured.coherent
     if not coherent.any():
         return "no frequency has a coherence above 0.9: take more current"
-    gain, phase = (abs(values[coherent]).max() for values in found.deviations)
+    gain, phase = found.largest_deviations
     return (
         f"the description {'explains' if found.explained else 'does not explain'} the plant: largest deviation "
         f"{gain:.2f} dB and {phase:.1f}° at {coherent.sum()} of {coherent.size} frequencies with a coherence above 0.9 "
         f"(allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°, or what is within the measurement's confidence)"
     )
-
-
-def _number(value: float | None) -> str:
-    return "beyond the lines" if value is None else f"{value:.3g}"

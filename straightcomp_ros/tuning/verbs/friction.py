@@ -17,6 +17,7 @@ from typing import Any
 
 from straightcomp_ros.cli.options import (
     add_force,
+    add_json,
     add_parameter_options,
     add_repeatable,
     chosen_parameters,
@@ -53,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a stage file")
     parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
     add_force(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -104,28 +105,24 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
 
 def _print(estimate: Estimate) -> None:
     headings = ("parameter", "value", "95 % from", "to", "unit", "remark")
-    table = titled_table("Plant parameters", *headings, left=("unit", "remark"))
+    rows = map(_row, estimate.parameters.values())
+    table = titled_table("Plant parameters", *headings, left=("unit", "remark"), rows=rows)
     for column in table.columns[:-1]:
         column.no_wrap = True
-    for name, found in estimate.parameters.items():
-        bounds = ("", "") if found.known else (f"{found.low:.4g}", f"{found.high:.4g}")
-        table.add_row(name, f"{found.value:.4g}", *bounds, UNITS[name], _remark(found))
     console.print(table)
-    path = estimate.path
-    source = "" if path.rate_found else " (from the parameters)"
-    amplifier = (
-        "the current was interpolated: command and coil current fit no first-order amplifier"
-        if math.isnan(path.delay)
-        else f"amplifier {path.rate / (2.0 * math.pi):.0f} Hz{source}, delay {path.delay * 1e6:.0f} µs "
-        f"({path.delay_spread[0] * 1e6:.0f} to {path.delay_spread[1] * 1e6:.0f} µs in 90 % of the commands)"
-    )
+    path, delays = estimate.path, [delay * 1e6 for delay in (estimate.path.delay, *estimate.path.delay_spread)]
+    amplifier = "the current was interpolated: command and coil current fit no first-order amplifier"
+    if not math.isnan(path.delay):
+        source = "" if path.rate_found else " (from the parameters)"
+        amplifier = (
+            f"amplifier {path.rate / (2.0 * math.pi):.0f} Hz{source}, delay {delays[0]:.0f} µs "
+            f"({delays[1]:.0f} to {delays[2]:.0f} µs in 90 % of the commands)"
+        )
     notes.print(
         f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "
         f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
     )
-    if estimate.centre:
-        notes.print(f"{estimate.centre}", highlight=False)
-    for sentence in estimate.not_identifiable:
+    for sentence in ([str(estimate.centre)] if estimate.centre else []) + estimate.not_identifiable:
         notes.print(sentence, highlight=False)
     for name, words in estimate.advice.items():
         notes.print(f"{name} would need: {words}")
@@ -133,10 +130,11 @@ def _print(estimate: Estimate) -> None:
         notes.print("straightcomp friction --excitation FILE writes a map that does this")
 
 
-def _remark(found: Estimated) -> str:
+def _row(found: Estimated) -> tuple[str, ...]:
+    bounds, remark = (f"{found.low:.4g}", f"{found.high:.4g}"), ""
     if found.known:
-        return "given"
-    if not found.poor:
-        return ""
-    others = f", hardly told apart from {', '.join(found.with_others)}" if found.with_others else ""
-    return f"poorly determined by this bag{others}"
+        bounds, remark = ("", ""), "given"
+    elif found.poor:
+        others = f", hardly told apart from {', '.join(found.with_others)}" if found.with_others else ""
+        remark = f"poorly determined by this bag{others}"
+    return (found.name, f"{found.value:.4g}", *bounds, UNITS[found.name], remark)

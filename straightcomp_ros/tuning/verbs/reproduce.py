@@ -4,7 +4,7 @@ A number that does not agree is no failure of the command: the note of that numb
 
 import argparse
 
-from straightcomp_ros.cli.options import add_force, output_folder
+from straightcomp_ros.cli.options import add_force, add_json, output_folder
 from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.cli.results import shown, titled_table
 from straightcomp_ros.parameters.output_files import making
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--output", "-o", metavar="DIR", default="reproduce_output", help="folder for the PNGs (default: %(default)s)")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -14,6 +14,7 @@ from straightcomp_ros.cli.options import (
     PICTURES,
     add_dask,
     add_force,
+    add_json,
     add_parameter_options,
     add_repeatable,
     chosen_parameters,
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_dask(parser)
     add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -86,10 +87,8 @@ def run(options: argparse.Namespace) -> None:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
         columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "not in order")
         table = titled_table(title, *columns, rows=map(_row, summaries))
-        table.caption, table.caption_justify = (
-            f"{_conditions(scenario.description.uncertainty)}\n{seconds:.0f} s",
-            "left",
-        )
+        table.caption = f"{_conditions(scenario.description.uncertainty)}\n{seconds:.0f} s"
+        table.caption_justify = "left"
         console.print(table)
         for summary in summaries:
             if summary.outliers:
