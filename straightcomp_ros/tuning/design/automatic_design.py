@@ -23,7 +23,7 @@ from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import Spread, spread
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
-from straightcomp_ros.tuning.design.feasible_gains import corrected_starts, feasible_gains, refusal
+from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
 from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
 from straightcomp_ros.tuning.design.judged_gains import Judge
@@ -114,7 +114,8 @@ def design_gains(
         raise ValueError(f"quiet {quiet!r}; allowed: 0 to 1")
     start = closed_form(scenario, law)
     progress("feasible", 0.0)
-    tighter = feasible_gains(scenario, law, start, demands, seed=seed)
+    feasible = FeasibleGains(scenario, law, demands, seed)
+    tighter = feasible.near(start)
     if tighter is None:
         raise refusal(scenario, law, demands, seed=seed)
     progress("feasible", 1.0)
@@ -138,7 +139,7 @@ def design_gains(
     for rounds in range(1, _ROUNDS + 1):
         found = search(
             Judge(scenario, law, quiet, held),
-            corrected_starts(scenario, law, [*begin, tighter], held, seed=seed),
+            feasible.corrected([*begin, tighter]),
             evaluations=evaluations if rounds == 1 else evaluations // 2,
             seed=seed + rounds - 1,
             jobs=jobs,
@@ -160,7 +161,8 @@ def design_gains(
         if not verification.not_in_order:
             break
         held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best)]
-        tighter = feasible_gains(scenario, law, start, held, seed=seed)
+        feasible = FeasibleGains(scenario, law, held, seed)
+        tighter = feasible.near(start)
         if tighter is None:
             break
     assert kept is not None  # there is a first round

@@ -1,6 +1,6 @@
 """Gains that hold linear demands, found without a simulation, or a refusal that says what would have to change.
 
-Two kinds of gains are found so: a start for the search of a design (`feasible_gains`), and the safe law of a machine
+Two kinds of gains are found so: a start for the search of a design (`FeasibleGains`), and the safe law of a machine
 that is hardly known (`safe_law`), which is stable at every corner of what its description leaves open. For the safe law
 `linear` alone is taken. It has no model of friction or of the delay that could be wrong, and does not answer to the
 measured current, in which a readback's error would come back. Its gains are those with the fastest decay at the worst
@@ -71,62 +71,48 @@ def _least_change(
     return good
 
 
-def feasible_gains(
-    scenario: Scenario,
-    law: str,
-    start: Values,
-    demands: Demands = STANDARD,
-    *,
-    evaluations: int = _EVALUATIONS,
-    seed: int = 1,
-) -> dict[str, float] | None:
-    """Gains near ``start`` that hold the demands: ``start`` itself if it does; None if two searches found none."""
-    violation = _violation(scenario, law, demands)
-    if violation(start) == 0.0:
-        return dict(start)
-    begins = sorted(starts(law, start), key=violation)[:_VALLEYS]
-    corrected = (_corrected(violation, law, begin, evaluations, seed) for begin in begins)
-    return next((found for found in corrected if found is not None), None)
+class FeasibleGains:
+    """Finds gains of ``law`` on the stage of ``scenario`` that hold the demands."""
 
+    def __init__(self, scenario: Scenario, law: str, demands: Demands = STANDARD, seed: int = 1) -> None:
+        self._law, self._seed, self._control = law, seed, next(iter(scenario.controls.values()))
+        self._check = StabilityCheck(scenario.description, demands)
 
-def corrected_starts(
-    scenario: Scenario, law: str, begins: Sequence[Values], demands: Demands = STANDARD, *, seed: int = 1
-) -> list[dict[str, float]]:
-    """``begins`` in their order, but gains near by in the place of those that miss a demand.
-
-    They are of different valleys, and a search that begins outside the demands may not find back into its own. Where no
-    gains near by hold the demands, they stay as they are.
-    """
-    violation = _violation(scenario, law, demands)
-    return [
-        dict(one) if violation(one) == 0.0 else _corrected(violation, law, one, _IN_BISECTION, seed) or dict(one)
-        for one in begins
-    ]
-
-
-def _violation(scenario: Scenario, law: str, demands: Demands) -> Callable[[Values], float]:
-    check = StabilityCheck(scenario.description, demands)
-    control = next(iter(scenario.controls.values()))
-
-    def violation(gains: Values) -> float:
+    def violation(self, gains: Values) -> float:
+        """By how much ``gains`` miss the demands; infinite for those that are refused."""
         try:
-            return check.violation(with_gains(control, law, gains))
+            return self._check.violation(with_gains(self._control, self._law, gains))
         except ParameterError:
             return math.inf
 
-    return violation
+    def near(self, start: Values, evaluations: int = _EVALUATIONS) -> dict[str, float] | None:
+        """Gains near ``start`` that hold the demands: ``start`` itself if it does; None if two searches found none."""
+        if self.violation(start) == 0.0:
+            return dict(start)
+        begins = sorted(starts(self._law, start), key=self.violation)[:_VALLEYS]
+        return next((found for begin in begins if (found := self._searched(begin, evaluations))), None)
 
+    def corrected(self, begins: Sequence[Values]) -> list[dict[str, float]]:
+        """``begins`` in their order, but gains near by in the place of those that miss a demand.
 
-def _corrected(
-    violation: Callable[[Values], float], law: str, begin: Values, evaluations: int, seed: int
-) -> dict[str, float] | None:
-    """The first gains without a violation that a search from ``begin`` comes upon."""
-    gains, left = cheapest(violation, law, begin, evaluations=evaluations, step=_STEP, seed=seed, enough=0.0)
-    return gains if left == 0.0 else None
+        They are of different valleys, and a search that begins outside the demands may not find back into its own.
+        Where no gains near by hold the demands, they stay as they are.
+        """
+        return [
+            dict(one) if self.violation(one) == 0.0 else self._searched(one, _IN_BISECTION) or dict(one)
+            for one in begins
+        ]
+
+    def _searched(self, begin: Values, evaluations: int) -> dict[str, float] | None:
+        """The first gains without a violation that a search from ``begin`` comes upon."""
+        gains, left = cheapest(
+            self.violation, self._law, begin, evaluations=evaluations, step=_STEP, seed=self._seed, enough=0.0
+        )
+        return gains if left == 0.0 else None
 
 
 def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: int = 1) -> DesignError:
-    """The error for a stage on which :func:`feasible_gains` found none: each single change that would help.
+    """The error for a stage on which no gains near the rule hold the demands: each single change that would help.
 
     Some 20 s of work: each change is bisected with a search at each step.
     """
@@ -147,8 +133,16 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
         def possible(
             share: float, like: _Feasible | None, facts: Sequence[str] = facts, furthest: float = furthest
         ) -> _Feasible | None:
-            changed = scenario.on(scaled_facts(stage, facts, furthest**share))
-            return _possible(changed, law, demands, like, seed)
+            changed = scaled_facts(stage, facts, furthest**share)
+            feasible = FeasibleGains(scenario.on(changed), law, demands, seed)
+            lag, gains = changed.dead_time, rule(law, changed)
+            tries, evaluations = starts(law, gains), _EVALUATIONS
+            if like is not None:
+                evaluations = _IN_BISECTION
+                nearly = scaled(law, like[0], like[1] / lag)
+                tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
+            found = feasible.near(min(tries, key=feasible.violation), evaluations)
+            return None if found is None else (found, lag)
 
         share = _least_change(possible, halvings=5, tries=(1.0, 0.5, 0.25))
         if share is not None:
@@ -164,20 +158,6 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
 
 _Feasible = tuple[dict[str, float], float]
 """Gains that hold the demands on a stage, and its dead time in s."""
-
-
-def _possible(scenario: Scenario, law: str, demands: Demands, like: _Feasible | None, seed: int) -> _Feasible | None:
-    """Gains that hold the demands; ``like`` held them on a stage that is a little easier."""
-    lag = scenario.description.dead_time
-    gains = rule(law, scenario.description)
-    tries, evaluations = starts(law, gains), _EVALUATIONS
-    if like is not None:
-        evaluations = _IN_BISECTION
-        nearly = scaled(law, like[0], like[1] / lag)
-        tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
-    begin = min(tries, key=_violation(scenario, law, demands))
-    found = feasible_gains(scenario, law, begin, demands, evaluations=evaluations, seed=seed)
-    return None if found is None else (found, lag)
 
 
 def _outward(value: float, *, up: bool) -> float:

@@ -12,6 +12,7 @@ Two parameters of `smc_observer` are not searched, since they follow from the st
 """
 
 import dataclasses
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -132,12 +133,8 @@ def with_gains(control: ControlParameters, law: str, values: Values) -> ControlP
     Raises:
         ParameterError: a value is refused.
     """
-    groups = {}
-    for group in ("smc", "smc_observer"):
-        prefix = f"control.{group}."
-        own = {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
-        groups[group] = dataclasses.replace(getattr(control, group), **own)
-    return dataclasses.replace(control, law=law, **groups)
+    own = {name.removeprefix("control."): value for name, value in values.items()}
+    return replaced(control, {**own, "law": law})
 
 
 def following(scenario: Scenario, law: str) -> dict[str, float]:
@@ -170,11 +167,18 @@ def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
 
 def scaled_facts(described: T, facts: Sequence[str], factor: float) -> T:
     """A stage or a plant with the ``facts``, dotted names of its numbers, times ``factor``."""
-    for fact in facts:
-        group, _, field = fact.rpartition(".")
-        inner: Any = getattr(described, group) if group else described
-        value = factor * getattr(inner, field)
-        # The rate alone has no group, and is a whole number.
-        changed = {group: dataclasses.replace(inner, **{field: value})} if group else {field: round(value)}
-        described = dataclasses.replace(described, **changed)  # type: ignore[type-var]
-    return described
+    now = {fact: operator.attrgetter(fact)(described) for fact in facts}
+    # The rate alone is a whole number.
+    scale = {fact: round(factor * one) if isinstance(one, int) else factor * one for fact, one in now.items()}
+    return replaced(described, scale)
+
+
+def replaced(described: T, values: Mapping[str, Any]) -> T:
+    """Parameters of two levels with these ``values``, by dotted name; ParameterError if one is refused."""
+    groups: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        group, _, field = name.rpartition(".")
+        groups.setdefault(group, {})[field] = value
+    own = groups.pop("", {})
+    inner: Any = {group: dataclasses.replace(getattr(described, group), **each) for group, each in groups.items()}
+    return dataclasses.replace(described, **own, **inner)  # type: ignore[type-var]

@@ -6,13 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION, as_text, save_whole
 from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _REACH = 2.5
 """Half the width of the Nyquist plot: what happens near −1 matters."""
@@ -27,67 +23,66 @@ def plot_response(found: ComparedResponse, path: Path, title: str) -> None:
     FigureCanvasAgg(figure)
     figure.suptitle(as_text(title), fontsize=13)
     grid = figure.add_gridspec(3, 3)
-    measured, model = found.measured, found.model
-    columns = (
-        ("Plant P", "µm/A", 1e6, measured.response.plant, measured.plant_radius, model.plant),
-        ("Open loop L", "1", 1.0, measured.response.open_loop, measured.open_loop_radius, model.open_loop),
-    )
-    for column, (name, unit, scale, values, radius, expected) in enumerate(columns):
-        gain, phase = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-        _magnitude(
-            gain, measured.frequencies, scale * values, scale * radius, scale * expected, f"|{name[-1]}| / {unit}"
-        )
-        gain.set_title(name, fontsize=10)
-        _phase(phase, measured.frequencies, values, expected)
-    sensitivity = figure.add_subplot(grid[2, 0])
-    response = measured.response.sensitivity
-    _magnitude(sensitivity, measured.frequencies, response, measured.sensitivity_radius, model.sensitivity, "|S|")
+    gains = {}
+    for place, name, scale, label in (
+        ((0, 0), "plant", 1e6, "|P| / µm/A"),
+        ((1, 0), "plant", None, "phase / °"),
+        ((0, 1), "open_loop", 1.0, "|L| / 1"),
+        ((1, 1), "open_loop", None, "phase / °"),
+        ((2, 0), "sensitivity", 1.0, "|S|"),
+    ):
+        axes = gains[place] = figure.add_subplot(grid[place])
+        if scale is None:
+            _phase(axes, found, name)
+        else:
+            _magnitude(axes, found, name, scale)
+        axes.set_ylabel(label)
+    gains[0, 0].set_title("Plant P", fontsize=10)
+    gains[0, 1].set_title("Open loop L", fontsize=10)
     coherence = figure.add_subplot(grid[2, 1])
-    coherence.semilogx(measured.frequencies, measured.coherence, ".-", color=BLUE, linewidth=0.8)
+    coherence.semilogx(found.measured.frequencies, found.measured.coherence, ".-", color=BLUE, linewidth=0.8)
     coherence.axhline(0.9, color=GREY, linewidth=0.8)
     coherence.set_ylim(0.0, 1.05)
     coherence.set_ylabel("coherence")
-    for axes in (sensitivity, coherence):
+    for axes in (gains[2, 0], coherence):
         axes.set_xlabel("frequency / Hz")
+    _nyquist(figure.add_subplot(grid[:, 2]), found)
+    for axes in figure.axes:
         axes.grid(color="#D8D8D8", linewidth=0.5)
-    _nyquist(figure.add_subplot(grid[:, 2]), measured.response.open_loop, measured.open_loop_radius, model.open_loop)
     save_whole(figure, path)
 
 
-def _magnitude(axes: Axes, frequencies: Array, values: Complex, radius: Array, expected: Complex, label: str) -> None:
-    magnitude = np.abs(values)
-    axes.fill_between(
-        frequencies, np.maximum(magnitude - radius, 1e-3 * magnitude), magnitude + radius, color=PALE_BLUE
-    )
-    axes.loglog(frequencies, np.abs(expected), color=VERMILION, linewidth=1.0, label="model")
+def _magnitude(axes: Axes, found: ComparedResponse, name: str, scale: float) -> None:
+    frequencies, magnitude = found.measured.frequencies, np.abs(scale * getattr(found.measured.response, name))
+    radius = scale * getattr(found.measured, f"{name}_radius")
+    low = np.maximum(magnitude - radius, 1e-3 * magnitude)
+    axes.fill_between(frequencies, low, magnitude + radius, color=PALE_BLUE)
+    expected = np.abs(scale * getattr(found.model, name))
+    axes.loglog(frequencies, expected, color=VERMILION, linewidth=1.0, label="model")
     axes.loglog(frequencies, magnitude, ".", color=BLUE, markersize=4.0, label="measured")
-    axes.set_ylabel(label)
-    axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.legend(fontsize=8)
 
 
-def _phase(axes: Axes, frequencies: Array, values: Complex, expected: Complex) -> None:
+def _phase(axes: Axes, found: ComparedResponse, name: str) -> None:
+    frequencies, expected = found.measured.frequencies, getattr(found.model, name)
     model = np.degrees(np.unwrap(np.angle(expected)))
-    # Beside the model, whichever turn the measured angle counts from.
-    shown = model + np.degrees(np.angle(values / expected))
+    # Near the model, whichever turn the measured angle counts from.
+    shown = model + np.degrees(np.angle(getattr(found.measured.response, name) / expected))
     axes.semilogx(frequencies, model, color=VERMILION, linewidth=1.0)
     axes.semilogx(frequencies, shown, ".", color=BLUE, markersize=4.0)
-    axes.set_ylabel("phase / °")
-    axes.grid(color="#D8D8D8", linewidth=0.5)
 
 
-def _nyquist(axes: Axes, values: Complex, radius: Array, expected: Complex) -> None:
-    angles = np.linspace(0.0, 2.0 * np.pi, 100)
-    axes.plot(np.cos(angles), np.sin(angles), color=GREY, linewidth=0.6)
+def _nyquist(axes: Axes, found: ComparedResponse) -> None:
+    values, expected = found.measured.response.open_loop, found.model.open_loop
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 100))
+    axes.plot(circle.real, circle.imag, color=GREY, linewidth=0.6)
     axes.plot(expected.real, expected.imag, color=VERMILION, linewidth=1.0, label="model")
-    for value, width in zip(values, radius, strict=True):
-        circle = value + width * np.exp(1j * angles)
-        axes.fill(circle.real, circle.imag, color=PALE_BLUE, alpha=0.6)
+    for around in values[:, None] + found.measured.open_loop_radius[:, None] * circle:
+        axes.fill(around.real, around.imag, color=PALE_BLUE, alpha=0.6)
     axes.plot(values.real, values.imag, ".", color=BLUE, markersize=4.0, label="measured")
     axes.plot(-1.0, 0.0, "+", color=BLACK, markersize=10.0)
     axes.set_xlim(-_REACH, _REACH)
     axes.set_ylim(-_REACH, _REACH)
     axes.set_aspect("equal")
     axes.set_title("Open loop (Nyquist)", fontsize=10)
-    axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.legend(fontsize=8)

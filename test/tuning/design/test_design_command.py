@@ -10,7 +10,7 @@ import yaml
 from scripts.stage_files import STAGES
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.parameter_file import read_stage_file
-from straightcomp_ros.tuning.design.feasible_gains import feasible_gains
+from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains
 from straightcomp_ros.tuning.design.gains import closed_form
 
 FEW = ["--evaluations", "12", "--machines", "2"]
@@ -63,7 +63,7 @@ def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infea
     # What would do does.
     rate = float(re.search(r"a rate of at least (\S+) Hz", said).group(1))
     faster = infeasible.on(dataclasses.replace(infeasible.description, rate=round(rate)))
-    assert rate > 1000.0 and feasible_gains(faster, "linear", closed_form(faster, "linear")) is not None
+    assert rate > 1000.0 and FeasibleGains(faster, "linear").near(closed_form(faster, "linear")) is not None
 
 
 def test_what_is_wrong_or_would_lose_something_is_said_before_the_work(stage, capsys):

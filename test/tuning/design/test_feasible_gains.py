@@ -13,7 +13,7 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.tuning.design import feasible_gains as module
-from straightcomp_ros.tuning.design.feasible_gains import LAW, DesignError, feasible_gains, growths, refusal, safe_law
+from straightcomp_ros.tuning.design.feasible_gains import LAW, DesignError, FeasibleGains, growths, refusal, safe_law
 from straightcomp_ros.tuning.design.gains import closed_form, scaled, with_gains
 from straightcomp_ros.tuning.design.stability import StabilityCheck, corners_of
 
@@ -70,7 +70,7 @@ def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped):
     fast = scaled("smc_observer", closed_form(shipped, "smc_observer"), 1.5)
     check, control = StabilityCheck(shipped.description), shipped.controls["smc_observer"]
     assert check.violation(with_gains(control, "smc_observer", fast)) > 0.0
-    found = feasible_gains(shipped, "smc_observer", fast)
+    found = FeasibleGains(shipped, "smc_observer").near(fast)
     assert found is not None and check.violation(with_gains(control, "smc_observer", found)) == 0.0
 
 
