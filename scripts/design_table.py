@@ -79,9 +79,9 @@ def figures_with(scenario: Scenario, gains: Mapping[str, float]) -> Figures:
 
 def figures_of(scenario: Scenario, control: ControlParameters) -> Figures:
     """Figures of a law on the stage as described."""
-    stage, course = scenario.description, prepared_stroke(scenario)
+    stage, stroke = scenario.description, prepared_stroke(scenario)
     law = make_law(control, stage)
-    runs = [course.run(law, stage.drive.delay * stage.period, start) for start in range(5)]
+    runs = [stroke.run(law, stage.drive.delay * stage.period, start) for start in range(5)]
     pp, work = spread(run.pp for run in runs), spread(run.work for run in runs)
     return Figures(pp.median, work.median)
 

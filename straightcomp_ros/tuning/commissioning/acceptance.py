@@ -175,7 +175,7 @@ def limited(step: str, name: str, value: float | None, relation: str, limit: flo
 
 
 def stroke_checks(accepted: Mapping[str, Any], count: float) -> Iterator[Check]:
-    """How well the host served the stroke of `acceptance`, from its figures; ``count`` of the encoder in m."""
+    """Whether the host disturbed the stroke of `acceptance`, from its figures; ``count`` of the encoder in m."""
     yield limited("acceptance", "lost samples of the stroke", accepted.get("lost_samples"), "<=", 0.0)
     few = float(math.ceil(_FEW * accepted["samples"]))
     yield limited("acceptance", "samples of the stroke without a command", accepted.get("lost_commands"), "<=", few)

@@ -2,7 +2,7 @@
 
 - `safe_loop`: a law for the stated uncertainty, with which the loop is closed for the first time.
 - `identification`: the machine from one cycle along an excitation, and whether it is the one that was described. The
-  mass is held at its description, since position and current tell forces only up to a common factor, which no law
+  mass is held at its description, since position and current identify forces only up to a common factor, which no law
   needs. What is compared with the description is what does not depend on that factor.
 - `design`: gains of `smc_observer` for the machine as identified and what of it is still open.
 - `frequency_response`: plant and margins as measured; does what was identified explain them? The same measurement is
@@ -49,7 +49,7 @@ _STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "a
 """Uncertainty that stays, however narrow an interval is: a model is not the machine."""
 _DELAY_STAYS = 0.1
 _IN_SIMULATION = 0.7
-"""Part of the travel that the excitation may need in the simulation."""
+"""Share of the travel that the excitation may need in the simulation."""
 _MOTIONS = (1.0, 0.7, 0.5, 0.35)
 """Parts of the usual motion, tried in this order. With 0.7 times the motion a machine needed 0.4 times the travel."""
 _ALIKE_DB = 0.5

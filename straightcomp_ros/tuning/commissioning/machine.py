@@ -195,7 +195,7 @@ def recorded_series(bag: Path) -> Series:
 
 
 def excited(series: Series, travel: float, rate: float) -> Series:
-    """The part of an open-loop series from its first current on, until the platform has come to rest.
+    """An open-loop series from its first current on, until the platform has come to rest.
 
     The series is of a graph under the law `open_loop`, whose commands are those of the excitation. Beyond ``travel`` in
     m the amplifier went off.
@@ -214,7 +214,7 @@ def excited(series: Series, travel: float, rate: float) -> Series:
     beyond = np.flatnonzero(~(np.abs(series.y[first:] - series.y[first]) <= travel))
     left_at = int(beyond[0]) if beyond.size else None
     if left_at is not None:
-        # The part in which the platform comes to rest.
+        # Until the platform has come to rest.
         end = max(end, first + left_at + 1) + round(COASTING * rate)
     cut = {one.name: getattr(series, one.name)[first:end] for one in fields(series) if one.name != "left_at"}
     return Series(**{**cut, "command": np.nan_to_num(cut["command"])}, left_at=left_at)

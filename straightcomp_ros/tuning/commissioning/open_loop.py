@@ -46,14 +46,14 @@ _SHAKE_TIME = 0.25
 _ENOUGH = 40
 """Samples of it that identify the readback."""
 _ONE_COIL = 0.3
-"""Part of a single coil's pull from which a coil is missing."""
+"""Share of a single coil's pull from which a coil is missing."""
 _RAMP_TIME = 2.0
 _RAMP_SHARE = 0.5
 """Highest current of a ramp, relative to the highest current."""
 _TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
 """m and counts of the encoder, whichever is more: the platform leaves faster the farther it is, and has to coast."""
 _PULLED = 0.3
-"""Part of the first breakaway current below which it was not the current that moved the platform."""
+"""Share of the first breakaway current below which it was not the current that moved the platform."""
 _GAIN_WITHIN = 0.05
 _SILENT = 0.05
 """Gain of a readback that does not answer."""

@@ -122,7 +122,7 @@ def shortened(scenario: Scenario, duration: float) -> Trajectory:
     straightness = StraightnessMap(scenario.survey, scenario.description.guide)
     x = np.linspace(full.start, full.start + full.stroke, 2000)
     slope, curvature = straightness.evaluate(x)[1:]
-    # Reversals of r make friction turn over, slopes make it large: the part with the most of both.
+    # Reversals of r make friction turn over, slopes make it large: where there is most of both.
     wanted = np.abs(slope) / np.abs(slope).max() + np.abs(curvature) / np.abs(curvature).max()
     count = max(1, round(length / full.stroke * x.size))
     start = float(x[int(np.convolve(wanted, np.ones(count), mode="valid").argmax())])

@@ -75,23 +75,19 @@ def accepted(monkeypatch, bags, tmp_path):
     return run
 
 
-@pytest.mark.parametrize("disturbed", [1, 2])
-def test_a_stroke_that_the_host_disturbed_does_not_count_and_another_one_is_made(accepted, disturbed):
-    outcome, strokes = accepted(disturbed)
-    assert outcome.passed and strokes == disturbed + 1, outcome.sentence
-    assert f"({disturbed} before it, disturbed by the host: starved: stalls of the host" in outcome.sentence
-    assert len(outcome.figures["disturbed_strokes"]) == disturbed
-    calm, _ = accepted()
-    assert calm.figures == {**outcome.figures, "disturbed_strokes": []}
-    assert "the survey of the guide was not verified" in calm.sentence
-    assert calm.figures["lost_samples"] == calm.figures["lost_commands"] == 0
-
-
-def test_a_host_that_disturbs_every_stroke_passes_none(accepted, tmp_path):
+def test_a_stroke_that_the_host_disturbed_does_not_count_and_another_one_is_made_twice_at_most(accepted, tmp_path):
     outcome, strokes = accepted(9)
     assert not outcome.passed and strokes == 3
     assert outcome.sentence.startswith("the stroke is not in order: starved: ")
     assert not (tmp_path / LIMITS).exists()
+    outcome, strokes = accepted(2)
+    assert outcome.passed and strokes == 3, outcome.sentence
+    assert "(2 before it, disturbed by the host: starved: stalls of the host" in outcome.sentence
+    assert len(outcome.figures["disturbed_strokes"]) == 2
+    calm, _ = accepted()
+    assert calm.figures == {**outcome.figures, "disturbed_strokes": []}
+    assert "the survey of the guide was not verified" in calm.sentence
+    assert calm.figures["lost_samples"] == calm.figures["lost_commands"] == 0
 
 
 def test_a_stroke_of_which_samples_were_lost_does_not_count_though_it_is_in_order(accepted):

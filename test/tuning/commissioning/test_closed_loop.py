@@ -17,19 +17,13 @@ from straightcomp_ros.tuning.commissioning.closed_loop import (
     margins_missed,
     strangeness,
 )
-from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded, response_plot
-from straightcomp_ros.tuning.frequency_response.measured_response import (
-    ComparedResponse,
-    ResponseMargins,
-    response_margins,
-)
+from straightcomp_ros.tuning.frequency_response.measured_response import ResponseMargins, response_margins
 from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
-from straightcomp_ros.tuning.identification.estimate import UNITS, Estimate, Estimated
+from straightcomp_ros.tuning.identification.estimate import DERIVED, UNITS, Estimate, Estimated
 
 SAFE = {"control.law": "linear", "control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
-WELL_KNOWN = {"mass": 0.2, "force": 0.2, "air_gap": 0.1, "friction": 2.0}
-STAGE = StageParameters(uncertainty=UncertaintyParameters(**WELL_KNOWN))
+STAGE = StageParameters(uncertainty=UncertaintyParameters(mass=0.2, force=0.2, air_gap=0.1, friction=2.0))
 USUAL = MultisineParameters().motion
 
 
@@ -38,12 +32,7 @@ def estimate(poor="", **factors):
 
     The interval of ``poor`` is wide; the amplifier is that of the description.
     """
-    magnets = STAGE.actuator
-    described = {
-        **to_mapping(STAGE),
-        "actuator.current_stiffness": magnets.current_stiffness,
-        "actuator.position_stiffness": magnets.position_stiffness,
-    }
+    described = {**to_mapping(STAGE), **{name: getattr(STAGE.actuator, name.partition(".")[2]) for name in DERIVED}}
     found = {}
     for name in UNITS:
         value = described[name] * factors.get(name.partition(".")[2], 1.0)
@@ -68,13 +57,11 @@ def test_what_lies_beyond_the_uncertainty_is_named_and_nothing_else(factors, wor
     assert (words in strange) if words else strange == ""
 
 
-def test_static_friction_that_is_hardly_identified_keeps_its_described_ratio_to_coulomb_friction():
+def test_what_is_hardly_identified_stays_as_it_was_described_and_as_uncertain():
     facts = facts_found(estimate("friction.static", coulomb=2.5), STAGE)
+    # Described better than F_S is its ratio to F_C.
     assert facts["friction.coulomb"] == pytest.approx(2.5 * STAGE.friction.coulomb)
     assert facts["friction.static"] == pytest.approx(2.5 * STAGE.friction.static)
-
-
-def test_what_is_hardly_identified_stays_as_uncertain_as_it_was_described():
     facts = facts_found(estimate("actuator.turns", turns=1.1), STAGE)
     assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
     assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
@@ -101,44 +88,41 @@ def measured():
     )
 
 
-class Lively(SimulatedMachine):
-    """Leaves the travel while more than ``bears`` of it is aimed at, and otherwise has the response ``measured``."""
-
-    bears = 1.0
-    measured: ComparedResponse
-    motion = 0.0
-
-    def response(self, values, excitation):
-        self.motion = excitation.motion
-        if excitation.motion > self.bears:
-            raise ExcitationEnded(f"the excitation was ended early at {excitation.motion:.3f} of the travel")
-        return self.measured
-
-
 @pytest.fixture
-def machine(measured, monkeypatch):
-    """A machine that its simulation, which is given, explains."""
+def response(measured, monkeypatch, tmp_path):
+    """The step on a machine that its simulation explains, and the motion that it was moved by at last.
+
+    It leaves the travel where more than ``bears`` of it is aimed at.
+    """
     monkeypatch.setattr(closed_loop, "measure_simulated", lambda values, excitation: measured)
     monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
-    machine = Lively(values_of())
-    machine.measured = measured
-    return machine
+
+    def run(bears=1.0):
+        motions = [0.0]
+
+        def respond(values, excitation):
+            motions.append(excitation.motion)
+            if excitation.motion > bears:
+                raise ExcitationEnded(f"the excitation was ended early at {excitation.motion:.3f} of the travel")
+            return measured
+
+        work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(response=respond))
+        return frequency_response(work), motions[-1]
+
+    return run
 
 
-def response_of(machine, folder):
-    return frequency_response(dataclasses.replace(work_on(values_of(), folder), machine=machine))
-
-
-def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(tmp_path, machine):
-    machine.bears = 0.6 * USUAL
-    assert response_of(machine, tmp_path).passed and machine.motion == 0.5 * USUAL
-    machine.bears = 0.0
-    outcome = response_of(machine, tmp_path)
+def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(response):
+    outcome, motion = response(0.6 * USUAL)
+    assert outcome.passed and motion == 0.5 * USUAL
+    outcome, _ = response(0.0)
     assert not outcome.passed and outcome.sentence == "the excitation was ended early at 0.083 of the travel"
 
 
 @pytest.mark.parametrize(("needed", "share"), [(0.69, 1.0), (0.9, 0.7), (1.8, 0.5), (3.0, 0.35)])
-def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(tmp_path, monkeypatch, machine, needed, share):
+def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
+    tmp_path, monkeypatch, measured, response, needed, share
+):
     travel = work_on(values_of(), tmp_path).travel
 
     def simulated(values, excitation):
@@ -146,13 +130,14 @@ def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(tmp_path, mo
         aimed = excitation.motion * excitation.travel / (USUAL * travel)
         if needed * aimed**2 * travel > excitation.travel:
             raise ExcitationEnded("the excitation was ended early: too far")
-        return machine.measured
+        return measured
 
     monkeypatch.setattr(closed_loop, "measure_simulated", simulated)
-    assert response_of(machine, tmp_path).passed and machine.motion == pytest.approx(share * USUAL)
+    outcome, motion = response()
+    assert outcome.passed and motion == pytest.approx(share * USUAL)
     monkeypatch.setattr(closed_loop, "_MOTIONS", (1.0,))
     if share < 1.0:
-        sentence = response_of(machine, tmp_path).sentence
+        sentence = response()[0].sentence
         assert "needs too much of the travel: the excitation was ended early: too far" in sentence
 
 
@@ -173,14 +158,10 @@ def test_margins_are_judged_to_both_sides_and_named_in_the_sentence(margins, wor
     assert (words in missed) if words else missed == ""
 
 
-def test_margins_that_are_too_small_end_the_step(tmp_path, monkeypatch, machine):
-    monkeypatch.setattr(closed_loop, "LEAST_PHASE", 90.0)
-    outcome = response_of(machine, tmp_path)
-    assert not outcome.passed and outcome.sentence.startswith("the measured margins are too small: phase margin")
-
-
-def test_margins_are_those_of_the_coherent_lines(measured, tmp_path, machine):
-    figures = response_of(machine, tmp_path).figures
+def test_margins_are_those_of_the_coherent_lines_and_end_the_step_where_they_are_too_small(
+    measured, response, monkeypatch
+):
+    figures = response()[0].figures
     assert 20 < figures["coherent_lines"] < figures["lines"]
     lines = measured.measured.coherent
     frequencies, loop = measured.measured.frequencies, measured.measured.response.open_loop
@@ -188,3 +169,6 @@ def test_margins_are_those_of_the_coherent_lines(measured, tmp_path, machine):
     assert coherent != response_margins(frequencies, loop)
     # The simulation, which is the model, is the measurement itself here.
     assert figures["margins"] == figures["model_margins"] == coherent.to_display()
+    monkeypatch.setattr(closed_loop, "LEAST_PHASE", 90.0)
+    outcome, _ = response()
+    assert not outcome.passed and outcome.sentence.startswith("the measured margins are too small: phase margin")

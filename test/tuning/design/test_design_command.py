@@ -18,7 +18,7 @@ FEW = ["--evaluations", "12", "--machines", "2"]
 
 @pytest.fixture
 def stage(tmp_path):
-    """The shipped stage with a stroke of a second, beside its survey."""
+    """The shipped stage with a stroke of a second, next to its survey."""
     tree = yaml.safe_load((STAGES / "shipped.yaml").read_text())
     tree["/**"]["ros__parameters"]["stage"]["motion"] = {
         "stroke": 0.06, "speed": 0.2, "acceleration": 1.0, "settle": 0.3, "pause": 0.5

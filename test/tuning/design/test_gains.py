@@ -50,7 +50,7 @@ def test_what_is_searched_starts_at_the_rule_and_at_others_of_the_same_names_and
 def test_the_closed_form_holds_the_demands_or_is_close(law, name):
     scenario = stage_scenario(name)
     control = with_gains(scenario.controls["smc_observer"], law, closed_form(scenario, law))
-    # At its stiffest the default law comes to its limits where the loop is slow beside the magnets.
+    # At its stiffest the default law comes to its limits where the loop is slow compared with the magnets.
     if law == "smc_observer" and name in ("slow_amplifier", "rate_1_khz"):
         assert 0.0 < StabilityCheck(scenario.description).violation(control) < 0.05
     else:

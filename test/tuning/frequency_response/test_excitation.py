@@ -30,8 +30,8 @@ def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_
     used = excitation.used(excitation.currents)
     assert used.shape == (40, 2000)
     spectrum = np.abs(np.fft.rfft(used, axis=1)) / 1000.0
-    beside = np.delete(spectrum, excitation.bins, axis=1)
-    assert beside.max() < 1e-12
+    others = np.delete(spectrum, excitation.bins, axis=1)
+    assert others.max() < 1e-12
     np.testing.assert_allclose(np.sqrt(np.mean(used**2, axis=1)), 0.2)
     assert excitation.frequencies[0] == 2.0 and excitation.frequencies[-1] == 500.0
     np.testing.assert_allclose(excitation.frequencies, excitation.bins * 1.0)

@@ -66,5 +66,5 @@ def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
     assert "    # stage.platform.mass: 1.0" in lines
     assert "    # 0.1 to 10 kg, poorly determined" in lines
     assert "    stage.friction.viscous: 1.0" in lines
-    # F_S stays beside F_C even so: its default may be below F_C, which is refused.
+    # F_S stays with F_C even so: its default may be below F_C, which is refused.
     assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
