@@ -1,27 +1,121 @@
-"""The truth lies in the intervals, and the intervals are as narrow as they should be, or said to be wide."""
+"""The truth lies in the intervals, and the intervals are as narrow as they should be, or said to be wide; the answer as
+JSON and as a parameter file that simulate takes."""
 
+import contextlib
 import dataclasses
+import io
+import json
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from plants import FAR, SOFT, STIFF, record, values
 
+from straightcomp_ros.analysis import current_path as recording
 from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import STAGE, by_node, node_parameters
+from straightcomp_ros.parameters.parameter_file import read_parameter_file
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.identification.estimate import (
     DERIVED,
     UNITS,
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_survey,
     parameter_file,
 )
 from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, sliding_start, unknowns
+
+SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
+STIFF = {
+    "platform.mass": 3.4,
+    "friction.coulomb": 0.3,
+    "friction.static": 0.5,
+    "friction.stribeck_velocity": 30e-6,
+    "friction.bristle_stiffness": 1.5e6,
+    "friction.viscous": 25.0,
+}
+SOFT = {
+    "platform.mass": 4.2,
+    "actuator.air_gap": 1.6e-3,
+    "friction.coulomb": 0.9,
+    "friction.static": 1.1,
+    "friction.stribeck_velocity": 100e-6,
+    "friction.bristle_stiffness": 4e5,
+    "friction.bristle_damping": 600.0,
+    "friction.viscous": 40.0,
+}
+FAR = {
+    "platform.mass": 3.3,
+    "actuator.turns": 361.0,
+    "actuator.air_gap": 9.5e-4,
+    "friction.coulomb": 0.15,
+    "friction.static": 0.225,
+    "friction.viscous": 3.5,
+    "drive.bandwidth": 770.0,
+    "drive.delay": 1.33,
+}
+"""So far from the description that a search from there ends in a wrong valley."""
+SAFE = {"control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
+"""Gains of law 'linear' that are stable on FAR as on the description."""
+
+
+def values(plant, law="linear", **stage):
+    """Parameters for a short run on a machine with this plant, of which the law knows nothing."""
+    return {
+        "driver": {f"stage.{name}": value for name, value in plant.items()},
+        "feedforward": {},
+        "controller": {"control.law": law},
+        "cell": {},
+        "stage": {"drive.delay": 0.5, **SHORT, **{name.replace("_", "."): value for name, value in stage.items()}},
+    }
+
+
+def record(bag, parameters, wiring=lambda hardware: hardware):
+    """Simulate, and write the bag; ``wiring`` puts something between the machine and its driver."""
+    simulation = Simulation(parameters, wiring=wiring)
+    with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:
+        simulation.run(observe=run.add)
+    return bag
+
+
+@pytest.fixture(scope="module")
+def excitation(tmp_path_factory):
+    path = tmp_path_factory.mktemp("excitation") / "excitation.csv"
+    write_survey(path, excitation_survey(STROKE))
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def stiff_bag(tmp_path_factory, excitation):
+    return record(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
+
+
+@pytest.fixture(scope="module")
+def far_bag(tmp_path_factory, excitation):
+    """A machine that the description does not fit, under a law that is slow enough for both."""
+    parameters = values({**FAR, "platform.stop": 8e-4}, guide_file=excitation)
+    parameters["controller"].update(SAFE)
+    return record(tmp_path_factory.mktemp("far") / "bag", parameters)
+
+
+@pytest.fixture(scope="module")
+def stiff_answer(stiff_bag, tmp_path_factory):
+    """What `straightcomp friction BAG -o FILE --json` says of the stiff plant, and the file."""
+    file, said = tmp_path_factory.mktemp("answer") / "plant.yaml", io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert main(["friction", str(stiff_bag), "-o", str(file), "--json"]) == 0
+    return json.loads(said.getvalue()), file
+
 
 START = StageParameters()
 WITHIN = {
@@ -65,8 +159,9 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
 
 
 @pytest.mark.nightly
-def test_another_plant_under_another_law_is_found_too(soft_bag):
-    estimate = estimate_from_bag(soft_bag, START, ["actuator.turns"])
+def test_another_plant_under_another_law_is_found_too(tmp_path, excitation):
+    bag = record(tmp_path / "bag", values(SOFT, law="smc", guide_file=excitation))
+    estimate = estimate_from_bag(bag, START, ["actuator.turns"])
     assert_found(estimate.parameters, SOFT)
     assert estimate.advice == {}
     assert estimate.path.delay == pytest.approx(250e-6, abs=5e-6)
@@ -90,8 +185,8 @@ def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_pat
 
 
 @pytest.mark.nightly
-def test_a_stroke_along_the_guide_says_what_it_cannot_identify(guide_bag):
-    estimate = estimate_from_bag(guide_bag, START, ["actuator.turns"])
+def test_a_stroke_along_the_guide_says_what_it_cannot_identify(tmp_path):
+    estimate = estimate_from_bag(record(tmp_path / "bag", values(STIFF)), START, ["actuator.turns"])
     truth, parameters = truth_of(STIFF), estimate.parameters
     for name, found in parameters.items():
         # The interval of what this motion hardly identifies is itself no more than a guess: it must be said to be poor.
@@ -167,3 +262,61 @@ def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(shift
     found = estimate_from_bag(shifted_bag, START, ["actuator.turns"])
     for name in ("platform.mass", "actuator.air_gap", "friction.coulomb"):
         assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name
+
+
+FIGURES = (
+    "samples samples_in_bag duration_s prediction_error_um prediction_error_ratio amplifier_bandwidth_Hz "
+    "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters advice untold"
+)
+OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_from"
+
+
+def test_json_names_every_parameter_with_its_interval(stiff_answer):
+    answer, _ = stiff_answer
+    assert set(answer) == set(FIGURES.split())
+    assert list(answer["parameters"]) == list(UNITS)
+    for found in answer["parameters"].values():
+        assert set(found) == set(OF_A_PARAMETER.split())
+        assert found["low"] <= found["value"] <= found["high"]
+    assert answer["parameters"]["actuator.turns"]["known"]
+    assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)
+    assert answer["delay_us"] == pytest.approx(250.0, abs=5.0)
+    # An encoder of 0.1 µm that is predicted as well as it reads.
+    assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
+
+
+def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_answer, capsys):
+    answer, file = stiff_answer
+    values = read_parameter_file(file)
+    assert {key for key, section in values.items() if section} == {STAGE}
+    for node in ("driver", "controller"):
+        described = to_mapping(node_parameters(node, values).stage)
+        for name, found in answer["parameters"].items():
+            if name not in DERIVED:
+                assert described[name] == pytest.approx(found["value"], rel=1e-5), name
+    short = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.1", "pause=0.1")]
+    for option in ("--stage", "--params-file"):
+        assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
+        assert json.loads(capsys.readouterr().out)["law"] == "linear"
+
+
+def test_the_truth_is_never_read(stiff_bag, monkeypatch):
+    asked = []
+    read = recording.read_streams
+    monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
+    recording.read_recording(stiff_bag)
+    assert asked == [ENCODER.topic, COMMAND.topic]
+
+
+@pytest.mark.parametrize("coulomb_is_poor", [False, True])
+def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
+    parameters = {name: Estimated(name, 1.0, 0.99, 1.01, False) for name in UNITS}
+    poor = {"platform.mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
+    for name in poor:
+        parameters[name] = Estimated(name, 1.0, 0.1, 10.0, False)
+    lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()
+    assert "    # stage.platform.mass: 1.0" in lines
+    assert "    # 0.1 to 10 kg, poorly determined" in lines
+    assert "    stage.friction.viscous: 1.0" in lines
+    # F_S stays with F_C even so: its default may be below F_C, which is refused.
+    assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
