@@ -73,11 +73,9 @@ def in_namespace(namespace: str) -> list[str]:
 
 def isolated_environment() -> dict[str, str]:
     """This environment, with discovery limited to this computer and, unless one is set, a random ROS domain."""
-    environment = dict(os.environ)
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     # The ports of domains 1 to 101 do not collide with Linux's ephemeral ports.
-    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
-    return environment
+    domain = str(random.SystemRandom().randint(1, 101))
+    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain, **os.environ}
 
 
 class Graph:
@@ -156,7 +154,7 @@ class Graph:
 
     def last_words(self, name: str) -> str:
         """The last line of a node's output, for a message."""
-        lines = [line for line in self.log(name).read_text(errors="replace").splitlines() if line.strip()]
+        lines = self.log(name).read_text(errors="replace").strip().splitlines()
         return lines[-1].strip() if lines else "it printed nothing"
 
     def stop(self, names: Sequence[str] | None = None) -> dict[str, int]:

@@ -135,12 +135,12 @@ def _check(options: argparse.Namespace) -> int:
 
 def _show(options: argparse.Namespace) -> None:
     """Show what follows from the description of a stage: stiffnesses, poles, counts, demands, margins, bus load."""
-    from straightcomp_ros.doctor.stage_findings import consequences
+    from straightcomp_ros.doctor.stage_findings import Consequences
 
     values = stage_values(options)
     controller = node_parameters("controller", values)
     stage = controller.stage
-    found = consequences(stage, controller.control, load_map(stage.guide))
+    found = Consequences(stage, controller.control, load_map(stage.guide))
     figures = _figures(found)
     if options.json:
         print_json({"name": stage.name, "law": controller.control.law, **{key: value for key, _, _, value in figures}})

@@ -1,8 +1,8 @@
 """Reads the description of a stage and the frames of its board like an engineer: what follows, what does not fit."""
 
+import contextlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,67 +32,37 @@ _SHARE_OF_LIMIT = 0.7
 _BUS_FULL = 0.8
 
 
-@dataclass(frozen=True)
 class Consequences:
-    """What an engineer would compute by hand from a description before the first run, SI units."""
+    """What an engineer would compute by hand before the first run from the description of a ``stage``, with the law of
+    ``control`` and the map of its guide; SI units."""
 
-    current_stiffness: float  # K̄_i, N/A, from (3)
-    position_stiffness: float  # K̄_y, N/m, from (3)
-    unstable_pole: float  # √(K̄_y/M) of the platform in its magnets, 1/s
-    dead_time: float  # T_d of the loop
-    dac_force: float  # of one step of the D/A converter
-    dac_displacement: float  # of one step against the bristles
-    breakaway_current: float  # that overcomes static friction
-    holding_current: float  # for friction, the magnets' pull at the largest correction, and its acceleration
-    correction: float  # largest |r| over the stroke
-    reference_speed: float  # largest |ṙ| of a stroke
-    reference_acceleration: float  # largest |r̈|
-    encoder_floor: float  # p-p error that the encoder's count leaves at best
-    margins: Margins | None  # None if the law has no linearisation at rest
-    can_load: float  # fraction of the time for which a bus of 1 Mbit/s is busy
-    can_fd_load: float  # of FD with 5 Mbit/s
-
-    @property
-    def difficulty(self) -> float:
-        """Unstable pole times dead time: below some 0.5 gains with margins exist, at 0.65 none do."""
-        return self.unstable_pole * self.dead_time
-
-
-def consequences(stage: StageParameters, control: ControlParameters, straightness: StraightnessMap) -> Consequences:
-    """The figures of ``stage`` with the law of ``control`` and the map of its guide."""
-    actuator, friction, motion = stage.actuator, stage.friction, stage.motion
-    x = motion.start + np.arange(0.0, motion.stroke + _GRID, _GRID)
-    r, slope, curvature = (float(np.abs(values).max()) for values in straightness.evaluate(x))
-    # At cruise, and at the ends of the ramps.
-    acceleration = curvature * motion.speed**2 + slope * motion.acceleration
-    force = (
-        friction.static
-        + friction.viscous * slope * motion.speed
-        + actuator.position_stiffness * r
-        + stage.platform.mass * acceleration
-    )
-    dac_force = stage.drive.current_step * actuator.current_stiffness
-    try:
-        margins = loop_margins(make_law(control, stage), stage)
-    except ValueError:
-        margins = None
-    return Consequences(
-        current_stiffness=actuator.current_stiffness,
-        position_stiffness=actuator.position_stiffness,
-        unstable_pole=math.sqrt(actuator.position_stiffness / stage.platform.mass),
-        dead_time=stage.dead_time,
-        dac_force=dac_force,
-        dac_displacement=dac_force / friction.bristle_stiffness,
-        breakaway_current=friction.static / actuator.current_stiffness,
-        holding_current=force / actuator.current_stiffness,
-        correction=r,
-        reference_speed=slope * motion.speed,
-        reference_acceleration=acceleration,
-        encoder_floor=FLOOR_COUNTS * stage.encoder.y_resolution,
-        margins=margins,
-        can_load=load(traffic(CanParameters(fd=False).make_wire(), stage.rate), CLASSIC_1M),
-        can_fd_load=load(traffic(CanParameters(fd=True).make_wire(), stage.rate), FD_1M_5M),
-    )
+    def __init__(self, stage: StageParameters, control: ControlParameters, straightness: StraightnessMap) -> None:
+        actuator, friction, motion, mass = stage.actuator, stage.friction, stage.motion, stage.platform.mass
+        x = motion.start + np.arange(0.0, motion.stroke + _GRID, _GRID)
+        r, slope, curvature = (float(np.abs(values).max()) for values in straightness.evaluate(x))
+        self.current_stiffness = actuator.current_stiffness  # K̄_i, N/A, from (3)
+        self.position_stiffness = actuator.position_stiffness  # K̄_y, N/m, from (3)
+        self.unstable_pole = math.sqrt(actuator.position_stiffness / mass)  # of the platform in its magnets, 1/s
+        self.dead_time = stage.dead_time  # T_d of the loop
+        self.difficulty = self.unstable_pole * self.dead_time  # gains with margins exist below some 0.5, from 0.65 none
+        self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
+        self.dac_displacement = self.dac_force / friction.bristle_stiffness  # of one step against the bristles
+        self.breakaway_current = friction.static / actuator.current_stiffness  # that overcomes static friction
+        self.correction = r  # largest |r| over the stroke
+        self.reference_speed = slope * motion.speed  # largest |ṙ| of a stroke
+        # Largest |r̈|: at cruise, and at the ends of the ramps.
+        self.reference_acceleration = curvature * motion.speed**2 + slope * motion.acceleration
+        friction_force = friction.static + friction.viscous * slope * motion.speed
+        force = friction_force + actuator.position_stiffness * r + mass * self.reference_acceleration
+        # For friction, the magnets' pull at the largest correction, and its acceleration.
+        self.holding_current = force / actuator.current_stiffness
+        self.encoder_floor = FLOOR_COUNTS * stage.encoder.y_resolution  # p-p error that its count leaves at best
+        # Fraction of the time for which a bus of 1 Mbit/s is busy, and one of FD with 5 Mbit/s.
+        self.can_load = load(traffic(CanParameters(fd=False).make_wire(), stage.rate), CLASSIC_1M)
+        self.can_fd_load = load(traffic(CanParameters(fd=True).make_wire(), stage.rate), FD_1M_5M)
+        self.margins: Margins | None = None  # of a law that has a linearisation at rest
+        with contextlib.suppress(ValueError):
+            self.margins = loop_margins(make_law(control, stage), stage)
 
 
 def stage_findings(
@@ -104,7 +74,7 @@ def stage_findings(
     except SurveyError as error:
         yield Finding("survey", "fail", str(error))
         return
-    found = consequences(stage, control, straightness)
+    found = Consequences(stage, control, straightness)
     yield from _guide_findings(stage, straightness, found, tracking.bandwidth)
     yield from _loop_findings(stage, control, found)
     yield from _drive_findings(stage, found)
