@@ -8,26 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.friction import (
-    AGE,
-    BLOCK,
-    KIND,
-    MOST_BLOCKS,
-    PLAIN,
-    SLIPPING,
-    TIME,
-    LuGreParameters,
-    age_after,
-    band_factor,
-    band_value,
-    block_after,
-    bristle_after,
-    extended_force,
-    friction_force,
-    lugre_now,
-    step_friction,
-    stribeck_force,
-)
+from straightcomp_ros.model import friction
 from straightcomp_ros.model.plant import (
     BIAS,
     Hold,
@@ -74,9 +55,9 @@ class Contact:
     def move(self, velocity, duration=STEP):
         """Friction after a step at constant velocity."""
         self.place += velocity * duration
-        lugre = lugre_now(self.constants, self.plant.lugre, self.state, self.place)
-        step_friction(self.constants, lugre, self.state, velocity, duration)
-        self.force = extended_force(self.constants, lugre, self.state, velocity)
+        lugre = friction.lugre_now(self.constants, self.plant.lugre, self.state, self.place)
+        friction.step_friction(self.constants, lugre, self.state, velocity, duration)
+        self.force = friction.extended_force(self.constants, lugre, self.state, velocity)
         return self.force
 
     def go(self, distance, speed=1e-5, steps=200):
@@ -89,7 +70,7 @@ class Contact:
         if self.parameters.contact.model == "lugre":
             return 0.5 * self.plant.lugre.bristle_stiffness * float(self.state[2]) ** 2
         count = self.parameters.contact.maxwell_slip.blocks
-        blocks = self.state[BLOCK : BLOCK + count]
+        blocks = self.state[friction.BLOCK : friction.BLOCK + count]
         springs = np.array(self.plant.extension[12 : 12 + count])
         return float(0.5 * np.sum(blocks**2 / springs))
 
@@ -107,38 +88,38 @@ def run(values, start, command, samples, bias=1.0):
 def spring_force(contact):
     if contact.parameters.contact.model == "lugre":
         return contact.plant.lugre.bristle_stiffness * float(contact.state[2])
-    return float(contact.state[BLOCK : BLOCK + MOST_BLOCKS].sum())
+    return float(contact.state[friction.BLOCK : friction.BLOCK + friction.MOST_BLOCKS].sum())
 
 
-PARAMETERS = LuGreParameters()
+PARAMETERS = friction.LuGreParameters()
 LUGRE = PARAMETERS.constants()
 
 
 @pytest.mark.parametrize("velocity", [1e-6, 5e-6, 2e-5, 1e-4, 1e-2, -3e-5])
 def test_bristles_that_slide_long_enough_give_the_stribeck_curve_plus_viscous_friction(velocity):
-    bristle = bristle_after(LUGRE, 0.0, velocity, 100.0)
-    steady = math.copysign(stribeck_force(LUGRE, velocity), velocity) + PARAMETERS.viscous * velocity
-    assert friction_force(LUGRE, bristle, velocity) == pytest.approx(steady, rel=1e-9)
+    bristle = friction.bristle_after(LUGRE, 0.0, velocity, 100.0)
+    steady = math.copysign(friction.stribeck_force(LUGRE, velocity), velocity) + PARAMETERS.viscous * velocity
+    assert friction.friction_force(LUGRE, bristle, velocity) == pytest.approx(steady, rel=1e-9)
 
 
 def test_the_stribeck_curve_falls_from_static_to_coulomb_friction():
-    curve = [stribeck_force(LUGRE, v) for v in np.linspace(0, 1e-4, 50)]
+    curve = [friction.stribeck_force(LUGRE, v) for v in np.linspace(0, 1e-4, 50)]
     assert curve[0] == PARAMETERS.static and curve == sorted(curve, reverse=True)
-    assert stribeck_force(LUGRE, 1.0) == pytest.approx(PARAMETERS.coulomb)
+    assert friction.stribeck_force(LUGRE, 1.0) == pytest.approx(PARAMETERS.coulomb)
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0, 1.0))
 def test_bristles_never_deflect_beyond_break_away_and_two_half_steps_are_a_whole_one(velocity, duration):
     limit = PARAMETERS.static / PARAMETERS.bristle_stiffness
-    whole = bristle_after(LUGRE, 0.9 * limit, velocity, duration)
-    half = bristle_after(LUGRE, 0.9 * limit, velocity, duration / 2)
+    whole = friction.bristle_after(LUGRE, 0.9 * limit, velocity, duration)
+    half = friction.bristle_after(LUGRE, 0.9 * limit, velocity, duration / 2)
     assert abs(whole) <= limit * (1 + 1e-12)
-    assert bristle_after(LUGRE, half, velocity, duration / 2) == pytest.approx(whole, rel=1e-9, abs=1e-18)
+    assert friction.bristle_after(LUGRE, half, velocity, duration / 2) == pytest.approx(whole, rel=1e-9, abs=1e-18)
 
 
 def test_static_friction_below_coulomb_friction_is_refused():
     with pytest.raises(ParameterError, match=r"static.*0\.5.*>= 0\.6"):
-        LuGreParameters(coulomb=0.6, static=0.5)
+        friction.LuGreParameters(coulomb=0.6, static=0.5)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +141,7 @@ def test_changes_of_no_size_or_that_have_not_come_change_nothing(nothing, model,
 
 def test_bands_vary_up_to_the_fraction_smoothly_and_by_the_seed_alone():
     def factors(seed):
-        return np.array([band_factor(0.3, 2e-6, seed, y) for y in np.linspace(-1e-4, 1e-4, 20001).tolist()])
+        return np.array([friction.band_factor(0.3, 2e-6, seed, y) for y in np.linspace(-1e-4, 1e-4, 20001).tolist()])
 
     found = factors(5)
     assert 0.7 <= found.min() < 0.75 and 1.25 < found.max() <= 1.3
@@ -170,7 +151,7 @@ def test_bands_vary_up_to_the_fraction_smoothly_and_by_the_seed_alone():
 
 
 def test_values_of_the_bands_are_spread_evenly_and_are_the_same_on_every_machine():
-    values = np.array([band_value(1, band) for band in range(-5000, 5000)])
+    values = np.array([friction.band_value(1, band) for band in range(-5000, 5000)])
     assert np.abs(values).max() <= 1.0
     assert values.mean() == pytest.approx(0.0, abs=0.03) and values.var() == pytest.approx(1 / 3, rel=0.05)
     assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 0.05
@@ -182,20 +163,21 @@ def test_sliding_force_follows_the_bands():
     contact.go(1e-5, 1e-3)
     for _ in range(500):
         force = contact.move(1e-3)
-        assert force == pytest.approx(0.43 * band_factor(0.3, 3e-6, 7, contact.place), rel=0.05)
+        assert force == pytest.approx(0.43 * friction.band_factor(0.3, 3e-6, 7, contact.place), rel=0.05)
 
 
 def test_age_is_the_time_at_rest_and_sliding_renews_the_contact():
-    assert age_after(2.0, 0.0, 3.0, 5e-6) == 5.0
-    assert age_after(100.0, 1e-3, 1.0, 5e-6) == pytest.approx(5e-6 / 1e-3)
-    half = age_after(age_after(2.0, 1e-6, 0.5, 5e-6), 1e-6, 0.5, 5e-6)
-    assert half == pytest.approx(age_after(2.0, 1e-6, 1.0, 5e-6))
-    assert age_after(2.0, 1e-17, 3.0, 5e-6) == pytest.approx(age_after(2.0, 1e-14, 3.0, 5e-6), rel=1e-6)
+    def after(age, velocity, duration):
+        return friction.age_after(age, velocity, duration, 5e-6)
+
+    assert after(2.0, 0.0, 3.0) == 5.0 and after(100.0, 1e-3, 1.0) == pytest.approx(5e-6 / 1e-3)
+    assert after(after(2.0, 1e-6, 0.5), 1e-6, 0.5) == pytest.approx(after(2.0, 1e-6, 1.0))
+    assert after(2.0, 1e-17, 3.0) == pytest.approx(after(2.0, 1e-14, 3.0), rel=1e-6)
     # Static friction grows with the logarithm of that time, up to its bound.
     for age, factor in ((0.0, 1.0), (3.0 * (math.e - 1.0), 1.1), (1e9, 2.0)):
         contact = Contact({"contact.rest.growth": 0.1, "contact.rest.time": 3.0})
-        contact.state[AGE] = age
-        rise = lugre_now(contact.constants, LUGRE, contact.state, 0.0).static - LUGRE.coulomb
+        contact.state[friction.AGE] = age
+        rise = friction.lugre_now(contact.constants, LUGRE, contact.state, 0.0).static - LUGRE.coulomb
         assert rise == pytest.approx(factor * (LUGRE.static - LUGRE.coulomb))
 
 
@@ -218,11 +200,11 @@ def test_break_away_grows_with_rest_and_a_step_multiplies_the_sliding_force_from
 
 def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fields_only():
     constants = as_array(PlantParameters().constants())
-    assert constants[KIND] == PLAIN and not constants[KIND:].any()
+    assert constants[friction.KIND] == friction.PLAIN and not constants[friction.KIND :].any()
     state = run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1]
     short = np.array(PlantState(velocity=1e-4, bias=1.0))[:7].copy()
     advance(constants, short, 1.0, 0.02, 5_000_000)
-    assert not state[TIME:].any() and state[:7].tolist() == short.tolist()
+    assert not state[friction.TIME :].any() and state[:7].tolist() == short.tolist()
 
 
 @pytest.mark.parametrize("values", [{}, *KINDS])
@@ -253,7 +235,7 @@ def test_one_block_of_infinite_attraction_is_a_spring_that_slips_at_its_limit():
     # Prandtl's element: F after a step is F + k·d, held within ± the limit.
     random, force, expected, slipping = np.random.default_rng(1), 0.0, 0.0, False
     for velocity in random.normal(0.0, 1e-3, 500):
-        force, slipping = block_after(force, slipping, 1e6, 0.5, 0.0, velocity, 1e-4)
+        force, slipping = friction.block_after(force, slipping, 1e6, 0.5, 0.0, velocity, 1e-4)
         expected = min(max(expected + 1e6 * velocity * 1e-4, -0.5), 0.5)
         assert force == pytest.approx(expected, abs=1e-12)
 
@@ -263,7 +245,7 @@ def test_one_block_of_infinite_attraction_is_a_spring_that_slips_at_its_limit():
 def test_blocks_that_slide_long_enough_give_the_stribeck_curve_plus_viscous_friction(velocity, limit_spread):
     contact = Contact({**SLIP, "contact.maxwell_slip.limit_spread": limit_spread})
     force = [contact.move(velocity, 0.1) for _ in range(200)][-1]
-    steady = math.copysign(stribeck_force(LUGRE, velocity), velocity) + LUGRE.viscous * velocity
+    steady = math.copysign(friction.stribeck_force(LUGRE, velocity), velocity) + LUGRE.viscous * velocity
     assert force == pytest.approx(steady)
 
 
@@ -299,8 +281,8 @@ def test_a_motion_cut_into_more_steps_gives_the_same_blocks():
     for distance in (1e-6, -4e-7, 9e-7, -3e-6):
         coarse.go(distance, steps=7)
         fine.go(distance, steps=70)
-        np.testing.assert_allclose(fine.state[BLOCK:], coarse.state[BLOCK:], atol=1e-9)
-        assert fine.state[SLIPPING] == coarse.state[SLIPPING]
+        np.testing.assert_allclose(fine.state[friction.BLOCK :], coarse.state[friction.BLOCK :], atol=1e-9)
+        assert fine.state[friction.SLIPPING] == coarse.state[friction.SLIPPING]
 
 
 def test_blocks_share_stiffness_and_limit():
@@ -334,7 +316,7 @@ def test_the_board_moves_the_same_plant(values):
         advance_to_sample(*board, np.array([begin]), np.array([0.1]), 1, begin + 500_000, 0.0)
         advance(as_array(plant.constants()), alone, 1.0, 0.0, 0, current, 500_000)
     np.testing.assert_array_equal(board.state[: alone.size], alone)
-    assert board.state[TIME] == pytest.approx(0.05) and board.state[AGE] > 0.0
+    assert board.state[friction.TIME] == pytest.approx(0.05) and board.state[friction.AGE] > 0.0
 
 
 @pytest.mark.parametrize("values", [{}, SLIP])
