@@ -15,8 +15,7 @@ the figures less certain. Offsets between runs count: nothing is removed from a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,9 +74,8 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
     return grid, np.array(values)
 
 
-@dataclass(frozen=True, eq=False)
-class Directed:
-    """One direction: ``runs``, and over the points (n,) in m ``mean`` and ``s`` (None for a single run)."""
+class Directed(NamedTuple):
+    """One direction: number of ``runs``, and over the points (n,) in m ``mean`` and ``s`` (None for a single run)."""
 
     runs: int
     mean: Array
@@ -89,39 +87,23 @@ class Directed:
         return None if self.s is None else 4.0 * float(self.s.max())
 
 
-@dataclass(frozen=True, eq=False)
-class Repeatability:
+class Repeatability(NamedTuple):
     """How well the runs of a survey agree.
 
     Attributes:
         x: (n,) points in m.
         forward, backward: None for a direction that was not driven.
+        mean: (n,) in m, of the forward mean and the backward mean, whatever the number of runs of each.
+        reversal: B_i (n,) in m; None without both directions.
+        bidirectional: R in m; None unless both directions have two runs.
     """
 
     x: Array
     forward: Directed | None
     backward: Directed | None
-
-    @property
-    def mean(self) -> Array:
-        """Mean (n,) in m of the forward mean and the backward mean, whatever the number of runs of each."""
-        return np.asarray(np.mean([one.mean for one in (self.forward, self.backward) if one is not None], axis=0))
-
-    @property
-    def reversal(self) -> Array | None:
-        """B_i (n,) in m; None without both directions."""
-        if self.forward is None or self.backward is None:
-            return None
-        return np.asarray(self.forward.mean - self.backward.mean)
-
-    @property
-    def bidirectional(self) -> float | None:
-        """R in m; None unless both directions have two runs."""
-        if self.forward is None or self.backward is None or self.forward.s is None or self.backward.s is None:
-            return None
-        ahead, back = self.forward.s, self.backward.s
-        both = 2.0 * ahead + 2.0 * back + np.abs(self.forward.mean - self.backward.mean)
-        return float(np.max([both, 4.0 * ahead, 4.0 * back]))
+    mean: Array
+    reversal: Array | None
+    bidirectional: float | None
 
     @property
     def short_of_the_standard(self) -> bool:
@@ -155,10 +137,18 @@ class Repeatability:
 def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
     """The figures of a survey at ``x`` (n,) in m, with ``values`` (runs, n) in m, both of :func:`on_common_grid`."""
 
-    def directed(direction: str) -> Directed | None:
-        chosen = values[[run.direction == direction for run in survey.runs]]
-        if not len(chosen):
-            return None
-        return Directed(len(chosen), chosen.mean(axis=0), chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None)
-
-    return Repeatability(x, directed("forward"), directed("backward"))
+    driven: dict[str, Directed] = {}
+    for way in ("forward", "backward"):
+        chosen = values[[run.direction == way for run in survey.runs]]
+        if len(chosen):
+            s = chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None
+            driven[way] = Directed(len(chosen), chosen.mean(axis=0), s)
+    forward, backward = driven.get("forward"), driven.get("backward")
+    mean = np.asarray(np.mean([one.mean for one in driven.values()], axis=0))
+    reversal = both = None
+    if forward and backward:
+        reversal = forward.mean - backward.mean
+        if forward.s is not None and backward.s is not None:
+            bidirectional = 2.0 * forward.s + 2.0 * backward.s + np.abs(reversal)
+            both = float(np.max([bidirectional, 4.0 * forward.s, 4.0 * backward.s]))
+    return Repeatability(x, forward, backward, mean, reversal, both)
