@@ -35,7 +35,7 @@ def format_of(path: Path, name: str | None) -> str:
     found = name or next((name for name, one in FORMATS.items() if path.suffix.lower() == one.ending), None)
     if found is None:
         known = ", ".join(f"{one.ending} ({name})" for name, one in FORMATS.items())
-        raise SurveyError(f"{path}: the ending {path.suffix!r} tells no format; allowed: {known}, or --format NAME")
+        raise SurveyError(f"{path}: the ending {path.suffix!r} names no format; allowed: {known}, or --format NAME")
     return found
 
 

@@ -254,7 +254,7 @@ def _export(options: argparse.Namespace) -> None:
     else:
         console.print(
             f"{output}: {len(points)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
-            f"linearly is at most {figures['interpolation_error_um']:.3f} µm beside the map"
+            f"linearly is at most {figures['interpolation_error_um']:.3f} µm off the map"
         )
 
 
