@@ -2,16 +2,17 @@
 
 import itertools
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.analysis.map_building import Choices, disagreement
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
+from straightcomp_ros.messages.cdr import ENCAPSULATION, joint_state
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import SurveyError, read_survey
 from straightcomp_ros.tuning.survey.recording import (
@@ -28,7 +29,6 @@ CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[3] / "bags" / "survey"
 LENGTH = 0.4
 START_NS = 1_700_000_000_000_000_000
-JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 def guide(x):
@@ -125,50 +125,40 @@ def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):
     assert again["straightness_least_squares_um"] == pytest.approx(first["straightness_least_squares_um"], abs=2e-3)
 
 
-def other_bag(path, *, unit=1e6, header=True):
-    """A survey with another maker's types: an axis by the name of `carriage`, a sensor that counts µm downwards."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
-    sensor_type = "geometry_msgs/msg/PointStamped" if header else "std_msgs/msg/Float64"
-    with BagWriter(path) as bag:
-        for topic, kind in (("/axes", JOINT_STATE), ("/probe", sensor_type)):
+@pytest.fixture
+def other_bag(tmp_path):
+    """A survey with other names and types: an axis `carriage`, a sensor without a stamp that counts µm downwards."""
+    axes = joint_state(["spindle", "carriage"], position=["angle", "x"])
+    with BagWriter(tmp_path / "bag") as bag:
+        for topic, kind in (("/axes", axes.type_name), ("/probe", "std_msgs/msg/Float64")):
             bag.add_topic(topic, kind)
-        for t, a in zip(*driven(0.0, LENGTH, 0.0, rate=100.0), strict=True):
+        for t, x in zip(*driven(0.0, LENGTH, 0.0, rate=100.0), strict=True):
             ns = START_NS + round(t * 1e9)
-            stamp = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
-            joints = ["spindle", "carriage"], np.array([1.0, a]), np.empty(0), np.empty(0)
-            bag.write("/axes", bytes(store.serialize_cdr(types[JOINT_STATE](stamp, *joints), JOINT_STATE)), ns, ns)
-            reading = -guide(a) * unit
-            content = (stamp, types["geometry_msgs/msg/Point"](0.0, reading, 0.0)) if header else (reading,)
-            bag.write("/probe", bytes(store.serialize_cdr(types[sensor_type](*content), sensor_type)), ns, ns)
+            bag.write("/axes", axes.pack(ns, 1.0, x), ns, ns)
+            bag.write("/probe", ENCAPSULATION + struct.pack("<d", -1e6 * guide(x)), ns, ns)
+    return ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", "--unit", "um", "--json"]
 
 
-@pytest.mark.parametrize("header, field", [(True, "point.y"), (False, "data")])
-def test_topics_and_types_of_others_are_named_by_options(tmp_path, capsys, header, field):
-    other_bag(tmp_path / "bag", header=header)
-    arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", "--unit", "um", "--json"]
-    assert main([*arguments, "--invert", "--sensor", f"/probe:{field}"]) == 0
+def test_topics_and_types_of_others_are_named_by_options(other_bag, capsys):
+    assert main([*other_bag, "--invert", "--sensor", "/probe:data"]) == 0
     found = json.loads(capsys.readouterr().out)
     true = guide(np.array(found["x_mm"]) * 1e-3) * 1e6
     assert np.array(found["mean_um"]) == pytest.approx(true - true.mean(), abs=0.02)
-    assert ("by time of sending" in found["provenance"]["sensor"]) is not header
+    assert "by time of sending" in found["provenance"]["sensor"]
 
 
 @pytest.mark.parametrize(
     "options, words",
     [
-        (["--sensor", "/probe:point.q"], "no field 'q'"),
-        (["--sensor", "/probe:point"], "is no number"),
+        (["--sensor", "/probe:q"], "no field 'q'"),
         (["--sensor", "/nothing:data"], "no topic '/nothing'"),
-        (["--sensor", "/probe:point.y", "--stage", "axes:position[gantry]"], "no element 'gantry'"),
+        (["--sensor", "/probe:data", "--stage", "axes:position[gantry]"], "no element 'gantry'"),
         (["--sensor", "/probe:po int"], "allowed: TOPIC or TOPIC:FIELD"),
         (["--step", "0"], "--step 0; allowed"),
     ],
 )
-def test_what_cannot_be_read_is_named(tmp_path, capsys, options, words):
-    other_bag(tmp_path / "bag")
-    arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", *options]
-    assert main(arguments) != 0
+def test_what_cannot_be_read_is_named(other_bag, capsys, options, words):
+    assert main([*other_bag, *options]) != 0
     assert words in " ".join(capsys.readouterr().err.split())
 
 
