@@ -101,7 +101,7 @@ class McapOutput:
             index += (channel_id, log_time_ns, offset)
             offset += FRAME.size + content
         joined = b"".join(parts)
-        # No call from here on: Python serves an interrupt at calls only, so both happen or none.
+        # No call from here on: Python handles an interrupt at calls only, so both happen or none.
         self._records += joined
         self._index += index
         if len(self._records) >= self._chunk_size:
@@ -158,7 +158,7 @@ class McapOutput:
         times = (first, last, *(self.time_range or ()))
         time_range, no_records, no_index = (min(times), max(times)), bytearray(), list[int]()
         self._append(builder.end(), _packed(index))
-        # No call since the file has grown: Python serves an interrupt at calls only, so all of this happens or nothing.
+        # No call since the file has grown: Python handles an interrupt at calls only, so all of this happens or nothing.
         self._records, self._index, self.message_counts = no_records, no_index, counts
         self.time_range = time_range
 
@@ -217,7 +217,7 @@ class McapOutput:
         while rest:
             rest = rest[self._file.write(rest) :]
         size, crc = self.size + len(data), zlib.crc32(data, self._crc)
-        # No call from here on: Python serves an interrupt at calls only, so both happen or none.
+        # No call from here on: Python handles an interrupt at calls only, so both happen or none.
         self.size, self._crc = size, crc
         self._summary += entries
 

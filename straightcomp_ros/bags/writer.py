@@ -225,7 +225,7 @@ class BagWriter:
             text = as_yaml({ROOT_KEY: information})
             self._output.add_attachment("metadata.yaml", "application/yaml", text.encode())
         self._output.finish()
-        # No call between these two: Python serves an interrupt at calls only.
+        # No call between these two: Python handles an interrupt at calls only.
         self._finished_files += [file]
         self._file_finished = True  # and stays so when the next one cannot be opened
         self._output.close()

@@ -50,8 +50,8 @@ def replay_through_graph(
     The controller waits for each sample's reference (trigger ``lockstep``): its answers then depend on the samples
     alone, not on this machine's speed.
 
-    The nodes are in a namespace and a ROS domain of their own, so that no driver that runs hears them, and they write
-    to the output folder only: a table that was learned is read from a copy.
+    The nodes are in a namespace and a ROS domain of their own, so that no running driver receives their commands. They
+    write to the output folder only: a table that was learned is read from a copy.
 
     ``output`` is the folder for ``bag/`` and ``logs/``, in which there must be no bag; ``remap`` and ``given`` as of
     :func:`~straightcomp_ros.offline.audit.audit`.

@@ -268,7 +268,7 @@ def test_an_applications_own_records_are_passed_over(bag):
     assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
 
 
-def test_messages_beside_the_chunks_are_read_in_their_place(record):
+def test_messages_outside_chunks_are_read_in_their_place(record):
     bag = Bag(record(count=40, chunk_size=6000, compression="none").file)
     whole = read_streams(bag.file, LAYOUTS)
     for which in (0, 2):

@@ -51,7 +51,7 @@ def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata_and_is_not_c
             assert before.ext.offered_qos_profiles == after.ext.offered_qos_profiles
 
 
-def test_a_damaged_chunk_costs_its_own_messages_only_and_their_number_is_told(record, tmp_path):
+def test_a_damaged_chunk_costs_its_own_messages_only_and_they_are_counted(record, tmp_path):
     bag = record(count=60, chunk_size=6000)
     content = bytearray(bag.file.read_bytes())
     offsets = records(content, Opcode.CHUNK)
@@ -111,7 +111,7 @@ def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
     assert sizes[0] == sizes[1] < sizes[2]
 
 
-def test_the_command_tells_what_was_saved_and_lost(record, tmp_path, capsys):
+def test_the_command_prints_what_was_saved_and_lost(record, tmp_path, capsys):
     bag = record()
     assert main(["recover", str(bag.directory), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)

@@ -139,7 +139,7 @@ def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
         calls = taken = 0
 
         def interrupt(frame: object, event: str, argument: object) -> None:
-            # Python serves signals before and after calls, so these are the places where Ctrl-C can strike.
+            # Python handles signals before and after calls: these are the places of Ctrl-C.
             nonlocal calls
             calls += event in ("call", "c_call", "c_return")
             if calls == call:

@@ -73,7 +73,7 @@ def written(
     parameters=True,
     **how,
 ) -> Path:
-    """Our messages as another writer stores them; ``channel(number, count)`` tells channels of a topic apart."""
+    """Our messages as another writer stores them; ``channel(number, count)`` is that of a topic."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
         to = Writer(file, **{"compression": CompressionType.ZSTD, "chunk_size": 100_000} | how)

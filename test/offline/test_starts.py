@@ -50,7 +50,7 @@ def test_what_the_compiled_loop_does_not_model_is_simulated_from_each_start():
     assert metrics_of_starts(learning, 2) == metrics_of_starts(compiled, 2)
 
 
-def test_simulate_tells_median_and_range_of_the_starts(capsys, tmp_path):
+def test_simulate_prints_median_and_range_of_the_starts(capsys, tmp_path):
     short = [f"--set=stage.{name}={value}" for name, value in SHORT["stage"].items()]
     assert main(["simulate", "--starts", "3", "--json", *short]) == 0
     printed = json.loads(capsys.readouterr().out)

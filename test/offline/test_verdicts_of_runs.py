@@ -230,7 +230,7 @@ def test_simulate_marks_the_figures_of_a_run_that_is_not_in_order_and_fails(caps
     assert " ! " not in captured.out and "Verdict: in order: error" in captured.out and captured.err == ""
 
 
-def test_simulate_tells_the_verdict_on_cycles_and_starts_in_json(capsys):
+def test_simulate_prints_the_verdict_on_cycles_and_starts_in_json(capsys):
     heavy = [*SHORT, "--set", "driver.simulated.truth.mass=4", "--json"]
     assert main(["simulate", *heavy, "--strokes", "2"]) == 1
     found = json.loads(capsys.readouterr().out)
