@@ -158,7 +158,7 @@ class McapOutput:
         times = (first, last, *(self.time_range or ()))
         time_range, no_records, no_index = (min(times), max(times)), bytearray(), list[int]()
         self._append(builder.end(), _packed(index))
-        # No call since the file has grown: Python handles an interrupt at calls only, so all of this happens or nothing.
+        # No call since the file grew: Python handles an interrupt at calls only, so all of this happens or none.
         self._records, self._index, self.message_counts = no_records, no_index, counts
         self.time_range = time_range
 

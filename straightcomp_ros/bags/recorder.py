@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import groupby, islice
 from pathlib import Path
 
 import numpy as np
@@ -264,21 +265,15 @@ class Recorder:
             self.failure = error
 
     def _write(self, intake: Intake) -> None:
-        queue = intake.queue
-        count = len(queue)
-        # After the count: the topic of each of these messages was announced before it came.
+        waiting = (intake.queue.popleft() for _ in range(len(intake.queue)))
+        # After counting those that wait: the topic of each of them was announced before it came.
         self._add_topics(self._topics)
-        messages: list[Message] = []
-        for _ in range(count):
-            message = queue.popleft()
-            if message is not BREAK:
-                messages.append(message)
-            if message is BREAK or len(messages) >= _BATCH:
-                self._write_batch(messages)
-                messages = []
-            if message is BREAK:
+        for interruption, messages in groupby(waiting, lambda message: message is BREAK):
+            if interruption:
                 self._losses.interrupt()
-        self._write_batch(messages)
+                continue
+            while batch := list(islice(messages, _BATCH)):
+                self._write_batch(batch)
 
     def _write_batch(self, messages: list[Message]) -> None:
         self._bag.write_all(messages)

@@ -195,30 +195,26 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
         if rate < LOWEST_RATE:
             raise ParameterError(f"parameter 'stage.rate': {rate} Hz; allowed in a sweep: >= {LOWEST_RATE}")
         controls[law] = nodes.controller.control
-    scenario = Scenario(
-        driver=nodes.driver,
-        description=nodes.controller.stage,
+    driver, feedforward, controller, _ = nodes
+    stage, uncertainty = controller.stage, controller.stage.uncertainty
+    deviating(driver.plant, Factors(air_gap=1.0 - uncertainty.air_gap))
+    # The oldest command on the board is a period and twice the jitter old, even if it acts at once.
+    oldest = stage.period * (1.0 + 2.0 * uncertainty.jitter)
+    if driver.simulated.command_timeout < oldest:
+        raise ParameterError(
+            f"node driver: parameter 'simulated.command_timeout': {driver.simulated.command_timeout!r} s; "
+            f"allowed in a sweep: >= {oldest:.4g} s, a period and twice the jitter"
+        )
+    return Scenario(
+        driver=driver,
+        description=stage,
         controls=controls,
-        feedforward=nodes.feedforward.feedforward,
-        followed=nodes.feedforward.stage,
-        lead_ns=nodes.controller.lead_ns,
+        feedforward=feedforward.feedforward,
+        followed=feedforward.stage,
+        lead_ns=controller.lead_ns,
         trajectory=nodes.trajectory,
         survey=nodes.survey(),
     )
-    _check(scenario)
-    return scenario
-
-
-def _check(scenario: Scenario) -> None:
-    machine, stage = scenario.driver.simulated, scenario.description
-    deviating(scenario.driver.plant, Factors(air_gap=1.0 - stage.uncertainty.air_gap))
-    # The oldest command on the board is a period and twice the jitter old, even if it acts at once.
-    oldest = stage.period * (1.0 + 2.0 * stage.uncertainty.jitter)
-    if machine.command_timeout < oldest:
-        raise ParameterError(
-            f"node driver: parameter 'simulated.command_timeout': {machine.command_timeout!r} s; "
-            f"allowed in a sweep: >= {oldest:.4g} s, a period and twice the jitter"
-        )
 
 
 def laws_of(scenario: Scenario) -> dict[str, Law]:

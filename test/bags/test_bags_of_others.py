@@ -28,6 +28,7 @@ from straightcomp_ros.bags.reader import read_attachments, read_messages, read_m
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER, STREAMS
+from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.offline.audit import audit
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -218,7 +219,6 @@ def test_statistics_that_count_too_few_are_no_negative_loss(sample, tmp_path):
 # SQLite
 
 
-DEFINITION = b"std_msgs/Header header\ngeometry_msgs/Point point\n"
 TRACER = "acme_msgs/msg/Tracer"
 HEAD = "=" * 80 + "\n"
 
@@ -248,29 +248,26 @@ def sqlite_bag(path: Path, topics: dict[str, str], rows: list[tuple[str, int, by
     return path
 
 
-def idl_of(text: str) -> str:
-    struct_of = "module {0} {{ module msg {{ struct {1} {{ {2} }}; }}; }};\n"
-    parts = [
-        ("acme_msgs", "Tracer", "std_msgs::msg::Header header; geometry_msgs::msg::Point point;"),
-        ("geometry_msgs", "Point", "double x; double y; double z;"),
-    ]
-    return "".join(f"{HEAD}IDL: {a}/msg/{b}\n{struct_of.format(a, b, c)}" for a, b, c in parts)
+def idl_of(name: str, members: str) -> str:
+    package, kind = name.split("/msg/")
+    return f"{HEAD}IDL: {name}\nmodule {package} {{ module msg {{ struct {kind} {{ {members} }}; }}; }};\n"
+
+
+IDL_OF_BOTH = idl_of(TRACER, "std_msgs::msg::Header header; geometry_msgs::msg::Point point;")
+IDL_OF_BOTH += idl_of("geometry_msgs/msg/Point", "double x; double y; double z;")
 
 
 @pytest.mark.parametrize("encoding", ["ros2msg", "ros2idl"])
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encoding, storage, fresh_types):
     text, messages = custom_messages()
-    text = text if encoding == "ros2msg" else idl_of(text)
+    text = text if encoding == "ros2msg" else IDL_OF_BOTH
     if storage == "sqlite3":
         rows = [("/probe", 10 + n, data) for n, data in enumerate(messages)]
         bag = sqlite_bag(tmp_path / "b_0.db3", {"/probe": TRACER}, rows, [(TRACER, encoding, text)])
     else:
-        bag = written(
-            [One("/probe", TRACER, text.encode(), data, 10, 10) for data in messages],
-            tmp_path / "b_0.mcap",
-            encoding=encoding,
-        )
+        recorded = [One("/probe", TRACER, text.encode(), data, 10, 10) for data in messages]
+        bag = written(recorded, tmp_path / "b_0.mcap", encoding=encoding)
     assert read_field(bag, Field("/probe", "point.y")).values.tolist() == [0.5, 1.5, 2.5]
 
 
@@ -323,21 +320,14 @@ def test_a_topic_that_an_sqlite_bag_has_twice_is_read_in_the_order_of_time(sampl
 # Files and recordings
 
 
-ROLLING = [f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range(12)]
-
-
 @pytest.mark.parametrize(
     ("names", "listed"),
     [
-        (ROLLING, ROLLING),
-        (ROLLING, None),
-        (["zulu.mcap", "alpha.mcap", "mike.mcap"], ["zulu.mcap", "alpha.mcap", "mike.mcap"]),
+        ([f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range(12)], None),
         (["z.mcap", "a.mcap", "m.mcap"], ["b_0.mcap", "b_1.mcap", "b_2.mcap"]),  # renamed by a user
     ],
 )
 def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path, names, listed):
-    from straightcomp_ros.fleet.history.bag_places import bags_in
-
     bag = tmp_path / "b"
     step = -(-len(sample) // len(names))
     for number, name in enumerate(names):
@@ -351,8 +341,6 @@ def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_pat
 
 
 def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, capsys):
-    from straightcomp_ros.fleet.history.bag_places import bags_in
-
     for name in ("a_run.mcap", "z_run.mcap"):
         written(sample, tmp_path / "b" / name)
     for words in (["evaluate"], ["replay"], ["recover"]):
