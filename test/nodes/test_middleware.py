@@ -1,18 +1,29 @@
-"""A process's profile of its middleware: sockets on this machine, unless the user has chosen."""
+"""What lies below the nodes: the middleware's profile, and what rclpy has but does not document."""
 
 import os
+import re
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import rclpy
+from rclpy.lifecycle import LifecycleNode
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Int64
+from waiting import comes_true
 
+import straightcomp_ros
 from straightcomp_ros.parameters.middlewares import RANGE_VARIABLE
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.runtime import inside_rclpy
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
+from straightcomp_ros.runtime.streams import stream_qos
 
-FAST_DDS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 CYCLONE = "CYCLONEDDS_URI"
 LOOPBACK = f"file://{share_path('config/cyclonedds_loopback.xml')}"
 
@@ -23,7 +34,7 @@ def under(monkeypatch):
 
     def added(middleware, environment):
         monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: middleware)
-        for name in (*FAST_DDS, CYCLONE, RANGE_VARIABLE):
+        for name in (*PROFILES, CYCLONE, RANGE_VARIABLE):
             monkeypatch.delenv(name, raising=False)
         for name, value in environment.items():
             monkeypatch.setenv(name, value)
@@ -37,7 +48,7 @@ def under(monkeypatch):
 
 
 def fast_dds(profile, **more):
-    return {**dict.fromkeys(FAST_DDS, str(share_path(profile))), **more}
+    return {**dict.fromkeys(PROFILES, str(share_path(profile))), **more}
 
 
 LOCAL, SUBNET, DEFAULT = {RANGE_VARIABLE: "LOCALHOST"}, {RANGE_VARIABLE: "SUBNET"}, "its own default"
@@ -50,7 +61,7 @@ FAST, CYCLONE_DDS, OTHER = "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp", "rmw_of_tom
         (FAST, LOCAL, fast_dds("config/fastdds_loopback.xml", **{RANGE_VARIABLE: "SYSTEM_DEFAULT"}), ""),
         (FAST, SUBNET, fast_dds("config/fastdds.xml"), ""),
         (FAST, {}, fast_dds("config/fastdds.xml"), ""),
-        *((FAST, {**LOCAL, one: "mine.xml"}, {}, "") for one in FAST_DDS),
+        *((FAST, {**LOCAL, one: "mine.xml"}, {}, "") for one in PROFILES),
         (CYCLONE_DDS, LOCAL, {CYCLONE: LOOPBACK}, LOOPBACK),
         (CYCLONE_DDS, {**LOCAL, CYCLONE: "file:///mine.xml"}, {}, CYCLONE),
         (CYCLONE_DDS, {**LOCAL, CYCLONE: ""}, {}, ""),
@@ -80,7 +91,7 @@ def test_the_profiles_have_sockets_only_and_those_of_loopback_no_other_interface
 
 
 def test_a_process_opens_no_shared_memory_and_no_socket_beyond_loopback(monkeypatch):
-    for name in (*FAST_DDS, CYCLONE):
+    for name in (*PROFILES, CYCLONE):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv(RANGE_VARIABLE, "LOCALHOST")
     script = """
@@ -95,3 +106,81 @@ print(sorted({each.laddr.ip for each in process.net_connections("udp")}))
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
     assert done.stdout.splitlines() == ["[]", "['127.0.0.1']"], done.stderr
+
+
+SECOND = 10**9
+# What rclpy does not document begins with an underscore, is its C++ layer, or a handle into that.
+PRIVATE = re.compile(r"rclpy\.impl|rclpy_implementation|\.handle\b|(?<!self)(?<!cls)(?<!super\(\))\._[a-z]+\b")
+ROS = re.compile(r"^(from|import) rclpy", re.MULTILINE)
+FAST_DDS = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.MULTILINE)
+
+
+@pytest.fixture
+def node():
+    rclpy.init()
+    made = LifecycleNode("inside")
+    yield made
+    made.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def pair(node):
+    """Publisher and subscription of one topic, connected."""
+    publisher = node.create_publisher(Int64, "any", stream_qos())
+    subscription = node.create_subscription(Int64, "any", lambda _: None, stream_qos(), raw=True)
+    assert comes_true(publisher.get_subscription_count)
+    return publisher, subscription
+
+
+def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middleware(node, pair):
+    publisher, subscription = pair
+    take, wait = inside_rclpy.raw_take(subscription), inside_rclpy.waiter(node, subscription)
+    assert take() is None
+    # A wait without a message ends in time.
+    begin = time.monotonic()
+    wait(20_000_000)
+    assert time.monotonic() - begin >= 0.019
+    before = time.time_ns()
+    inside_rclpy.raw_publish(publisher)(serialize_message(Int64(data=42)))
+    wait(10 * SECOND)
+    data, info = take()
+    assert deserialize_message(data, Int64).data == 42
+    assert all(before <= info[name] <= time.time_ns() for name in ("source_timestamp", "received_timestamp"))
+    assert take() is None
+
+
+@pytest.mark.parametrize(
+    ("sent_ns", "came_ns"), [(900, 1000), (1300, 1300), (9000, 2000)], ids=["long ago", "since", "by a clock ahead"]
+)
+def test_where_reception_is_stamped_at_the_take_a_message_came_between_its_sending_and_the_take(
+    monkeypatch, sent_ns, came_ns
+):
+    """None had come at 1000, one was taken at 2000."""
+    waiting = [None, (b"data", {"source_timestamp": sent_ns, "received_timestamp": 2000, "other": 7})]
+    subscription = SimpleNamespace(
+        handle=SimpleNamespace(take_message=lambda kind, raw: waiting.pop(0)), msg_type="any kind"
+    )
+    clock = iter((1000, 2000))
+    monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    monkeypatch.setattr(inside_rclpy.time, "time_ns", lambda: next(clock))
+    take = inside_rclpy.raw_take(subscription)
+    assert take() is None
+    assert take() == (b"data", {"source_timestamp": sent_ns, "received_timestamp": came_ns, "other": 7})
+
+
+def test_state_and_state_service_of_a_lifecycle_node_are_there(node):
+    assert inside_rclpy.lifecycle_state(node) == "unconfigured"
+    node.trigger_configure()
+    assert inside_rclpy.lifecycle_state(node) == "inactive"
+    assert inside_rclpy.state_service(node).srv_name.endswith("/change_state")
+
+
+def test_no_other_file_uses_what_rclpy_does_not_document_and_none_a_package_of_fast_dds():
+    found = []
+    for file in sorted(Path(straightcomp_ros.__file__).parent.rglob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        assert not FAST_DDS.search(text), file
+        if ROS.search(text) and file.name != "inside_rclpy.py":
+            found += [f"{file}: {line.strip()}" for line in text.splitlines() if PRIVATE.search(line)]
+    assert found == []

@@ -1,11 +1,16 @@
-"""What a machine of running nodes asks of them: a client that fails, or is interrupted, leaves nothing behind."""
+"""A running graph as a machine: a client that fails, is interrupted or is killed leaves nothing behind."""
 
+import json
+import os
+import signal
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -14,7 +19,8 @@ from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.graph import running_machine
+from straightcomp_ros.tuning.graph import machine_access, running_machine
+from straightcomp_ros.tuning.graph.machine_access import Access, FirstParameters
 from straightcomp_ros.tuning.graph.running_machine import RunningMachine
 
 SHIPPED = shipped_parameters()
@@ -128,3 +134,79 @@ def test_a_machine_in_use_is_left_as_it_is(tmp_path):
     with pytest.raises(CommissioningError, match="another client uses the machine"):
         machine(client, tmp_path)
     assert not client.asked and not client.given and not client.states
+
+
+FOUND = {"driver": {"watch.travel": 0.1, "hardware": "simulated"}, "logger": {"output": ""}}
+LEFT = {"driver": {"watch.travel": 3e-6, "hardware": "simulated"}, "logger": {"output": "bags/shake"}}
+PROCESSES = {"driver": "01", "logger": "02"}
+
+
+def test_the_next_client_finds_what_a_killed_one_found_but_for_nodes_started_anew_or_released(tmp_path):
+    first = FirstParameters(FOUND, PROCESSES, tmp_path)
+    first.keep()
+    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == FOUND
+    anew = FirstParameters({**LEFT, "driver": {"watch.travel": 0.2}}, {**PROCESSES, "driver": "03"}, tmp_path)
+    assert anew.values == {"driver": {"watch.travel": 0.2}, "logger": FOUND["logger"]}
+    # A file of nonsense counts for nothing.
+    for file in tmp_path.iterdir():
+        file.write_text(json.dumps(FOUND)[:20])
+    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
+    first.keep()
+    first.forget()
+    assert not list(tmp_path.iterdir())
+    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
+
+
+def terminate():
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def failed():
+    raise CommissioningError("no samples come")
+
+
+@pytest.fixture
+def stands_for_graph(monkeypatch):
+    """A function that puts ``act`` in the place of a running graph's use by a verb; returns what became of that."""
+
+    def stands_for(act):
+        seen = SimpleNamespace(folder=None, released=False)
+
+        @contextmanager
+        def running(folder, namespace=""):
+            seen.folder = folder
+            try:
+                yield Access(None, shipped_parameters(), lambda doing: act())
+            finally:
+                if act is terminate:
+                    act()
+                seen.released = True
+
+        monkeypatch.setattr(machine_access, "running_graph", running)
+        return seen
+
+    return stands_for
+
+
+def test_sigterm_releases_the_machine_even_if_it_comes_twice(stands_for_graph, capsys):
+    before, one = signal.getsignal(signal.SIGTERM), stands_for_graph(terminate)
+    assert main(["frequency-response", "--graph", "running"]) == 143
+    assert one.released and "terminated" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "folder"),
+    [
+        # A measurement that fails leaves what was there before.
+        ("frequency-response --graph running -o loop.png", "loop_graph/unfinished"),
+        ("commission --graph running -o found --only connection", "found"),
+    ],
+)
+def test_nodes_get_the_whole_path_of_a_folder_and_are_released_after_a_failure(
+    stands_for_graph, tmp_path, monkeypatch, words, folder
+):
+    monkeypatch.chdir(tmp_path)
+    one = stands_for_graph(failed)
+    assert main(words.split()) == 1
+    assert one.folder == tmp_path / folder and one.released

@@ -62,7 +62,7 @@ class RunningMachine:
     def listen(self, seconds: float) -> Series:
         """See `Machine`."""
         self._prepare(self._in_open_loop(ExcitationParameters()))
-        bag = self._bag("connection")
+        bag = self._folder / "bags" / "connection"
         with self._recorded(bag):
             end = time.monotonic() + seconds
             self._client.wait(lambda: time.monotonic() > end, seconds + _LATE_S, "time stood still")
@@ -72,7 +72,7 @@ class RunningMachine:
         """See `Machine`."""
         values = self._in_open_loop(excitation)
         self._prepare(values)
-        bag = self._bag(excitation.signal)
+        bag = self._folder / "bags" / excitation.signal
         try:
             # In the driver: it switches off within a sample, and from the switch-on on.
             self._client.give("driver", {_TRAVEL: excitation.travel})
@@ -91,7 +91,6 @@ class RunningMachine:
         self._prepare(values, error_limit=travel)
         motion = node_parameters("cell", values).stage.motion
         self._approach(motion.start, motion.speed, motion.acceleration)
-        shutil.rmtree(bag, ignore_errors=True)
         with self._recorded(bag), self._switched_on():
             self._sleep(_SETTLE_S)
             for _ in range(count):
@@ -107,7 +106,7 @@ class RunningMachine:
         values = {**values, "controller": controller}
         nodes = node_parameters("controller", values)
         self._prepare(values, error_limit=2.0 * excitation.travel)
-        bag, duration = self._bag("frequency_response"), excitation.seconds + 2.0 * _SETTLE_S
+        bag, duration = self._folder / "bags" / "frequency_response", excitation.seconds + 2.0 * _SETTLE_S
         motion = nodes.stage.motion
         if moving:
             self._approach(motion.start, motion.speed, motion.acceleration)
@@ -142,11 +141,6 @@ class RunningMachine:
         own = {f"excitation.{name}": value for name, value in to_mapping(excitation).items()}
         return {**self._values, "controller": {**self._values["controller"], "control.law": OPEN_LOOP, **own}}
 
-    def _bag(self, name: str) -> Path:
-        bag = self._folder / "bags" / name
-        shutil.rmtree(bag, ignore_errors=True)
-        return bag
-
     def _prepare(self, values: Values, **controller: Any) -> None:
         """Bring the loop to work with these parameters, the amplifier off."""
         use_kept_free(False)
@@ -175,33 +169,33 @@ class RunningMachine:
     def _approach(self, start: float, speed: float, acceleration: float) -> None:
         """Move the stage to ``start``, the amplifier off."""
         client = self._client
-        here = client.observation().x
-        if not abs(here - start) > _ARRIVED:
+        here = Waypoint(0, client.observation().x, 0.0)
+        if not abs(here.position - start) > _ARRIVED:
             return
-        points = [Waypoint(0, here, 0.0), *trapezoid(Waypoint(0, here, 0.0), start, speed, acceleration)]
+        points = [here, *trapezoid(here, start, speed, acceleration)]
         client.wait(lambda: client.stage_listens, _START_S, "no node subscribes to the stage's trajectory")
         client.move(points)
-        client.wait(
-            lambda: abs(client.observation().x - start) <= _ARRIVED,
-            points[-1].time_ns * 1e-9 + _LATE_S,
+        self._arrive(start, points[-1].time_ns * 1e-9 + _LATE_S)
+
+    def _arrive(self, start: float, within: float) -> None:
+        self._client.wait(
+            lambda: abs(self._client.observation().x - start) <= _ARRIVED,
+            within,
             f"the stage did not come to its start at {start:g} m",
         )
 
     def _cycle(self, motion: MotionParameters) -> None:
         """Make one cycle. Each is a trajectory of its own: after an interrupt no further one begins."""
-        client, waypoints = self._client, forward_and_back(motion)
-        client.move(waypoints)
+        waypoints = forward_and_back(motion)
+        self._client.move(waypoints)
         self._sleep(waypoints[-1].time_ns * 1e-9)
-        client.wait(
-            lambda: abs(client.observation().x - motion.start) <= _ARRIVED,
-            _LATE_S,
-            f"the stage did not come back to its start at {motion.start:g} m",
-        )
+        self._arrive(motion.start, _LATE_S)
 
     @contextmanager
     def _recorded(self, bag: Path) -> Iterator[None]:
         """Record to ``bag`` with a logger that is configured for it, so that it attaches the present parameters."""
         client = self._client
+        shutil.rmtree(bag, ignore_errors=True)
         client.bring("logger", "unconfigured")
         # The logger may run in another folder than this process.
         client.give("logger", {"output": str(bag.resolve()), "record_at_start": True})
