@@ -6,6 +6,7 @@ for a subscription. A lifecycle node gives no access to its state or to the serv
 
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
@@ -62,6 +63,19 @@ def waiter(node: Node, subscription: Subscription) -> Callable[[int], None]:
         wait_set.wait(timeout_ns)
 
     return wait
+
+
+def withdraw(node: Node, kind: str, entity: Any) -> Callable[[], None]:
+    """Take a service, client, subscription or publisher from its node; returns the function that destroys it, to be
+    called after the executor's next look at the node.
+
+    An EventsExecutor may have an event of the entity in its queue, and crashes if it is destroyed before the executor
+    has dropped it (ros2/rclpy#1644): after some tens of transitions of a lifecycle node.
+    """
+    destroy: Callable[[], None] = entity.destroy
+    entity.destroy = lambda: None
+    getattr(node, f"destroy_{kind}")(entity)
+    return destroy
 
 
 def lifecycle_state(node: LifecycleNode) -> str:

@@ -26,7 +26,7 @@ from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.runtime.guarded_node import GuardedNode, ThrottledWarning, refusal
-from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
+from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service, withdraw
 from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.loops import Loop
 from straightcomp_ros.runtime.ros_parameters import ParameterChanges, declare
@@ -42,6 +42,8 @@ _HEARTBEAT_S = 0.1
 _ENTITIES = ("service", "client", "subscription", "publisher")
 """What a component makes on its node."""
 _PAUSE_S = 0.001
+_WITHDRAWN_S = 0.1
+"""Time in which the executor drops what was withdrawn from it."""
 
 
 class Component(Protocol):
@@ -230,10 +232,19 @@ class ManagedNode(GuardedNode, LifecycleNode):
     def _destroy_entities(self) -> None:
         self.streams.close()
         self.cancel_timers(self._own_timers)
-        for kind in _ENTITIES:
-            for entity in list(getattr(self, f"{kind}s")):
-                if id(entity) not in self._own:
-                    getattr(self, f"destroy_{kind}")(entity)
+        withdrawn = [
+            withdraw(self, kind, entity)
+            for kind in _ENTITIES
+            for entity in list(getattr(self, f"{kind}s"))
+            if id(entity) not in self._own
+        ]
+
+        def destroy() -> None:
+            self.steady_timers.cancel([later])
+            for entity in withdrawn:
+                entity()
+
+        later = self.steady_timers.add(_WITHDRAWN_S, destroy)
 
     def _beat(self) -> None:
         state = lifecycle_state(self)

@@ -153,3 +153,11 @@ def test_a_node_of_one_process_stops_and_starts_while_the_others_run(loop):
         assert loop.trigger("driver/reset_fault").success
         loop.switch_on()
         received(loop, CONTROLLER_STATE)
+
+
+@pytest.mark.nightly
+def test_a_node_lives_through_a_hundred_rounds_of_its_states(nodes, participant):
+    for count in range(100):
+        assert participant.set("logger", {"output": str(nodes / f"round{count}")}).successful
+        for transition in ("configure", "activate", "deactivate", "cleanup"):
+            assert participant.change("logger", transition), (count, transition)
