@@ -1,20 +1,19 @@
 """The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
+from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
-from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures
-from straightcomp_ros.analysis.record import Array, StrokeRecord, runs_of
+from straightcomp_ros.analysis.metrics import MetricsError, evaluate, stroke_figures
+from straightcomp_ros.analysis.record import Array, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
@@ -28,26 +27,42 @@ class Interval(NamedTuple):
     samples: int
 
 
-@dataclass(frozen=True, eq=False)
 class Assessment:
-    """A run with all its figures."""
+    """A recorded run with all its figures.
 
-    bag: Path
-    evaluation: BagEvaluation
-    metrics: Metrics
-    strokes: list[StrokeFigures]  # in order
-    spectrum: Spectrum  # of the compensation error as the encoder sees it, while the stage moves
-    gaps: list[Interval]  # samples that the clock took and the bag lacks
-    saturated: list[Interval]  # where the command was at the law's current limit
-    amplifier_off: list[Interval]  # off between the run's first motion and its last: a fault, or a stop
-    stick_slips: list[StickSlip]  # of all strokes
-    verdict: Verdict
-    warnings: tuple[str, ...] = ()  # the reader's about the bag
+    MetricsError if the stage does not move, or a number within the motion is not finite.
+    """
 
-    @property
-    def record(self) -> StrokeRecord:
-        """The run's samples."""
-        return self.evaluation.record
+    def __init__(self, bag: Path, evaluation: BagEvaluation) -> None:
+        self.bag, self.evaluation = bag, evaluation
+        self.warnings: Sequence[str] = ()  # the reader's about the bag
+        self.record = record = evaluation.record
+        partial = evaluation.partial()
+        try:
+            moving = record.moving
+        except MetricsError as found:
+            raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
+        reference, time = record.reference, (evaluation.stamps - evaluation.stamps[0]) * 1e-9
+        strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
+        self.metrics = evaluate(record, reference)
+        self.strokes = [stroke_figures(one, reference, direction) for one, direction in strokes]
+        # Of the compensation error as the encoder sees it, while the stage moves.
+        self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
+        # Samples that the clock took and the bag lacks.
+        periods = np.diff(time) / np.median(np.diff(time))
+        gaps = np.flatnonzero((periods > 1.5) & (np.diff(time) < PAUSE)).tolist()
+        self.gaps = [Interval(float(time[at]), float(time[at + 1]), round(float(periods[at])) - 1) for at in gaps]
+        # Where the command was at the law's current limit.
+        self.saturated = _intervals(record.time, evaluation.at_current_limit)
+        # Where the amplifier was off between the run's first motion and its last, as the encoder saw the stage move,
+        # whether the law ran or not: a fault, or a stop.
+        self.amplifier_off: list[Interval] = []
+        if evaluation.encoder and (seen := evaluation.encoder.strokes):
+            off, first, last = evaluation.encoder.off, time[seen[0].start], time[seen[-1].stop - 1]
+            self.amplifier_off = [one for one in _intervals(time, off) if one.start <= last and one.end >= first]
+        self.stick_slips = [event for one, _ in strokes for event in stick_slips(one.time, one.x, one.y, one.r)]
+        known = evaluation.parameters, evaluation.map, evaluation.stalls
+        self.verdict = partial or judged_run(record, reference, *known)
 
     def figures(self) -> dict[str, Any]:
         """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""
@@ -95,42 +110,6 @@ class Assessment:
             "stick_slip": [asdict(event) for event in self.stick_slips],
             "warnings": list(self.warnings),
         }
-
-
-def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ()) -> Assessment:
-    """Assess a recorded run; MetricsError if the stage does not move, or a number within the motion is not finite."""
-    record, partial = evaluation.record, evaluation.partial()
-    try:
-        moving = record.moving
-    except MetricsError as found:
-        raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
-    reference, time = record.reference, (evaluation.stamps - evaluation.stamps[0]) * 1e-9
-    off = []
-    if evaluation.encoder and (seen := evaluation.encoder.strokes):
-        # As the encoder saw the stage move, whether the law ran or not.
-        first, last = time[seen[0].start], time[seen[-1].stop - 1]
-        off = [one for one in _intervals(time, evaluation.encoder.off) if one.start <= last and one.end >= first]
-    strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
-    return Assessment(
-        bag=bag,
-        evaluation=evaluation,
-        metrics=evaluate(record, reference),
-        strokes=[stroke_figures(one, reference, direction) for one, direction in strokes],
-        spectrum=error_spectrum(moving.time, moving.r - moving.y),
-        gaps=_gaps(time),
-        saturated=_intervals(record.time, evaluation.at_current_limit),
-        amplifier_off=off,
-        stick_slips=[event for one, _ in strokes for event in stick_slips(one.time, one.x, one.y, one.r)],
-        verdict=partial or judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls),
-        warnings=warnings,
-    )
-
-
-def _gaps(time: Array) -> list[Interval]:
-    steps = np.diff(time)
-    periods = steps / np.median(steps)
-    gaps = np.flatnonzero((periods > 1.5) & (steps < PAUSE))
-    return [Interval(float(time[at]), float(time[at + 1]), round(float(periods[at])) - 1) for at in gaps]
 
 
 def _intervals(time: Array, mask: NDArray[np.bool_]) -> list[Interval]:

@@ -6,7 +6,6 @@ decide: it is 1 when a figure is outside its limit, or the figures are not those
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,17 +86,18 @@ def parsed_remap(assignments: list[str]) -> dict[str, str]:
 
 
 def _assessed(bag: Path, remap: dict[str, str]) -> Assessment:
-    from straightcomp_ros.analysis.assessment import assess
+    from straightcomp_ros.analysis.assessment import Assessment
     from straightcomp_ros.analysis.evaluation import evaluate_bag
     from straightcomp_ros.analysis.record import MetricsError
 
     with noted_warnings() as texts:
         try:
             with working("evaluating"):
-                assessment = assess(bag, evaluate_bag(bag, remap))
+                assessment = Assessment(bag, evaluate_bag(bag, remap))
         except MetricsError as error:
             raise CommandFailed(f"bag {bag}: {error}") from error
-    return dataclasses.replace(assessment, warnings=tuple(texts))
+    assessment.warnings = texts
+    return assessment
 
 
 def _print(assessment: Assessment, other: Assessment | None) -> None:

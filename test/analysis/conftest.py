@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.assessment import Assessment, assess
+from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.record import StrokeRecord
@@ -61,7 +61,9 @@ def assessed() -> Callable[..., Assessment]:
         } | changes
         stamps = values["stamps"]
         run = encoder_run(stamps, record.x[np.isin(every, stamps)], values["amplifier_on"], int(stamps[-1]))
-        return assess(Path(bag), BagEvaluation(record, **values, encoder=run), warnings)
+        found = Assessment(Path(bag), BagEvaluation(record, **values, encoder=run))
+        found.warnings = warnings
+        return found
 
     return made
 

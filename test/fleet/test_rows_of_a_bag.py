@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from stores import SAMPLES
 
-from straightcomp_ros.analysis.assessment import assess
+from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
 from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
@@ -42,7 +42,7 @@ def columns_of(evaluation, *names, **changes):
 
 
 def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_parameters_and_map(evaluation, rows):
-    strokes = assess(BAG, evaluation).strokes
+    strokes = Assessment(BAG, evaluation).strokes
     assert len(rows) == len(strokes) == 2
     for row, stroke in zip(rows, strokes, strict=True):
         figures = stroke.to_display()
