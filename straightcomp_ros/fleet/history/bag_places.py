@@ -25,19 +25,12 @@ _METADATA = "metadata.yaml"
 
 
 class BagPlace(NamedTuple):
-    """A bag that was found, and how its files were at that time.
+    """A bag that was found, and how its files were at that time."""
 
-    Attributes:
-        location: full path or URL of the folder or file.
-        names: of its files, within the folder; a bag that is one file has none.
-        size: of its files, bytes.
-        modified: when the newest of them was changed, UTC; None where the storage does not say.
-    """
-
-    location: str
-    names: tuple[str, ...]
-    size: int
-    modified: datetime | None
+    location: str  # full path or URL of the folder or file
+    names: tuple[str, ...]  # of its files, within the folder; a bag that is one file has none
+    size: int  # of its files, bytes
+    modified: datetime | None  # when the newest of them was changed, UTC; None where the storage does not say
 
     @property
     def paths(self) -> list[str]:

@@ -83,24 +83,15 @@ _SETTINGS_REMEDY = "compare with what was set before; take it back if the change
 
 @dataclass(frozen=True)
 class Advice:
-    """One change that needs work.
+    """One change that needs work."""
 
-    Attributes:
-        cause: its name, for programs.
-        text: what changed, since when, and the likely cause.
-        remedy: what to do.
-        since, found: when it began by the best fit, and when the strokes first showed it.
-        changes: of the figures that it explains, that of the cause first.
-        place: of the guide; None where it has none.
-    """
-
-    cause: str
-    text: str
-    remedy: str
-    since: date
-    found: date
-    changes: tuple[LevelChange, ...]
-    place: Place | None = None
+    cause: str  # its name, for programs
+    text: str  # what changed, since when, and the likely cause
+    remedy: str  # what to do
+    since: date  # when it began by the best fit
+    found: date  # when the strokes first showed it
+    changes: tuple[LevelChange, ...]  # of the figures that it explains, that of the cause first
+    place: Place | None = None  # of the guide; None where it has none
 
     @property
     def due(self) -> bool:

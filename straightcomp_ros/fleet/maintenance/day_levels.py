@@ -25,23 +25,16 @@ Array = NDArray[np.float64]
 
 
 class Watched(NamedTuple):
-    """A figure.
+    """A figure that is watched for wear."""
 
-    Attributes:
-        name: column of the store; :data:`GUIDE` is made from ``guide_change_um``.
-        words: for people.
-        unit: of its values.
-        relative, absolute: least scatter from day to day that is assumed, as a fraction of the level and in the unit: a
-            figure that hardly scatters during its baseline must not make an alarm of every tremor.
-        falling: whether a fall is watched too; of the others only a rise is bad.
-    """
-
-    name: str
-    words: str
-    unit: str
-    relative: float = 0.002
-    absolute: float = 0.0
-    falling: bool = False
+    name: str  # column of the store; GUIDE is made from guide_change_um
+    words: str  # for people
+    unit: str  # of its values
+    # Least scatter from day to day that is assumed: a figure that hardly scatters during its baseline must not make an
+    # alarm of every tremor.
+    relative: float = 0.002  # as a fraction of the level
+    absolute: float = 0.0  # in the unit
+    falling: bool = False  # whether a fall is watched too; of the others only a rise is bad
 
 
 GUIDE = "guide_change_pp_um"
@@ -80,21 +73,15 @@ _DEGREE = 2
 
 @dataclass(frozen=True, eq=False)
 class DayLevels:
-    """One entry for each day with strokes, in order.
+    """One entry for each day with strokes, in order."""
 
-    Attributes:
-        day: (n,) days since 1970-01-01.
-        columns: by name of :data:`FIGURES`, (n,) median of the day; NaN where no stroke has it.
-        x: (m,) m, middles of the bins.
-        profiles: by name of the columns over x, (n, m) median of the day in µm; NaN where not known. That of the guide
-            is known of the strokes with the last map alone: another map is another zero.
-        settings: by name of :data:`SETTINGS`, (n,) of the last stroke of the day, empty where unknown.
-    """
-
-    day: NDArray[np.int64]
-    columns: Mapping[str, Array]
-    x: Array
+    day: NDArray[np.int64]  # (n,) days since 1970-01-01
+    columns: Mapping[str, Array]  # by name of FIGURES, (n,) median of the day; NaN where no stroke has it
+    x: Array  # (m,) m, middles of the bins
+    # By name of the columns over x, (n, m) median of the day in µm; NaN where not known. That of the guide is known of
+    # the strokes with the last map alone: another map is another zero.
     profiles: Mapping[str, Array]
+    # By name of SETTINGS, (n,) of the last stroke of the day, empty where unknown.
     settings: Mapping[str, Sequence[str]]
 
     def date(self, place: int) -> date:

@@ -45,26 +45,16 @@ _LEAST = 3
 
 
 class LevelChange(NamedTuple):
-    """A change of a figure.
+    """A change of a figure."""
 
-    Attributes:
-        figure: its name.
-        begin: place of the day from which the level is another one.
-        found: place of the day whose level gave the alarm.
-        ended: place of the day from which the level counts as back at its baseline; None while it is not.
-        before, after: median of the baseline, and of the last days of the change, at most a week.
-        sigma: standard deviation from day to day that the baseline lets expect.
-        step: whether it came within days; otherwise the level drifts.
-    """
-
-    figure: str
-    begin: int
-    found: int
-    ended: int | None
-    before: float
-    after: float
-    sigma: float
-    step: bool
+    figure: str  # its name
+    begin: int  # place of the day from which the level is another one
+    found: int  # place of the day whose level gave the alarm
+    ended: int | None  # place of the day from which the level counts as back at its baseline; None while it is not
+    before: float  # median of the baseline
+    after: float  # median of the last days of the change, at most a week
+    sigma: float  # standard deviation from day to day that the baseline lets expect
+    step: bool  # whether it came within days; otherwise the level drifts
 
     @property
     def lasting(self) -> bool:

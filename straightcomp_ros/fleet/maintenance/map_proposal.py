@@ -34,17 +34,11 @@ _LIMIT = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A map to look at, next to the old one.
+    """A map to look at, next to the old one."""
 
-    Attributes:
-        built: the map with its provenance.
-        strokes: how many it is made from.
-        change: (n,) new minus old deviation in m, over ``built.repeatability.x``, without its mean.
-    """
-
-    built: BuiltMap
-    strokes: int
-    change: NDArray[np.float64]
+    built: BuiltMap  # the map with its provenance
+    strokes: int  # how many it is made from
+    change: NDArray[np.float64]  # (n,) new minus old deviation in m, over ``built.repeatability.x``, without its mean
 
     def figures(self) -> dict[str, Any]:
         """By name, the unit in each name."""

@@ -16,25 +16,15 @@ SMALL = 8
 
 @dataclass(frozen=True)
 class Claim:
-    """One number, as computed here and as printed.
+    """One number, as computed here and as printed."""
 
-    Attributes:
-        name: what the number is, in words.
-        ours: our number; NaN where there is none. Of a stroke it is the median over several starts.
-        unit: of both; empty for pure numbers.
-        note: what to know of it.
-        paper: the paper's number, None where it prints none.
-        tolerance: largest |ours − paper| that counts as agreement; no meaning without ``paper``.
-        range: least and largest over the starts; None for what does not depend on one.
-    """
-
-    name: str
-    ours: float
-    unit: str
-    note: str
-    paper: float | None = None
-    tolerance: float = 0.0
-    range: tuple[float, float] | None = None
+    name: str  # what the number is, in words
+    ours: float  # our number; NaN where there is none. Of a stroke it is the median over several starts
+    unit: str  # of both; empty for pure numbers
+    note: str  # what to know of it
+    paper: float | None = None  # the paper's number, None where it prints none
+    tolerance: float = 0.0  # largest |ours − paper| that counts as agreement; no meaning without ``paper``
+    range: tuple[float, float] | None = None  # least and largest over the starts; None for what does not depend on one
 
     @property
     def shown(self) -> str:

@@ -38,19 +38,12 @@ OMEGA = 2.0 * math.pi * FREQUENCY
 
 @dataclass(frozen=True)
 class Machine:
-    """Plant and control law of one sampled loop.
+    """Plant and control law of one sampled loop."""
 
-    Attributes:
-        plant: platform, magnets, friction, drive and encoders.
-        control: law and design.
-        stage: the description that the law has; its rate and delay are the loop's.
-        values: parameters by node and dotted name that the machine was made from.
-    """
-
-    plant: PlantParameters
-    control: ControlParameters
-    stage: StageParameters
-    values: Values
+    plant: PlantParameters  # platform, magnets, friction, drive and encoders
+    control: ControlParameters  # law and design
+    stage: StageParameters  # the description that the law has; its rate and delay are the loop's
+    values: Values  # parameters by node and dotted name that the machine was made from
 
     @property
     def gap(self) -> float:
@@ -108,28 +101,17 @@ def machine_from(values: Values) -> Machine:
 
 
 class Response(NamedTuple):
-    """What the loop did; all arrays (n,), sample k of each at the same time.
+    """What the loop did; all arrays (n,), sample k of each at the same time."""
 
-    Attributes:
-        time: s from the release.
-        reference: r, m.
-        reading: y as the encoder sees it, m.
-        y, velocity: true position and velocity, m and m/s.
-        coil_current: control current in the coils, A.
-        friction: force of friction, N, positive where it resists a positive velocity.
-        command: i_c asked by the law, A.
-        sigma: sliding variable as the law computes it, m/s.
-    """
-
-    time: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    reading: NDArray[np.float64]
-    y: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    coil_current: NDArray[np.float64]
-    friction: NDArray[np.float64]
-    command: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    time: NDArray[np.float64]  # s from the release
+    reference: NDArray[np.float64]  # r, m
+    reading: NDArray[np.float64]  # y as the encoder sees it, m
+    y: NDArray[np.float64]  # true position, m
+    velocity: NDArray[np.float64]  # true ẏ, m/s
+    coil_current: NDArray[np.float64]  # control current in the coils, A
+    friction: NDArray[np.float64]  # force of friction, N, positive where it resists a positive velocity
+    command: NDArray[np.float64]  # i_c asked by the law, A
+    sigma: NDArray[np.float64]  # sliding variable as the law computes it, m/s
 
 
 def largest(returns: Callable[[float], bool], low: float, high: float, steps: int) -> float:

@@ -132,22 +132,15 @@ def _beyond_its_stop(machine: Machine) -> PlantParameters:
 
 
 class Regions(NamedTuple):
-    """Starts from which the platform comes back, by law, and from which it could at all.
+    """Starts from which the platform comes back, by law, and from which it could at all."""
 
-    Attributes:
-        machine: as shipped, with |i_c| <= I0.
-        positions, velocities: of the starts, (p,) in m and (v,) in m/s, symmetric about zero and odd in number.
-        peaks: by law, PUBLISHED first: largest |y| in m on the way back, (v, p); infinite where it does not come back.
-        possible: whether any current within ±I0 could, (v, p).
-        least_peaks: what full current makes of the peaks, through amplifier and delay, (v, p), m.
-    """
-
-    machine: Machine
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
+    machine: Machine  # as shipped, with |i_c| <= I0
+    positions: NDArray[np.float64]  # of the starts, (p,) in m, symmetric about zero and odd in number
+    velocities: NDArray[np.float64]  # the same, (v,) in m/s
+    # By law, PUBLISHED first: largest |y| in m on the way back, (v, p); infinite where it does not come back.
     peaks: Mapping[str, NDArray[np.float64]]
-    possible: NDArray[np.bool_]
-    least_peaks: NDArray[np.float64]
+    possible: NDArray[np.bool_]  # whether any current within ±I0 could, (v, p)
+    least_peaks: NDArray[np.float64]  # what full current makes of the peaks, through amplifier and delay, (v, p), m
 
     def within_stops(self, peaks: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether the platform comes back, (v, p)."""

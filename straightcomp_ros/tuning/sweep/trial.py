@@ -26,25 +26,15 @@ from straightcomp_ros.straightness.survey import Survey
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Figures of one law on one machine.
+    """Figures of one law on one machine."""
 
-    Attributes:
-        trial: number of the trial, from 0.
-        law: name of the law.
-        pp: true compensation error, peak to peak in m, over the motion; infinite if the cycle broke off.
-        rms: the same, root mean square about zero.
-        control_activity: Σ |Δ i_c| over the motion, A; infinite if the cycle broke off.
-        control_rms_step: root mean square of Δ i_c from sample to sample, A; likewise.
-        verdict: on the cycle, see :mod:`straightcomp_ros.analysis.run_verdict`.
-    """
-
-    trial: int
-    law: str
-    pp: float
-    rms: float
-    control_activity: float
-    control_rms_step: float
-    verdict: Verdict
+    trial: int  # number of the trial, from 0
+    law: str  # name of the law
+    pp: float  # true compensation error, peak to peak in m, over the motion; infinite if the cycle broke off
+    rms: float  # the same, root mean square about zero
+    control_activity: float  # Σ |Δ i_c| over the motion, A; infinite if the cycle broke off
+    control_rms_step: float  # root mean square of Δ i_c from sample to sample, A; likewise
+    verdict: Verdict  # on the cycle, see :mod:`straightcomp_ros.analysis.run_verdict`
 
 
 class Streams(NamedTuple):
