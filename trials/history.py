@@ -18,7 +18,6 @@ from typing import Any
 from straightcomp_ros.bench.processes import usage
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json
-from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.store import Store
 from straightcomp_ros.offline.workers import spread
 from trials.generated_bags import Template, simulated_template, write_bag
@@ -53,13 +52,13 @@ def run(options: argparse.Namespace) -> None:
         dask, same = _by_dask(work, bags)
         store = Store(str(work / "here"))
         started = time.perf_counter()
-        query(store, _QUESTION)
+        store.query(_QUESTION)
         asked = time.perf_counter() - started
         figures = {
             "bags": bags,
             "bags_mb": _size_mb(work / "bags"),
             "cores": cores,
-            "strokes": query(store, "SELECT count(*) AS n FROM strokes").to_pylist()[0]["n"],
+            "strokes": store.query("SELECT count(*) AS n FROM strokes").to_pylist()[0]["n"],
             "store_mb": _size_mb(work / "here"),
             "here": here,
             "again_s": again,

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from straightcomp_ros.fleet.history.adding import Tally, add
 from straightcomp_ros.fleet.history.bag_places import bags_in
-from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.store import Store
 
 SAMPLES = Path(__file__).resolve().parents[2] / "bags"
@@ -32,4 +31,4 @@ def added(store, *sources, **options):
 def strokes_of(store):
     """The strokes of a store as rows, each with its stage, in one order."""
     columns = "stage, checksum, stroke, start, encoder_pp_um, error_bins_um"
-    return query(Store(str(store)), f"SELECT {columns} FROM strokes ORDER BY checksum, stroke").to_pylist()
+    return Store(str(store)).query(f"SELECT {columns} FROM strokes ORDER BY checksum, stroke").to_pylist()

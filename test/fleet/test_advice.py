@@ -9,7 +9,7 @@ import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
 from straightcomp_ros.fleet.maintenance.day_levels import levels_of
-from straightcomp_ros.fleet.maintenance.history_plots import faults_over_time
+from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
 from trials import wear as wear_found
 from trials.wear import Alarm, alarms_of

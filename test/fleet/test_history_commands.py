@@ -10,7 +10,6 @@ from stores import COUNT, SAMPLES, added
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.rows import stored_name
 from straightcomp_ros.fleet.history.store import Store
 from straightcomp_ros.parameters.output_files import MARK
@@ -193,9 +192,7 @@ def test_each_stage_has_a_folder_of_its_own_whatever_it_is_called(named):
     assert (tally.added, tally.refused) == (len(NAMES), 0)
     assert store.stages() == sorted(map(stored_name, NAMES)) and len(set(store.stages())) == len(NAMES)
     assert all(store.strokes(name).num_rows == 2 for name in NAMES)
-    found = [
-        sorted(query(store, f"SELECT DISTINCT stage FROM {of}")["stage"].to_pylist()) for of in ("strokes", "bags")
-    ]
+    found = [sorted(store.query(f"SELECT DISTINCT stage FROM {of}")["stage"].to_pylist()) for of in ("strokes", "bags")]
     assert found == [store.stages()] * 2
     assert len(folders) == len(NAMES) and max(len(os.fsencode(folder.name)) for folder in folders) < 255
 

@@ -9,7 +9,6 @@ from stores import COUNT, added, files_of, strokes_of
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.fleet.history.bag_places import bags_in, is_finished
-from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.store import Store
 
 
@@ -41,7 +40,7 @@ def test_bags_in_s3_give_the_same_strokes_to_the_last_bit_and_rows_name_where_th
     assert (tally.added, tally.refused) == (COUNT, 2)
     assert strokes_of(tmp_path) == strokes_of(alone[0])
     assert added(tmp_path, f"{bucket}/bags").known == COUNT + 2
-    refused = query(Store(str(tmp_path)), "SELECT location, reason FROM refused").to_pylist()
+    refused = Store(str(tmp_path)).query("SELECT location, reason FROM refused").to_pylist()
     assert {row["location"] for row in refused} == {f"{bucket}/bags/cut_off", f"{bucket}/bags/damaged"}
     assert all("/tmp" not in row["reason"] for row in refused)
 

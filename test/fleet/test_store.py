@@ -18,7 +18,6 @@ from stores import COUNT, SAMPLES, added, files_of, strokes_of
 
 from straightcomp_ros.fleet.history import HistoryError, adding
 from straightcomp_ros.fleet.history.bag_places import bags_in
-from straightcomp_ros.fleet.history.queries import query
 from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, is_nullable, schema_of, table_of
 from straightcomp_ros.fleet.history.store import Store
 
@@ -29,7 +28,7 @@ def test_a_month_of_a_stage_is_a_file_and_a_bag_a_row_or_a_reason_why_it_was_ref
     assert [name for name in files if name.startswith("strokes/")] == names
     assert len(files) == 2 + COUNT + 2
     assert Store(str(store)).stages() == ["stage_0", "stage_1"]
-    rows = query(Store(str(store)), "SELECT location, reason FROM refused ORDER BY location").to_pylist()
+    rows = Store(str(store)).query("SELECT location, reason FROM refused ORDER BY location").to_pylist()
     assert [row["location"] for row in rows] == [str(months / "cut_off"), str(months / "damaged")]
     assert "was not finished" in rows[0]["reason"] and "straightcomp recover" in rows[0]["reason"]
     assert "is damaged at byte" in rows[1]["reason"]
@@ -65,7 +64,7 @@ def test_several_processes_may_add_to_one_store_at_once(months, alone, tmp_path)
 def right(store, expected):
     """Whether each stroke is there once and as it should be, with those of each bag that has a row."""
     found = strokes_of(store)
-    known = query(Store(str(store)), "SELECT checksum FROM bags WHERE reason IS NULL").to_pylist()
+    known = Store(str(store)).query("SELECT checksum FROM bags WHERE reason IS NULL").to_pylist()
     stored = [row["checksum"] for row in found]
     return all(row in expected for row in found) and all(stored.count(row["checksum"]) == 2 for row in known)
 
@@ -163,7 +162,7 @@ def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
     store = tmp_path / "store"
     assert added(store, tmp_path / "bags").added == 2 and len(strokes_of(store)) == 2
     sql = "SELECT count(*) AS n, count(DISTINCT checksum) AS k FROM bags"
-    assert query(Store(str(store)), sql).to_pylist() == [{"n": 2, "k": 1}]
+    assert Store(str(store)).query(sql).to_pylist() == [{"n": 2, "k": 1}]
 
 
 def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tmp_path):
@@ -173,7 +172,7 @@ def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tm
     shutil.rmtree(bag)
     shutil.copytree(SAMPLES / "smc", bag)
     assert added(store, bag).added == 1
-    assert query(Store(str(store)), "SELECT * FROM refused").num_rows == 0
+    assert Store(str(store)).query("SELECT * FROM refused").num_rows == 0
 
 
 @pytest.mark.parametrize(
@@ -190,7 +189,7 @@ def test_a_bag_that_cannot_be_read_or_meets_an_error_of_ours_is_refused_and_trie
         patch.setattr(adding, name, Mock(side_effect=error))
         assert added(tmp_path, SAMPLES / "smc").refused == 1
     store, place = Store(str(tmp_path)), next(bags_in(str(SAMPLES / "smc")))
-    assert reason in query(store, "SELECT reason FROM refused").to_pylist()[0]["reason"]
+    assert reason in store.query("SELECT reason FROM refused").to_pylist()[0]["reason"]
     if isinstance(error, OSError):
         assert not store.has(place) and added(tmp_path, SAMPLES / "smc").added == 1
         assert store.has(place)

@@ -15,15 +15,19 @@ month's file named `compacted-HASH.parquet`: a bag's strokes stay in the file wh
 
 from __future__ import annotations
 
+import glob
+import os
+import re
 import shutil
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from straightcomp_ros.fleet.history import HistoryError, StorageError
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.fleet.history.rows import (
+    BIN_MM,
     PARTITIONS,
     BagRow,
     StrokeRow,
@@ -32,7 +36,7 @@ from straightcomp_ros.fleet.history.rows import (
     schema_of,
     stored_name,
 )
-from straightcomp_ros.parameters.output_files import locked, write_whole
+from straightcomp_ros.parameters.output_files import locked, same_or_within, write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -41,6 +45,16 @@ STROKES, BAGS = "strokes", "bags"
 _PARTS, _LOCK = ".parts", ".lock"
 _MONTH = "strokes.parquet"
 _FORMER_MONTH = "compacted-*.parquet"
+_VIEWS = f"""
+CREATE VIEW refused AS SELECT location, size, modified, reason FROM bags WHERE reason IS NOT NULL;
+CREATE VIEW bins AS
+  SELECT stage, month, checksum, bag, stroke, start, direction, bins_from_mm + {BIN_MM} * (bin - 1) AS x_mm,
+    error_bins_um[bin] AS error_um, residual_bins_um[bin] AS residual_um, current_bins_A[bin] AS current_A,
+    guide_change_um[bin] AS guide_change_um
+  FROM (SELECT *, unnest(range(1, len(error_bins_um) + 1)) AS bin FROM strokes);
+"""
+_WRITTEN = re.compile(r"\b(?:TO|DATABASE)\s+'((?:[^']|'')*)'", re.IGNORECASE)
+"""The file or folder that COPY or EXPORT writes."""
 _ORDER = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
 _ABANDONED_S = 60.0
@@ -118,6 +132,65 @@ class Store:
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
         data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=self.files)
         return data.to_table().sort_by(_ORDER)
+
+    def query(self, sql: str, force: bool = False) -> pyarrow.Table:
+        """What a query in DuckDB's SQL gives; a table without columns for a statement that gives nothing.
+
+        Its tables are ``strokes``, with the columns of :class:`~straightcomp_ros.fleet.history.rows.StrokeRow` and its
+        partitions, ``bags``, of :class:`~straightcomp_ros.fleet.history.rows.BagRow`, ``refused``, the bags among them
+        that have no strokes in the store, and ``bins``, one row for each bin of each stroke.
+
+        A file that COPY names is replaced with ``force`` only, and one of the store never.
+
+        Raises:
+            HistoryError: there is no store, or the query is refused.
+        """
+        import duckdb
+        import pyarrow
+
+        with duckdb.connect() as database:
+            database.execute("SET TimeZone = 'UTC'")
+            if not self.local:
+                database.register_filesystem(self.files)
+            if not self._add_table(database, BAGS, BagRow, ()):
+                make = f"straightcomp history add BAG -o {self.url}"
+                raise HistoryError(f"store {self.url}: no bag was added there; make it: {make}")
+            self._add_table(database, STROKES, StrokeRow, PARTITIONS)
+            database.execute(_VIEWS)
+            try:
+                for statement in database.extract_statements(sql):
+                    if statement.type != duckdb.StatementType.SELECT:
+                        self._keep_files(statement.query, force)
+                found = database.sql(sql)
+                return pyarrow.table({}) if found is None else found.to_arrow_table()
+            except duckdb.Error as error:
+                raise HistoryError(f"query: {' '.join(str(error).split())}") from error
+
+    def _keep_files(self, statement: str, force: bool) -> None:
+        for name in _WRITTEN.findall(statement):
+            path = Path(name.replace("''", "'"))
+            if self.local and same_or_within(path, Path(self.root)):
+                raise HistoryError(f"query: '{path}' is in the store; name another file")
+            if os.path.lexists(path) and not force and not path.is_char_device():
+                raise HistoryError(f"query: '{path}' is there already; name another file, or give --force")
+
+    def _add_table(self, database: Any, name: str, row: type, partitions: tuple[str, ...]) -> bool:
+        """Add a table of the store; returns whether it has files."""
+        folder = f"{self.root}/{name}"
+        if not self.local:
+            folder = self.files.unstrip_protocol(folder)
+        files = f"{glob.escape(folder)}/**/*.parquet".replace("'", "''")
+        if not database.execute(f"SELECT 1 FROM glob('{files}') LIMIT 1").fetchall():
+            import pyarrow
+
+            schema = pyarrow.schema([*schema_of(row), *((partition, pyarrow.string()) for partition in partitions)])
+            database.register(name, schema.empty_table())
+            return False
+        # A stage named 1 is no number.
+        types = ", ".join(f"'{partition}': VARCHAR" for partition in partitions)
+        hive = f", hive_partitioning = true, hive_types = {{{types}}}" if partitions else ""
+        database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet('{files}'{hive})")
+        return True
 
     def clear_abandoned(self) -> None:
         """Remove what killed processes have left half-written."""

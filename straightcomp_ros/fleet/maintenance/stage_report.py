@@ -1,19 +1,44 @@
-"""The report of a stage's months: one HTML file, the advice with its evidence first."""
+"""The report of a stage's months: one HTML file, the advice with its evidence first.
+
+Its plots: a figure from day to day, a profile over x then and now, and over x and time; faults.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import plotly.graph_objects as go
 from markupsafe import Markup
 
-from straightcomp_ros.analysis.html_page import blocks, html_page, html_plot
+from straightcomp_ros.analysis.html_page import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILION,
+    blocks,
+    html_page,
+    html_plot,
+    line_figure,
+)
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of
-from straightcomp_ros.fleet.maintenance.day_levels import BASELINE, BY_NAME, ERROR_BINS, WATCHED, DayLevels, day_levels
-from straightcomp_ros.fleet.maintenance.history_plots import evidence, faults_over_time, history_plot, over_time
-from straightcomp_ros.fleet.maintenance.level_change import LevelChange, trend_of
+from straightcomp_ros.fleet.maintenance.day_levels import (
+    BASELINE,
+    BY_NAME,
+    ERROR_BINS,
+    GUIDE,
+    WATCHED,
+    Array,
+    DayLevels,
+    day_levels,
+    median_of,
+)
+from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelChange, baseline_of, trend_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -22,6 +47,11 @@ _SHOWN = 20
 """Bags in a list."""
 _TREND_DAYS = 91
 """Trends are those of the last quarter."""
+_SMALL, _MIDDLE, _HEIGHT = 230, 300, 360
+_FAULT = 34
+"""Height in pixels of a line of marks."""
+_FAINT_NM = 20.0
+"""Values that are less than this are pale: noise must not look like a matter."""
 
 
 def stage_report(stage: str, strokes: pyarrow.Table) -> str:
@@ -122,3 +152,102 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
         ]
         more = blocks.paragraph(f"and {len(found) - _SHOWN} before") if len(found) > _SHOWN else ""
         yield f"{title}: {len(found)}", blocks.table(shown) + more
+
+
+def history_plot(levels: DayLevels, name: str, changes: Sequence[LevelChange]) -> go.Figure:
+    """A figure from day to day, its baseline, and its changes."""
+    watched, values = BY_NAME[name], levels.figures[name]
+    title = f"{watched.words} / {watched.unit}" if watched.unit else watched.words
+    figure = line_figure("", "")
+    heading = {"text": title, "font": {"size": 14}, "x": 0.01, "y": 0.97}
+    figure.update_layout(height=_SMALL, showlegend=False, title=heading, margin={"l": 70, "r": 10, "t": 32, "b": 30})
+    figure.update_yaxes(tickformat=".4~g")
+    days = [levels.date(place).isoformat() for place in range(len(levels.day))]
+    figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
+    weeks = [float(median_of(values[max(0, k - 3) : k + 4])) for k in range(values.size)]
+    figure.add_scatter(x=days, y=weeks, mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
+    baseline = baseline_of(values, watched)
+    if baseline is not None:
+        low, high = (baseline.centre + sign * SLACK * baseline.sigma for sign in (-1.0, 1.0))
+        figure.add_hrect(low, high, fillcolor=GREEN, opacity=0.12, line_width=0)
+    for change in changes:
+        for place, colour, dash in ((change.begin, BLACK, "dot"), (change.found, VERMILION, "solid")):
+            figure.add_vline(days[place], line={"color": colour, "width": 1.2, "dash": dash})
+    return figure
+
+
+def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
+    """What speaks for the cause: the figure's history, or the guide's profiles."""
+    first = advice.changes[0]
+    if first.figure != GUIDE:
+        figure = history_plot(levels, first.figure, [first])
+        figure.update_layout(height=_MIDDLE)
+        corner = {"xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}
+        figure.add_annotation(text="green: baseline; dotted: began; red: alarm", **corner)
+        return figure
+    measured = levels.measured
+    figure = line_figure("slider position x / mm", "change of the guide / µm")
+    figure.update_layout(height=_MIDDLE)
+    # From then to now, the last one strongest.
+    chosen = np.unique(np.linspace(WEEK, len(measured), 5).astype(int))
+    for number, stop in enumerate(chosen):
+        days = measured[max(0, stop - WEEK) : stop]
+        newest = number == len(chosen) - 1
+        figure.add_scatter(
+            x=levels.x * 1e3,
+            y=np.nanmedian(levels.shifts[days], axis=0),
+            name=f"week until {levels.date(int(days[-1]))}",
+            mode="lines",
+            line={"color": VERMILION if newest else BLUE, "width": 2.5 if newest else 1},
+            opacity=1.0 if newest else 0.25 + 0.6 * number / len(chosen),
+        )
+    if advice.place is not None:
+        figure.add_vrect(advice.place.first, advice.place.last, fillcolor=VERMILION, opacity=0.1, line_width=0)
+    return figure
+
+
+def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]) -> go.Figure | None:
+    """A mark for each stroke with a fault, over its start, in a line for each kind, the most frequent one on top; None
+    without one. The axis is that of all strokes, so that a quiet month is seen to be quiet."""
+    count = Counter(label for labels in faults for label in labels)
+    if not count:
+        return None
+    figure = line_figure("", "")
+    figure.update_layout(height=_FAULT * len(count) + 110, showlegend=False, margin={"l": 10, "b": 40})
+    for label, times in reversed(count.most_common()):
+        at = [start.isoformat() for start, labels in zip(starts, faults, strict=True) if label in labels]
+        figure.add_scatter(
+            x=at,
+            y=[f"{label}: {times}"] * len(at),
+            mode="markers",
+            marker={"symbol": "line-ns-open", "size": 15, "color": VERMILION, "line": {"width": 1.5}},
+            name=label,
+            hovertemplate="%{x}: %{fullData.name}<extra></extra>",
+        )
+    figure.update_xaxes(type="date", range=[starts[0].isoformat(), starts[-1].isoformat()])
+    figure.update_yaxes(automargin=True, range=[-0.6, len(count) - 0.4])
+    return figure
+
+
+def over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
+    """Profiles (n, m) in µm over x and time, by weeks; None without two of them."""
+    if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
+        return None
+    week = (levels.day - levels.day[0]) // WEEK
+    weeks, first = np.unique(week, return_index=True)
+    values = np.array([median_of(1e3 * profiles[week == one]) for one in weeks])
+    largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
+    figure = line_figure("", "slider position x / mm")
+    figure.update_layout(height=_HEIGHT)
+    figure.add_heatmap(
+        x=[levels.date(place).isoformat() for place in first],
+        y=levels.x * 1e3,
+        z=values.T,
+        zmin=-largest,
+        zmax=largest,
+        # Blue to vermilion through white: distinct with any colour vision.
+        colorscale=[[0.0, BLUE], [0.5, "#FFFFFF"], [1.0, VERMILION]],
+        colorbar={"title": "nm"},
+        hovertemplate="%{x}, x = %{y} mm: %{z:.1f} nm<extra></extra>",
+    )
+    return figure

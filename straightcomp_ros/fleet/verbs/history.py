@@ -134,10 +134,9 @@ def _query(options: argparse.Namespace) -> None:
     """
     from pyarrow import types
 
-    from straightcomp_ros.fleet.history.queries import query
     from straightcomp_ros.fleet.history.store import Store
 
-    found = query(Store(options.store), options.sql, options.force)
+    found = Store(options.store).query(options.sql, options.force)
     rows = [{name: _plain(value) for name, value in row.items()} for row in found.to_pylist()]
     if options.json:
         print_json({"rows": rows})
