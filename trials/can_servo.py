@@ -20,7 +20,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.hub import ERROR, FD, NO_DATA, Faults, Frame, LinkCut
 from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError, State
-from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -82,13 +82,10 @@ class ServoTrial:
         self.unsafe = self.unflagged_wrong = on = 0
         self._servo = Servo(make_law(ControlParameters(), stage))
         self._host = CanHardware(board, stage, lambda: self._now, self._link)
-        self._board: Board | FirmwareBoard
-        if board.firmware:
-            self._board = FirmwareBoard(board, simulated, stage, guide, self._from_board, self._now)
-        else:
-            machine = SimulatedHardware(simulated, stage, guide)
-            self._board = Board(machine, self._wire, stage.drive.current_range, self._from_board, self._now)
+        kind = FirmwareBoard if board.firmware else Board
+        self._board = kind(board, simulated, stage, guide, self._from_board)
         with contextlib.closing(self._board):
+            self._board.start(self._now)
             self._board.machine.move(Trajectory(forward_and_back(stage.motion)), self._now)
             for _ in range(frames):
                 self._period()

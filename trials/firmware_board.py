@@ -26,14 +26,12 @@ class FirmwareBoard:
         stage: StageParameters,
         guide: StraightnessMap,
         send: Callable[[int, bytes, bool], None],
-        now_ns: int,
     ) -> None:
         arguments = program_arguments(can, parameters, stage, bus="", lead_ns=0)
         self._board = BoardProgram(can, arguments, parameters, stage, guide)
         self._send = send
         self._command_ids = {frames.identifier for frames in can.make_wire().commands}
-        self.machine = self._board.machine
-        self._call(_TICK.pack(b"T", now_ns))
+        self.machine, self.start = self._board.machine, self.cycle
 
     def cycle(self, now_ns: int) -> None:
         """Take and send the samples up to ``now_ns``."""

@@ -8,11 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
-from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub, address
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import Link
-from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.loops import PeriodicLoop
 from straightcomp_ros.timing import realtime
@@ -37,21 +35,18 @@ class Emulator:
         self._rate = 1.0 + drift
         self._origin_ns = time.monotonic_ns()
         self._said: tuple[str, ...] = ()
-        self._parameters = parameters
-        self._machine = SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
-        self._wire = wire = parameters.can.make_wire()
-        self._stage_frames = frames = EmulatorFrames(parameters.can.node, wire)
-        self._board: Board | None = None
+        can, stage = parameters.can, parameters.stage
+        self._board = Board(can, parameters.simulated, stage, parameters.guide(), self._send)
+        self._started = False
         self._line: Link | Hub
         if own_hub:
-            self._line = Hub(parameters.can.channel, member=lambda frame: self._receive(frame, self._arrival(frame)))
+            self._line = Hub(can.channel, member=lambda frame: self._receive(frame, self._arrival(frame)))
         else:
             # The log of these parameters is the driver's.
-            bus = dataclasses.replace(parameters.can, log="")
-            identifiers = [*(command.identifier for command in wire.commands), *frames.stage_ids]
-            self._line = Link(bus, identifiers, self._receive, self._now_ns)
+            bus = dataclasses.replace(can, log="")
+            self._line = Link(bus, self._board.identifiers, self._receive, self._now_ns)
             self._line.open()
-        self.loop = PeriodicLoop(round(self._machine.period_ns / self._rate), self._cycle)
+        self.loop = PeriodicLoop(round(stage.period_ns / self._rate), self._cycle)
 
     def _board_ns(self, monotonic_ns: int) -> int:
         """Convert monotonic time to the board's clock."""
@@ -64,32 +59,25 @@ class Emulator:
         """A command acts from its time on the bus, not from when this process read it."""
         return self._now_ns() - max(0, time.time_ns() - frame.stamp_ns)
 
-    def _switched_on(self, wake_ns: int) -> Board:
-        # The board samples at this loop's wake-up times, so that a sample is not up to a period old when it is sent.
-        return Board(
-            self._machine,
-            self._wire,
-            self._parameters.stage.drive.current_range,
-            lambda identifier, payload, fd: self._line.send(identifier, payload, fd=fd),
-            self._board_ns(wake_ns) + _LEAD_NS,
-            emulator=self._stage_frames,
-            tells_truth=self._parameters.can.simulated_stage and self._parameters.can.fd,
-        )
+    def _send(self, identifier: int, payload: bytes, fd: bool) -> None:
+        self._line.send(identifier, payload, fd=fd)
 
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
-        if self._board is not None and not frame.flags & NO_DATA:
+        if not frame.flags & NO_DATA:
             self._board.receive(address(frame), frame.data, arrival_ns)
 
     def _cycle(self, wake_ns: int) -> None:
-        if self._board is None:
-            self._board = self._switched_on(wake_ns)
+        if not self._started:
+            # It samples at this loop's wake-up times, so that a sample is not up to a period old when it is sent.
+            self._board.start(self._board_ns(wake_ns) + _LEAD_NS)
+            self._started = True
         self._line.wait(0.0)
         self._board.cycle(self._now_ns() + _LEAD_NS)
-        self._said = _logged(self._said, self._board.refused_trajectory, self._line.problem)
+        self._said = _logged(self._said, self._board.stage.refused, self._line.problem)
 
     def close(self) -> None:
         """Amplifier off, bus closed."""
-        self._machine.close()
+        self._board.close()
         self._line.close()
 
 

@@ -17,7 +17,6 @@ import subprocess
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 
-from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Frames, Report
@@ -43,52 +42,49 @@ _END_S = 2.0
 
 
 class Board:
-    """Takes samples, obeys commands, switches off by itself.
+    """Takes samples, obeys commands, switches off by itself, from :meth:`start` on.
 
-    ``machine`` is plant and stage, with the board's ``command_timeout``; ``current_range`` the largest control current
-    in A that the board accepts; ``send(identifier, payload, fd)`` sends a frame; ``now_ns`` is the time of the first
-    sample. ``emulator`` has the frames of a simulated stage, None for a board without; ``tells_truth`` sends the
-    simulation's truth before each sample, which needs CAN FD.
+    ``send(identifier, payload, fd)`` sends a frame; the others are of the driver and of its machine.
+
+    Raises:
+        ParameterError: see :class:`EmulatorFrames`.
     """
 
     refused_commands = 0
     """Commands that failed a check, were repeated or came too late."""
+    counter = 0
+    """Number of the newest sample."""
+    command_alive: int | None = None
+    """Of the last command that passed its checks."""
 
     def __init__(
         self,
-        machine: SimulatedHardware,
-        wire: Wire,
-        current_range: float,
+        can: CanParameters,
+        parameters: SimulatedParameters,
+        stage: StageParameters,
+        guide: StraightnessMap,
         send: Callable[[int, bytes, bool], None],
-        now_ns: int,
-        *,
-        emulator: EmulatorFrames | None = None,
-        tells_truth: bool = False,
     ) -> None:
-        self.machine = machine
-        self._wire = wire
-        self._range = current_range
-        self._send = send
-        self._emulator, self._tells_truth = emulator, tells_truth and emulator is not None
-        self._start_ns = now_ns
+        self._wire = wire = can.make_wire()
+        self._range, self._send = stage.drive.current_range, send
+        self.machine = machine = SimulatedHardware(parameters, stage, guide)
+        self._emulator = EmulatorFrames(can.node, wire)
+        self.stage = StageReceiver(self._emulator)
+        self._tells_truth = can.simulated_stage and can.fd
+        self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
+        self.identifiers = [*self._commands, *self._emulator.stage_ids]
         # An answer to a sample older than the timeout counts as no answer.
         oldest = machine.command_timeout_ns // machine.period_ns
         self._oldest_echo = min(oldest, int(_SHARE_OF_ECHO * wire.echo_modulus)) if wire.echo_modulus else 0
-        self._fault = BoardFault.NONE
-        self._seen_off = False
-        self.command_alive: int | None = None
-        """Of the last command that passed its checks."""
-        self.counter = 0
-        """Number of the newest sample."""
-        self._error_counter = 0
+        self._fault, self._seen_off, self._error_counter = BoardFault.NONE, False, 0
         self._sent = dict.fromkeys(wire.reports, 0)
-        self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
         self._sets: FrameSets[Command] = FrameSets(len(wire.commands), wire.command_modulus, machine.period_ns)
-        self._newest_ns = self._next_heartbeat_ns = now_ns
-        self._stage = StageReceiver(emulator) if emulator else None
-        machine.start(now_ns)
-        if wire.heartbeat:
-            self._beat(wire.meaning.heartbeat.boot_up_value)
+
+    def start(self, now_ns: int) -> None:
+        """Begin, with the first sample at this time."""
+        self._start_ns = self._newest_ns = self._next_heartbeat_ns = now_ns
+        self.machine.start(now_ns)
+        self._beat(self._wire.meaning.heartbeat.boot_up_value)
 
     def cycle(self, now_ns: int) -> None:
         """Take and send the samples up to ``now_ns``."""
@@ -104,8 +100,8 @@ class Board:
         try:
             if identifier in self._commands:
                 self._take(*self._commands[identifier], payload, at_ns)
-            elif self._stage:
-                self._stage.obey(identifier, payload, self.machine, at_ns)
+            else:
+                self.stage.obey(identifier, payload, self.machine, at_ns)
         except FrameError:
             self.refused_commands += 1
             self._error_counter = min(self._error_counter + _BAD_FRAME, _ERROR_LIMIT)
@@ -115,11 +111,6 @@ class Board:
     def close(self) -> None:
         """Amplifier off."""
         self.machine.close()
-
-    @property
-    def refused_trajectory(self) -> str:
-        """Why the last trajectory of the stage was refused."""
-        return self._stage.refused if self._stage else ""
 
     @property
     def amplifier(self) -> Amplifier:
@@ -195,7 +186,7 @@ class Board:
             fault=wire.fault_codes[self.fault],
             good=(x, y) == (sample.x, sample.y),
         )
-        if self._tells_truth and self._emulator:
+        if self._tells_truth:
             self._send(self._emulator.truth_id, self._emulator.truth_payload(self.counter, truth), True)
         for frames in wire.reports.values():
             if number % frames.every == 0:

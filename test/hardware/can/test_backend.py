@@ -15,12 +15,11 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
-from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
 from straightcomp_ros.hardware.can.hub import ERROR, Frame, addressed
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
-from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from trials.firmware_board import FirmwareBoard
 
@@ -51,14 +50,13 @@ class World:
         )
 
     def power_up(self):
-        simulated = SimulatedParameters(command_timeout=TIMEOUT)
-        if self.parameters.firmware:
-            self.board = FirmwareBoard(self.parameters, simulated, STAGE, GUIDE, self._from_board, self.now)
-            self._programs.callback(self.board.close)
-        else:
-            machine = SimulatedHardware(simulated, STAGE, GUIDE)
-            frames = EmulatorFrames(1, self.wire)
-            self.board = Board(machine, self.wire, 1.0, self._from_board, self.now, emulator=frames)
+        kind, simulated = (
+            FirmwareBoard if self.parameters.firmware else Board,
+            SimulatedParameters(command_timeout=TIMEOUT),
+        )
+        self.board = kind(self.parameters, simulated, STAGE, GUIDE, self._from_board)
+        self._programs.callback(self.board.close)
+        self.board.start(self.now)
 
     def close(self):
         self._programs.close()

@@ -27,7 +27,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
@@ -53,11 +53,11 @@ class Run:
         parameters = parameters or SimulatedParameters()
         send = lambda *frame: self.sent.append(frame)  # noqa: E731
         if program is None:
-            machine, largest = SimulatedHardware(parameters, stage, GUIDE), stage.drive.current_range
-            self.board = Board(machine, self.wire, largest, send, START, emulator=self.emulator, tells_truth=can.fd)
+            self.board = Board(can, parameters, stage, GUIDE, send)
         else:
-            self.board = FirmwareBoard(replace(can, firmware=str(program)), parameters, stage, GUIDE, send, START)
+            self.board = FirmwareBoard(replace(can, firmware=str(program)), parameters, stage, GUIDE, send)
             self._listen_to(self.board.machine)
+        self.board.start(START)
 
     def command(self, number, enable, reset, current, back=0):
         """Identifiers and payloads of the ``number``-th command, which answers the sample ``back`` before the newest;
@@ -303,8 +303,9 @@ def test_the_frames_in_c_are_those_of_the_dbc():
 
 
 def started(can, program, stage=STAGE):
-    can = replace(can, firmware=str(program))
-    return FirmwareBoard(can, SimulatedParameters(), stage, GUIDE, lambda *_: None, START)
+    board = FirmwareBoard(replace(can, firmware=str(program)), SimulatedParameters(), stage, GUIDE, lambda *_: None)
+    board.start(START)
+    return board
 
 
 def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path, capfd):

@@ -16,14 +16,13 @@ from straightcomp_ros.hardware.can import frame_log
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
-from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_log import FrameLog, RecordedBus, of_the_board, play
 from straightcomp_ros.hardware.can.hub import addressed
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.parameters.declaration import ParameterError
 
@@ -132,16 +131,17 @@ def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path):
 @pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, ending, fd):
     """Half a second of a board whose stage moves."""
-    frames, now, wire = [], [0], CanParameters(fd=fd).make_wire()
-    machine = SimulatedHardware(SimulatedParameters(), STAGE, GUIDE)
+    frames, now = [], [0]
+    parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
 
     def send(identifier, payload, fd):
         frames.append(message_of(addressed(identifier, payload, fd=fd, stamp_ns=round(START_S * 1e9) + now[0])))
 
-    board = Board(machine, wire, 1.0, send, 0, emulator=EmulatorFrames(1, wire), tells_truth=fd)
-    machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
+    board, wire = Board(parameters, SimulatedParameters(), STAGE, GUIDE, send), parameters.make_wire()
+    board.start(0)
+    board.machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
     for number in range(SAMPLES):
-        now[0] = number * machine.period_ns
+        now[0] = number * STAGE.period_ns
         board.cycle(now[0])
     log = written(tmp_path / f"board{ending}", frames)
     log.close()
@@ -153,7 +153,6 @@ def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, endi
         feeds.extend([identifiers, receive])
         return SimpleNamespace(start=lambda: None, send=lambda *_, **__: True, problem="")
 
-    parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
     driver = CanHardware(parameters, STAGE, lambda: round(START_S * 1e9), link)
     identifiers, receive = feeds
     for recorded in of_the_board(RecordedBus(log.file), identifiers):

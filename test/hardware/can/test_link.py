@@ -222,7 +222,11 @@ def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_
     emulator = Emulator(driver)
     assert emulator._line.log is None
     emulator._board = SimpleNamespace(
-        receive=lambda *frame: received.append(frame), cycle=lambda now_ns: None, refused_trajectory=""
+        start=lambda now_ns: None,
+        cycle=lambda now_ns: None,
+        receive=lambda *frame: received.append(frame),
+        stage=SimpleNamespace(refused=""),
+        close=lambda: None,
     )
     end = time.monotonic() + 60.0
     while not emulator._line.openings:
