@@ -26,7 +26,7 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
-_WRONG_USE = {"HardwareError", "HistoryError", "OutputRefused", "ParameterError", "SurveyError", "UsersError"}
+_WRONG_USE = {"AdmissionError", "HardwareError", "HistoryError", "OutputRefused", "ParameterError", "SurveyError"}
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""

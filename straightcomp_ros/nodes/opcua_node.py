@@ -13,7 +13,7 @@ from rclpy.task import Future
 
 from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.packml import Order
-from straightcomp_ros.opcua.admission import UsersError
+from straightcomp_ros.opcua.admission import AdmissionError
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters
@@ -110,12 +110,12 @@ class OpcuaNode(Runnable):
 
 def _server(parameters: OpcuaNodeParameters, names: list[str]) -> GatewayServer:
     try:
-        from straightcomp_ros.opcua.gateway_server import CertificateError, GatewayServer
+        from straightcomp_ros.opcua.gateway_server import GatewayServer
     except ImportError as error:
         raise ParameterError(f"{error.name} is not installed; remedy: pip install 'straightcomp_ros[opcua]'") from error
     try:
         return GatewayServer(parameters.opcua, names)
-    except (UsersError, CertificateError) as error:
+    except AdmissionError as error:
         raise ParameterError(f"parameter group 'opcua': {error}") from error
 
 

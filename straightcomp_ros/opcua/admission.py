@@ -79,12 +79,12 @@ class OpcuaParameters:
         return f"opc.tcp://{host}:{self.port}/straightcomp/"
 
 
-class UsersError(ValueError):
-    """The file, a name, a role or a password is refused; the message says which, and what is allowed."""
+class AdmissionError(ValueError):
+    """The file of users, a name, a role, a password or a certificate is refused; the message says which, and why."""
 
 
 class Users:
-    """The users of one file; an empty path knows no user. UsersError: it cannot be read, or a line is no user."""
+    """The users of one file; an empty path knows no user. AdmissionError: it cannot be read, or a line is no user."""
 
     def __init__(self, path: str | Path = "") -> None:
         self._entries = _users(Path(path)) if path else {}
@@ -100,14 +100,14 @@ class Users:
 def add_user(path: Path, name: str, password: str, role: str) -> None:
     """Add a user to the file, which is made if need be, or give a known one a new password and role.
 
-    UsersError: name, role or password are refused, or the file cannot be read or written.
+    AdmissionError: name, role or password are refused, or the file cannot be read or written.
     """
     if not _NAME.fullmatch(name):
-        raise UsersError(f"user name {name!r}: allowed: 1 to 64 letters, digits and . _ @ -")
+        raise AdmissionError(f"user name {name!r}: allowed: 1 to 64 letters, digits and . _ @ -")
     if role not in ROLES:
-        raise UsersError(f"role {role!r}: allowed: {', '.join(ROLES)}")
+        raise AdmissionError(f"role {role!r}: allowed: {', '.join(ROLES)}")
     if len(password) < SHORTEST_PASSWORD:
-        raise UsersError(f"password of user '{name}': too short; allowed: at least {SHORTEST_PASSWORD} characters")
+        raise AdmissionError(f"password of user '{name}': too short; allowed: at least {SHORTEST_PASSWORD} characters")
     salt = secrets.token_bytes(16)
     hashed = _hash(password, salt)
     try:
@@ -122,7 +122,7 @@ def add_user(path: Path, name: str, password: str, role: str) -> None:
             lines.append(f"{name}:{role}:{salt.hex()}:{hashed.hex()}")
             write_whole(path, "\n".join(lines) + "\n", private=True)
     except OSError as error:
-        raise UsersError(f"users file {path}: {error.strerror}") from error
+        raise AdmissionError(f"users file {path}: {error.strerror}") from error
 
 
 def _users(path: Path) -> dict[str, tuple[str, bytes, bytes]]:
@@ -130,7 +130,7 @@ def _users(path: Path) -> dict[str, tuple[str, bytes, bytes]]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsersError(f"users file {path}: cannot be read: {error}") from error
+        raise AdmissionError(f"users file {path}: cannot be read: {error}") from error
     entries = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.startswith("#"):
@@ -141,7 +141,7 @@ def _users(path: Path) -> dict[str, tuple[str, bytes, bytes]]:
                 raise ValueError
             entries[name] = (role, bytes.fromhex(salt), bytes.fromhex(hashed))
         except ValueError as error:
-            raise UsersError(
+            raise AdmissionError(
                 f"users file {path}, line {number}: is no user; allowed: name:role:salt:hash with role one of "
                 f"{', '.join(ROLES)}, as `straightcomp opcua user` writes it"
             ) from error

@@ -29,7 +29,7 @@ from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
-from straightcomp_ros.opcua.admission import OpcuaParameters, Users
+from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, Users
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.opcua.snapshot import Snapshot
 from straightcomp_ros.parameters.output_files import write_whole
@@ -92,15 +92,11 @@ class AtMostALineASecond(logging.StreamHandler):  # type: ignore[type-arg]
 _LOG = AtMostALineASecond()
 
 
-class CertificateError(ValueError):
-    """Certificates cannot be made or read; the message says where and why."""
-
-
 class GatewayServer:
     """Serves snapshots, with the states of these ``nodes`` of the graph, and collects commands.
 
     Raises:
-        OSError, UsersError, CertificateError: address, file of users or certificates cannot be had.
+        OSError, AdmissionError: address, file of users or certificates cannot be had.
     """
 
     def __init__(self, parameters: OpcuaParameters, nodes: Sequence[str]) -> None:
@@ -237,7 +233,7 @@ async def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
                 if not (file.is_file() and filecmp.cmp(file, new[file], shallow=False)):
                     write_whole(file, new[file].read_bytes(), private=True)
     except (OSError, ValueError) as error:
-        raise CertificateError(f"certificates in {folder}: {error}") from error
+        raise AdmissionError(f"certificates in {folder}: {error}") from error
     finally:
         os.umask(before)
     return certificate, key
@@ -248,10 +244,10 @@ async def _trusted_certificates(folder: str | Path) -> TrustStore:
     path = Path(folder)
     found = [file for file in path.glob("*.*") if file.suffix.lower() in (".der", ".pem")] if path.is_dir() else []
     if not found:
-        raise CertificateError(f"trusted certificates: {folder} is no folder with .der or .pem files")
+        raise AdmissionError(f"trusted certificates: {folder} is no folder with .der or .pem files")
     trust = TrustStore([path], [])
     try:
         await trust.load_trust()
     except (OSError, ValueError) as error:
-        raise CertificateError(f"trusted certificates in {folder}: {error}") from error
+        raise AdmissionError(f"trusted certificates in {folder}: {error}") from error
     return trust

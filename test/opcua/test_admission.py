@@ -9,7 +9,7 @@ import pytest
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import State
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.opcua.admission import OpcuaParameters, Users, UsersError, add_user
+from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, Users, add_user
 from straightcomp_ros.opcua.snapshot import Alarms
 from straightcomp_ros.parameters.declaration import ParameterError
 
@@ -36,10 +36,10 @@ def test_a_user_is_known_by_the_right_password_only_and_the_file_does_not_hold_i
 )
 def test_what_is_no_user_is_refused(tmp_path, name, password, role, words):
     path = tmp_path / "users"
-    with pytest.raises(UsersError, match=words):
+    with pytest.raises(AdmissionError, match=words):
         add_user(path, name, password, role)
     path.write_text("# ours\nann:operator:00\n")
-    with pytest.raises(UsersError, match="line 2"):
+    with pytest.raises(AdmissionError, match="line 2"):
         Users(path)
 
 
