@@ -71,17 +71,19 @@ class PlantState(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """Constants of the plant; mass in kg, stop in m, amplifier rate in rad/s.
-
-    ``extension`` is that of the friction, see :meth:`~straightcomp_ros.model.friction.ContactParameters.extension`.
-    """
+    """Constants of the plant without what friction does beyond LuGre; mass in kg, stop in m, amplifier rate in
+    rad/s."""
 
     mass: float
     stop: float
     amplifier_rate: float
     actuator: Actuator
     lugre: LuGre
-    extension: tuple[float, ...] = NO_EXTENSION
+
+    def as_array(self, extension: tuple[float, ...] = NO_EXTENSION) -> Array:
+        """The constants, (40,), with the friction's ``extension``: an array is passed to compiled code 20 times faster
+        than nested tuples."""
+        return np.array([self.mass, self.stop, self.amplifier_rate, *self.actuator, *self.lugre, *extension])
 
 
 @dataclass(frozen=True)
@@ -103,22 +105,17 @@ class PlantParameters:
     drive: DriveParameters = DriveParameters()
     encoder: EncoderParameters = EncoderParameters()
 
-    def constants(self) -> Plant:
-        """The constants of the equations; :func:`advance` takes them :func:`as_array`."""
+    def constants(self) -> Array:
+        """The constants of the equations, (40,), for :func:`advance`."""
         rate = 2.0 * math.pi * self.drive.bandwidth
-        lugre = self.friction.constants()
-        extension = self.contact.extension(self.friction.bristle_stiffness)
-        return Plant(self.platform.mass, self.platform.stop, rate, self.actuator.constants(), lugre, extension)
-
-
-def as_array(plant: Plant) -> Array:
-    """The constants, (40,) float64: an array is passed to compiled code 20 times faster than nested tuples."""
-    return np.array([plant.mass, plant.stop, plant.amplifier_rate, *plant.actuator, *plant.lugre, *plant.extension])
+        lugre, actuator = self.friction.constants(), self.actuator.constants()
+        plant = Plant(self.platform.mass, self.platform.stop, rate, actuator, lugre)
+        return plant.as_array(self.contact.extension(self.friction.bristle_stiffness))
 
 
 @compilable
 def _from_array(k: Array) -> Plant:
-    """Without the extension, which compiled steps read from the array."""
+    """The extension is read from the array."""
     return Plant(k[0], k[1], k[2], Actuator(k[3], k[4], k[5]), LuGre(k[6], k[7], k[8], k[9], k[10], k[11]))
 
 
@@ -185,8 +182,8 @@ def advance(
     """Advance ``state`` by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with the
     next, so that a control cycle in which a command takes effect is one call.
 
-    ``constants`` are :func:`as_array` of the plant; ``state``, (18,) in the order of :class:`PlantState`, is changed in
-    place. Currents are those commanded of the amplifier in A, durations in ns, zero or more.
+    ``constants`` are those of :class:`PlantParameters`; ``state``, (18,) in the order of :class:`PlantState`, is
+    changed in place. Currents are those commanded of the amplifier in A, durations in ns, zero or more.
     """
     plant = _from_array(constants)
     if constants[KIND] == PLAIN:
@@ -231,8 +228,8 @@ class CommandedPlant(NamedTuple):
     """Constants and state as :func:`advance_to_sample` takes them.
 
     Attributes:
-        constants: (48,) those of the plant, see :func:`~straightcomp_ros.model.plant.as_array`; the fields of
-            :class:`Hold`; step of the D/A converter in A, its codes below zero, resolution of the encoder in m.
+        constants: (48,) those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes
+            below zero, resolution of the encoder in m.
         state: (24,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
             current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
             position that is held and newest reading of y, in m. While the bias current asked for is zero, the amplifier
@@ -258,7 +255,7 @@ def commanded_plant(plant: PlantParameters, hold: Hold, initial: PlantState) -> 
     """The machine at time 0 with its amplifier off."""
     drive, encoder = plant.drive, plant.encoder
     return CommandedPlant(
-        np.array([*as_array(plant.constants()), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
+        np.array([*plant.constants(), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
         np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, encoder.y_reading(initial.y)]),
         np.array([0, _NEVER, False]),
     )

@@ -10,7 +10,7 @@ import pytest
 from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.model.plant import PlantParameters, advance, as_array
+from straightcomp_ros.model.plant import PlantParameters, advance
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
@@ -27,7 +27,7 @@ def closed_loop_error(law):
 
     Infinite for a law that fails, or that reports an error or a switching part that are not those of its answer.
     """
-    constants, state = as_array(PlantParameters().constants()), np.zeros(7)
+    constants, state = PlantParameters().constants(), np.zeros(7)
     command, square = 0.0, 0.0
     for index in range(SAMPLES):
         angle = ANGULAR * index * PERIOD_NS * 1e-9

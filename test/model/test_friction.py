@@ -16,7 +16,6 @@ from straightcomp_ros.model.plant import (
     PlantState,
     advance,
     advance_to_sample,
-    as_array,
     commanded_plant,
 )
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
@@ -47,15 +46,14 @@ class Contact:
 
     def __init__(self, values):
         self.parameters = plant_with(values)
-        self.plant = self.parameters.constants()
-        self.constants = as_array(self.plant)
+        self.lugre, self.constants = self.parameters.friction.constants(), self.parameters.constants()
         self.state = np.array(PlantState())
         self.place, self.force = 0.0, 0.0
 
     def move(self, velocity, duration=STEP):
         """Friction after a step at constant velocity."""
         self.place += velocity * duration
-        lugre = friction.lugre_now(self.constants, self.plant.lugre, self.state, self.place)
+        lugre = friction.lugre_now(self.constants, self.lugre, self.state, self.place)
         friction.step_friction(self.constants, lugre, self.state, velocity, duration)
         self.force = friction.extended_force(self.constants, lugre, self.state, velocity)
         return self.force
@@ -68,16 +66,16 @@ class Contact:
     def stored(self):
         """Energy in the springs, J."""
         if self.parameters.contact.model == "lugre":
-            return 0.5 * self.plant.lugre.bristle_stiffness * float(self.state[2]) ** 2
+            return 0.5 * self.lugre.bristle_stiffness * float(self.state[2]) ** 2
         count = self.parameters.contact.maxwell_slip.blocks
         blocks = self.state[friction.BLOCK : friction.BLOCK + count]
-        springs = np.array(self.plant.extension[12 : 12 + count])
+        springs = np.array(self.constants[friction.KIND + 12 :][:count])
         return float(0.5 * np.sum(blocks**2 / springs))
 
 
 def run(values, start, command, samples, bias=1.0):
     """States after each half millisecond, (samples, fields)."""
-    constants, state = as_array(plant_with(values).constants()), np.array(start)
+    constants, state = plant_with(values).constants(), np.array(start)
     states = []
     for _ in range(samples):
         advance(constants, state, bias, command, 500_000)
@@ -87,7 +85,7 @@ def run(values, start, command, samples, bias=1.0):
 
 def spring_force(contact):
     if contact.parameters.contact.model == "lugre":
-        return contact.plant.lugre.bristle_stiffness * float(contact.state[2])
+        return contact.lugre.bristle_stiffness * float(contact.state[2])
     return float(contact.state[friction.BLOCK : friction.BLOCK + friction.MOST_BLOCKS].sum())
 
 
@@ -199,7 +197,7 @@ def test_break_away_grows_with_rest_and_a_step_multiplies_the_sliding_force_from
 
 
 def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fields_only():
-    constants = as_array(PlantParameters().constants())
+    constants = PlantParameters().constants()
     assert constants[friction.KIND] == friction.PLAIN and not constants[friction.KIND :].any()
     state = run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1]
     short = np.array(PlantState(velocity=1e-4, bias=1.0))[:7].copy()
@@ -212,7 +210,7 @@ def test_a_platform_that_slides_to_rest_only_loses_energy(values):
     contact, energies = Contact(values), [0.5 * PlantParameters().platform.mass * 1e-4]
     for state in run(values, PlantState(velocity=1e-2), 0.0, 400, bias=0.0):
         contact.state = state
-        energies.append(0.5 * contact.plant.mass * state[1] ** 2 + contact.stored())
+        energies.append(0.5 * contact.parameters.platform.mass * state[1] ** 2 + contact.stored())
     assert all(now <= last * (1 + 1e-9) for last, now in itertools.pairwise(energies))
     assert abs(state[1]) < 1e-4
 
@@ -298,7 +296,7 @@ def test_blocks_share_stiffness_and_limit():
 
 def test_the_machine_code_is_the_python_code():
     values = {**SLIP, **CHANGES}
-    constants = as_array(plant_with(values).constants())
+    constants = plant_with(values).constants()
     compiled, plain = (np.array(PlantState(velocity=3e-4, bias=1.0)) for _ in range(2))
     for command in (0.02, -0.05, 0.05, -0.02):
         advance(constants, compiled, 1.0, command, 10_000_000)
@@ -314,7 +312,7 @@ def test_the_board_moves_the_same_plant(values):
     current = round(0.1 / plant.drive.current_step) * plant.drive.current_step
     for begin in range(0, 50_000_000, 500_000):
         advance_to_sample(*board, np.array([begin]), np.array([0.1]), 1, begin + 500_000, 0.0)
-        advance(as_array(plant.constants()), alone, 1.0, 0.0, 0, current, 500_000)
+        advance(plant.constants(), alone, 1.0, 0.0, 0, current, 500_000)
     np.testing.assert_array_equal(board.state[: alone.size], alone)
     assert board.state[friction.TIME] == pytest.approx(0.05) and board.state[friction.AGE] > 0.0
 

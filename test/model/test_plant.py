@@ -22,7 +22,6 @@ from straightcomp_ros.model.plant import (
     _from_array,
     advance,
     advance_to_sample,
-    as_array,
     commanded_plant,
 )
 
@@ -35,28 +34,28 @@ STICKY = PlantParameters()
 
 def run(parameters, state, command, seconds, bias=1.0):
     array = np.array(state)
-    advance(as_array(parameters.constants()), array, bias, command, round(seconds * 1e9))
+    advance(parameters.constants(), array, bias, command, round(seconds * 1e9))
     return PlantState(*array)
 
 
-def energy(plant, state):
+def energy(state):
     """Kinetic energy plus the magnets' potential at the present currents, in J.
 
     The potential of (2) at constant currents is −(μ0N²A/4) [i₁²/(y0−y) + i₂²/(y0+y)].
     """
-    near = (state.bias + state.control) ** 2 / (plant.actuator.air_gap - state.y)
-    far = (state.bias - state.control) ** 2 / (plant.actuator.air_gap + state.y)
-    return 0.5 * plant.mass * state.velocity**2 - plant.actuator.force_coefficient * (near + far)
+    magnets = FREE.actuator.constants()
+    near = (state.bias + state.control) ** 2 / (magnets.air_gap - state.y)
+    far = (state.bias - state.control) ** 2 / (magnets.air_gap + state.y)
+    return 0.5 * FREE.platform.mass * state.velocity**2 - magnets.force_coefficient * (near + far)
 
 
 def test_energy_is_conserved_where_there_is_no_friction():
     # A wide swing toward the centre, against the negative stiffness. Currents other than one ampere, its own square.
     state = start = PlantState(y=2e-4, velocity=-0.022, control=0.005, bias=1.1)
-    constants = FREE.constants()
     kinetic = 0.5 * FREE.platform.mass * start.velocity**2
     for _ in range(40):
         state = run(FREE, state, 0.005, 1e-3, bias=1.1)
-        assert abs(energy(constants, state) - energy(constants, start)) < 1e-5 * kinetic
+        assert abs(energy(state) - energy(start)) < 1e-5 * kinetic
     assert abs(state.y - start.y) > 1e-4  # it did move
 
 
@@ -70,7 +69,7 @@ def test_the_integration_is_of_second_order():
     def position(step_ns):
         state = np.array(PlantState(y=3e-4, velocity=-0.02, bias=1.0))
         for _ in range(20_000_000 // step_ns):
-            advance(as_array(FREE.constants()), state, 1.0, 0.05, step_ns)
+            advance(FREE.constants(), state, 1.0, 0.05, step_ns)
         return state[0]
 
     # One call of a duration below SUBSTEP_NS is one substep.
@@ -110,7 +109,7 @@ def test_the_platform_stays_between_its_stops(side):
 
 def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     plant = Plant(1.0, 2.0, 3.0, Actuator(4.0, 5.0, 6.0), LuGre(7.0, 8.0, 9.0, 10.0, 11.0, 12.0))
-    assert _from_array(as_array(plant)) == plant
+    assert _from_array(plant.as_array()) == plant
 
 
 PERIOD = 500_000
@@ -136,7 +135,7 @@ def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice_and_nois
     bias = COUNTED.actuator.bias_current
     assert sample(plant, PERIOD, [(200_000, 0.1), (600_000, 0.2)]) == 1
     current = round(0.1 / STEP) * STEP
-    advance(as_array(COUNTED.constants()), state, bias, 0.0, 200_000, current, 300_000)
+    advance(COUNTED.constants(), state, bias, 0.0, 200_000, current, 300_000)
     np.testing.assert_array_equal(plant.state[: state.size], state)
     assert plant.state[COMMAND] == current
     noisy = machine()

@@ -25,7 +25,7 @@ from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording
 from straightcomp_ros.model.actuator import MU_0, Actuator
 from straightcomp_ros.model.friction import LuGre
-from straightcomp_ros.model.plant import Plant, as_array
+from straightcomp_ros.model.plant import Plant
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -83,7 +83,7 @@ class Unknowns:
         mass, turns, gap, coulomb, ratio, stribeck, stiffness, damping, viscous = np.exp(vector).tolist()
         actuator = Actuator(MU_0 * turns * turns * self.pole_area / 4.0, gap, self.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)
-        return as_array(Plant(mass, _STOP * gap, rate, actuator, lugre))
+        return Plant(mass, _STOP * gap, rate, actuator, lugre).as_array()
 
 
 def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.model.converters import EncoderParameters
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters
@@ -130,7 +130,7 @@ def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) 
     ``reference`` (n,) in m. The law is given r and no rates of it, as the paper's is."""
     period_ns = machine.stage.period_ns
     delay_ns = round(machine.stage.drive.delay * period_ns)
-    constants = as_array(machine.plant.constants())
+    constants = machine.plant.constants()
     state = np.array(PlantState(y=initial_y, bias=machine.bias))
     reading, converted = machine.plant.encoder.y_reading, machine.plant.drive.converted
     law = make_law(machine.control, machine.stage)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS, make_law
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
@@ -72,7 +72,7 @@ def _under_full_current(machine: Machine, y: float, velocity: float) -> float:
     period_ns = machine.stage.period_ns
     delay_ns = round(machine.stage.drive.delay * period_ns)
     plant = _beyond_its_stop(machine)
-    constants = as_array(plant.constants())
+    constants = plant.constants()
     state = np.array(PlantState(y=y, velocity=velocity, bias=machine.bias))
     largest, asked = y, 0.0
     for _ in range(machine.samples(_FULL_CURRENT_FOR)):
