@@ -42,7 +42,7 @@ CASES = [
     ("friction", "either a BAG or --excitation FILE"),
     ("map", "required: TOOL"),
     (f"map build {SURVEY} --step nan", "straightcomp map build: --step nan; allowed: 0.01 to 1000"),
-    ("map convert folder -o survey.csv", "the ending '' tells no format"),
+    ("map convert folder -o survey.csv", "the ending '' names no format"),
     ("map export -o table.cal --spacing -1", "--spacing -1; allowed: 0.1 to 1000 mm"),
     ("reproduce -o noise.mcap", "--output noise.mcap: is a file"),
     ("robustness --trials 0", "allowed: a whole number >= 1"),
