@@ -40,7 +40,7 @@ def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
         clock[0] += 59.0
     shutil.rmtree(tmp_path / "run")
     shutil.copytree(SAMPLES / "smc", tmp_path / "run")
-    assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
+    assert [given(growing, tmp_path) for _ in range(2)] == [["run"], []]
 
 
 @pytest.mark.parametrize("metadata", [False, True])
@@ -52,13 +52,13 @@ def test_an_unfinished_bag_waits_and_is_given_out_to_be_refused_when_it_rests(tm
         shutil.copy(SAMPLES / "smc" / "metadata.yaml", tmp_path / "run")
     assert given(growing, tmp_path) == []
     clock[0] += 61.0
-    assert given(growing, tmp_path) == ["run"] and given(growing, tmp_path) == []
+    assert [given(growing, tmp_path) for _ in range(2)] == [["run"], []]
 
 
 def test_a_finished_bag_is_given_out_once_and_again_when_it_changed_or_could_not_be_read(tmp_path):
     shutil.copytree(SAMPLES / "smc", tmp_path / "smc")
     growing = GrowingFolders()
-    assert given(growing, tmp_path) == ["smc"] and given(growing, tmp_path) == []
+    assert [given(growing, tmp_path) for _ in range(2)] == [["smc"], []]
     os.utime(tmp_path / "smc" / "smc_0.mcap", (0.0, time.time() + 3600.0))
     assert given(growing, tmp_path) == ["smc"]
     growing.retry(next(bags_in(str(tmp_path))))

@@ -1,26 +1,15 @@
 """Single late commands: in the compiled cycle, and in the script that prints what they cost."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from scripts import late_commands as script
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.commissioning.acceptance import stalled
 
 PERIOD = 500_000
-
-
-@pytest.fixture(scope="module")
-def script():
-    path = Path(__file__).resolve().parents[3] / "scripts" / "late_commands.py"
-    spec = importlib.util.spec_from_file_location("late_commands", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -31,7 +20,7 @@ def shipped():
     return values
 
 
-def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(script, shipped):
+def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(shipped):
     def rms(delays):
         return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]
 
@@ -47,6 +36,6 @@ def test_what_a_stalled_host_has_to_answer_comes_when_the_stall_is_over():
     assert arrivals.tolist() == [1004, 1004, 1004, 1004, 1005, 1006]
 
 
-def test_a_bag_that_is_not_there_ends_the_script_with_a_sentence(script, tmp_path, capsys):
+def test_a_bag_that_is_not_there_ends_the_script_with_a_sentence(tmp_path, capsys):
     assert script.main(["--bag", str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err

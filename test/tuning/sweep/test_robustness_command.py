@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+import re
 import sys
 
 import pytest
@@ -35,11 +36,13 @@ def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
+def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_alone(capsys, monkeypatch):
+    monkeypatch.setattr("straightcomp_ros.tuning.sweep.many_trials.OUTLIER", 0.5)
     words = [*SHORT, "--law", "smc", "--trials", "2", "--jobs", "1", "--set", "stage.uncertainty.mass=0.3"]
     assert main(["robustness", *words]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "smc" in printed and "mass ±30%" in printed and "not in order" in printed
+    assert all(text in printed for text in ("smc", "mass ±30%", "not in order", "--trial"))
+    assert re.search(r"times its median: machine [01] \(", printed)
 
 
 @pytest.mark.parametrize(
@@ -87,13 +90,6 @@ def test_a_machine_alone_is_the_machine_of_the_sweep(capsys):
     of_three = figures("--trials", "3")
     alone = figures("--trial", str(of_three["worst_trial"]))
     assert alone["pp_um"]["p50"] == of_three["pp_um"]["max"] and alone["worst_trial"] == of_three["worst_trial"]
-
-
-def test_the_table_tells_how_to_run_an_outlier_alone(capsys, monkeypatch):
-    monkeypatch.setattr("straightcomp_ros.tuning.sweep.many_trials.OUTLIER", 0.5)
-    assert main(["robustness", *SHORT, "--law", "smc", "--trials", "1", "--jobs", "1"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "machine 0 (" in printed and "--trial" in printed
 
 
 def test_a_cycle_that_broke_off_counts_and_is_null_in_json(tmp_path):
