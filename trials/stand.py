@@ -116,6 +116,7 @@ class Stand:
         return self
 
     def __exit__(self, *_: object) -> None:
+        _leave_real_time()
         if self._foreign is not None:
             self._foreign.kill()
             self._foreign.communicate()
@@ -154,6 +155,7 @@ class Stand:
             if self.exit_code(name) is None:
                 self.signal(name, signal.SIGINT)
         self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
+        _leave_real_time()
         return {name: self.exit_code(name) for name in RECORDED}
 
     @property
@@ -280,6 +282,12 @@ class Stand:
 
     def _on_injected(self, message: DiagnosticStatus) -> None:
         self.injected_ns = int(message.values[0].value)
+
+
+def _leave_real_time() -> None:
+    """With real-time priority, waiting for the end of a child can starve another process that looks at it in /proc, for
+    which the kernel waits."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def request_of(values: Mapping[str, Any]) -> SetParametersAtomically.Request:

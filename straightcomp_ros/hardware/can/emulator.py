@@ -72,7 +72,7 @@ class Board:
         self.stage = StageReceiver(self._emulator)
         self._tells_truth = can.simulated_stage and can.fd
         self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
-        self.identifiers = [*self._commands, *self._emulator.stage_ids]
+        self.identifiers = [*self._commands, *self._emulator.stage]
         # An answer to a sample older than the timeout counts as no answer.
         oldest = machine.command_timeout_ns // machine.period_ns
         self._oldest_echo = min(oldest, int(_SHARE_OF_ECHO * wire.echo_modulus)) if wire.echo_modulus else 0

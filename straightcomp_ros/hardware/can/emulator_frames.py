@@ -28,7 +28,7 @@ class EmulatorFrames:
 
     def __init__(self, node: int, wire: Wire) -> None:
         dbc = Dbc(FILE)
-        self._frames: dict[str, Frames] = {}
+        found: list[Frames] = []
         taken = {*wire.identifiers, *(frames.identifier for frames in wire.commands)}
         for name in ("StageTime", "StageMotion", "StageStart", "Truth"):
             message = dbc.message(name)
@@ -40,10 +40,11 @@ class EmulatorFrames:
                 )
             signals = {signal.name: signal for signal in message.signals}
             physical = {name: 1.0 for name, signal in signals.items() if signal.unit}
-            self._frames[name] = Frames(message, identifier, signals, physical)
-        self._time, self._motion, self._start, self._truth = self._frames.values()
+            found.append(Frames(message, identifier, signals, physical))
+        self._time, self._motion, self._start, self._truth = found
+        self.stage = {frames.identifier: frames for frames in found[:3]}
+        """The frames of a trajectory, by identifier."""
         self.truth_id = self._truth.identifier
-        self.stage_ids = [one.identifier for one in (self._time, self._motion, self._start)]
         crc = self._truth.fields["TruthCrc"]
         self._content = (crc.start + crc.length) // 8
         self._most_points = int(self._start.fields[_POINTS].maximum or 0)
@@ -67,13 +68,6 @@ class EmulatorFrames:
                 raise HardwareError(f"stage trajectory, point {number}: {error}") from None
         seal = zlib.crc32(b"".join(payload for _, payload in frames))
         return [*frames, (self._start.identifier, self._start.pack((len(waypoints), seal)))]
-
-    def unpack(self, identifier: int, payload: bytes) -> tuple[str, tuple[int | float, ...]] | None:
-        """Message and values of one of the stage's frames; None for any other."""
-        for name, frames in self._frames.items():
-            if identifier == frames.identifier and frames is not self._truth and len(payload) == frames.size:
-                return name, frames.unpack(payload)
-        return None
 
     def truth_payload(self, counter: int, truth: Truth) -> bytes:
         """The counter of the sample, CRC-32 of the rest with the counter as start value, and the truth."""
@@ -99,9 +93,13 @@ class StageReceiver:
     """Why the last trajectory was refused."""
 
     def __init__(self, frames: EmulatorFrames) -> None:
-        self._frames = frames
-        self._points: dict[str, dict[int, tuple[bytes, tuple[int | float, ...]]]] = {}
-        self._forget()
+        self._frames = frames.stage
+        self._points = self._empty()
+
+    def _empty(self) -> dict[int, dict[int, tuple[bytes, tuple[int | float, ...]]]]:
+        """Payload and values of times and motions by their numbers."""
+        time_id, motion_id, _ = self._frames
+        return {time_id: {}, motion_id: {}}
 
     def obey(self, identifier: int, payload: bytes, machine: Hardware, at_ns: int) -> None:
         """Take one frame, and move ``machine`` from ``at_ns`` on with the one that starts the motion."""
@@ -119,25 +117,19 @@ class StageReceiver:
             HardwareError: frames before it were lost or damaged.
             ValueError: the points make no trajectory.
         """
-        found = self._frames.unpack(identifier, payload)
-        if found is None:
+        frames = self._frames.get(identifier)
+        if frames is None or len(payload) != frames.size:
             return None
-        name, (number, *values) = found
-        if name in self._points:
-            self._points[name][int(number)] = payload, tuple(values)
+        number, *values = frames.unpack(payload)
+        if identifier in self._points:
+            self._points[identifier][number] = payload, tuple(values)
             return None
-        return self._trajectory(int(number), int(values[0]))
-
-    def _forget(self) -> None:
-        self._points = {"StageTime": {}, "StageMotion": {}}
-
-    def _trajectory(self, points: int, seal: int) -> Trajectory:
-        times, motions = self._points.values()
-        self._forget()
+        (times, motions), self._points = self._points.values(), self._empty()
+        refused = f"stage trajectory of {number} points is refused"
         try:
-            frames = [(times[number], motions[number]) for number in range(points)]
+            points = [(times[k], motions[k]) for k in range(number)]
         except KeyError as error:
-            raise HardwareError(f"stage trajectory of {points} points is refused: frames of it are missing") from error
-        if zlib.crc32(b"".join(payload for frame in frames for payload, _ in frame)) != seal:
-            raise HardwareError(f"stage trajectory of {points} points is refused: its CRC-32 is wrong")
-        return Trajectory([Waypoint(int(time[0]), *motion) for (_, time), (_, motion) in frames])
+            raise HardwareError(f"{refused}: frames of it are missing") from error
+        if [zlib.crc32(b"".join(sent for point in points for sent, _ in point))] != values:
+            raise HardwareError(f"{refused}: its CRC-32 is wrong")
+        return Trajectory([Waypoint(int(time[0]), *motion) for (_, time), (_, motion) in points])
