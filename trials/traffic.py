@@ -100,10 +100,10 @@ def main() -> int:
 
     from straightcomp_ros.runtime.loops import PeriodicLoop, from_monotonic
     from straightcomp_ros.runtime.ros_parameters import declare
-    from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+    from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
     from straightcomp_ros.runtime.streams import StreamPublisher
 
-    class Traffic:
+    class Traffic(Runnable):
         """After a stall it publishes the missed messages, so that their number follows the time."""
 
         def __init__(self, node: Node) -> None:
@@ -141,9 +141,6 @@ def main() -> int:
             if self._sent == self._count:
                 self._end_ns = time.monotonic_ns()
                 print(_ENDED, self._count, (self._end_ns - self._begin_ns) * 1e-9, flush=True)
-
-        def close(self) -> None:
-            """There is nothing to make safe."""
 
     return run("traffic", Traffic)
 

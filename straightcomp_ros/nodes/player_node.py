@@ -4,7 +4,9 @@ import sys
 import time
 import warnings
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
+from statistics import median_high
 
 from rclpy.task import Future
 from rclpy.time import Time
@@ -32,7 +34,7 @@ class PlayerNode(Runnable):
     """Plays a bag. It keeps the bag's stamps, since they pair samples, references and commands."""
 
     def __init__(self, node: GuardedNode) -> None:
-        parameters = declare(node, PlayerNodeParameters)
+        self._parameters = parameters = declare(node, PlayerNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         if not parameters.bag:
             raise BagError("parameter 'bag' is empty; allowed: a rosbag2 folder or an MCAP file")
@@ -53,8 +55,6 @@ class PlayerNode(Runnable):
         self._publisher = stream_publisher(node, ENCODER)
         self._stamps = stamps
         self._clock = node.create_publisher(Clock, CLOCK, stream_qos(1)) if parameters.clock else None
-        self._subscribers = parameters.subscribers
-        self._timeout = parameters.start_timeout
         self._deadline = time.monotonic() + parameters.start_timeout
         self._start_ns: int | None = None
         self._end_ns = 0
@@ -63,8 +63,8 @@ class PlayerNode(Runnable):
         self._places = {stamp: place for place, stamp in enumerate(stamps)}
         self._answered, self._progress_ns = 0, 0
         self._queue = Streams(node).queue(COMMAND) if parameters.ahead else None
-        period = sorted(b - a for a, b in zip(self._due_ns, self._due_ns[1:], strict=False))
-        self.loop = PeriodicLoop(max(period[len(period) // 2] if period else 0, 50_000), self._cycle)
+        steps_ns = [later - sooner for sooner, later in pairwise(self._due_ns)]
+        self.loop = PeriodicLoop(max(median_high(steps_ns or [0]), 50_000), self._cycle)
         Diagnostics(node, lambda: {SAMPLES: self._next, **self.loop.missed.report()})
 
     def _cycle(self, wake_ns: int) -> None:
@@ -98,14 +98,14 @@ class PlayerNode(Runnable):
             self._answered, self._progress_ns = self._next, now_ns
 
     def _wait(self, wake_ns: int) -> None:
-        count = self._publisher.get_subscription_count()
-        if count >= self._subscribers:
+        count, wanted = self._publisher.get_subscription_count(), self._parameters.subscribers
+        if count >= wanted:
             # A subscriber that has just been discovered is connected a moment later.
             self._start_ns = wake_ns + 1_000_000_000
         elif time.monotonic() > self._deadline and not self.done.done():
             self.node.get_logger().error(
-                f"{count} subscribers of '{ENCODER.topic}' after {self._timeout:g} s; "
-                f"parameter 'subscribers' asks for {self._subscribers}"
+                f"{count} subscribers of '{ENCODER.topic}' after {self._parameters.start_timeout:g} s; "
+                f"parameter 'subscribers' asks for {wanted}"
             )
             self.done.set_result(EXIT_FAILURE)
 

@@ -19,9 +19,8 @@ from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.graph import machine_access, running_machine
-from straightcomp_ros.tuning.graph.machine_access import Access, FirstParameters
-from straightcomp_ros.tuning.graph.running_machine import RunningMachine
+from straightcomp_ros.tuning.graph import running_machine
+from straightcomp_ros.tuning.graph.running_machine import Access, FirstParameters, RunningMachine
 
 SHIPPED = shipped_parameters()
 LOGGER = {"output": "", "record_at_start": False, "compression": "zstd"}
@@ -182,7 +181,7 @@ def stands_for_graph(monkeypatch):
                     act()
                 seen.released = True
 
-        monkeypatch.setattr(machine_access, "running_graph", running)
+        monkeypatch.setattr(running_machine, "running_graph", running)
         return seen
 
     return stands_for

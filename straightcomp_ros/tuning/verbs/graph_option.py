@@ -45,7 +45,7 @@ def graph_access(options: argparse.Namespace, values: Mapping[str, Mapping[str, 
         raise CommandFailed(f"--namespace: allowed with --graph {RUNNING}", exit_code=2)
     require_ros()
     # Only here: they need ROS.
-    from straightcomp_ros.tuning.graph.machine_access import running_graph, started_graph
+    from straightcomp_ros.tuning.graph.running_machine import running_graph, started_graph
 
     if options.graph == RUNNING:
         access = running_graph(folder, options.namespace)
