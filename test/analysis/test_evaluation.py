@@ -15,7 +15,7 @@ COUNT = 40
 
 
 def sample(number):
-    """What each stream says of the sample ``number``; every number tells which it is."""
+    """What each stream says of the sample ``number``; every value identifies its sample."""
     on = number >= 10
     return {
         ENCODER: (0.01 * number, 1e-6 * number, math.nan, 0.1 * number if on else math.nan),

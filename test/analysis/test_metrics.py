@@ -77,7 +77,7 @@ def test_the_pause_counts_in_the_error_only_and_what_is_outside_the_motion_nowhe
 
 
 def test_the_uncompensated_straightness_is_that_of_the_guide(make_record, cosine_map):
-    # A cosine of 2.5 waves has a trend: beside its least squares line over 0..L, by closed form.
+    # A cosine of 2.5 waves has a trend: from its least squares line over 0..L, by closed form.
     x = np.linspace(0.0, 1.0, 100_001)
     cosine = 10e-6 * np.cos(5.0 * np.pi * x)
     slope = 12.0 * 10e-6 * -2.0 / (5.0 * np.pi) ** 2

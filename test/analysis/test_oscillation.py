@@ -38,9 +38,9 @@ def test_the_rate_of_the_samples_does_not_matter(rate):
         pytest.param(30.0 * sine(3.0), id="what the guide asks for"),
         pytest.param(np.where(TIME % 1.0 < 0.5, 2e-6, -2e-6), id="slips"),
         pytest.param(20.0 * sine(150.0) * np.exp(-TIME / 0.05), id="an answer that dies away"),
-        pytest.param(np.where(TIME < 0.4, sine(150.0), 0.0), id="a burst"),
+        pytest.param(np.where(TIME < 0.4, sine(150.0), 0.0), id="a short pulse of it"),
         pytest.param(STILL, id="nothing"),
-        pytest.param(sine(150.0)[:400], id="less than a piece"),
+        pytest.param(sine(150.0)[:400], id="less than a segment"),
     ],
 )
 def test_what_is_no_held_line_is_no_oscillation(error):
