@@ -96,15 +96,13 @@ def shipped_parameters(params_file: str | None = None, stage: str | None = None)
 def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     """Text of a ROS 2 parameter file with these values, by node and dotted name."""
     # What is given for all nodes comes last: a parameter on a node's command line joins it, and rcl takes the last.
-    own = {
-        name for node, section in values.items() if node != STAGE for name in section if name.startswith(f"{STAGE}.")
-    }
-    sections = {}
-    for node, section in by_node(values).items():
-        kept = {k: v for k, v in section.items() if k in own or not k.startswith(f"{STAGE}.")}
-        sections[f"{ALL_NODES}/{node}"] = kept
     described = {f"{STAGE}.{name}": value for name, value in values.get(STAGE, {}).items()}
-    sections[ALL_NODES] = {name: value for name, value in described.items() if name not in own}
+    own = {name for node, section in values.items() if node != STAGE for name in section}
+    common = {name: value for name, value in described.items() if name not in own}
+    sections = {
+        f"{ALL_NODES}/{node}": {name: value for name, value in section.items() if name not in common}
+        for node, section in by_node(values).items()
+    } | {ALL_NODES: common}
     # rcl refuses an empty section.
     tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
     return dump_yaml(tree)
