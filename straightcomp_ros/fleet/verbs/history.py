@@ -23,6 +23,7 @@ from straightcomp_ros.cli.options import (
     PICTURES,
     add_dask,
     add_force,
+    add_json,
     add_repeatable,
     check_range,
     output_file,
@@ -56,7 +57,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     wait = "with --follow: seconds between two looks (default: %(default)g)"
     add("--every", type=float, default=10.0, metavar="S", help=wait)
     add_remap_option(parser)
-    _add_json(parser)
+    add_json(parser)
 
 
 def _add(options: argparse.Namespace) -> None:
@@ -117,7 +118,7 @@ def _query_arguments(parser: argparse.ArgumentParser) -> None:
     add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
     add("sql", metavar="SQL", help="the query")
     add_force(parser)
-    _add_json(parser)
+    add_json(parser)
 
 
 def _query(options: argparse.Namespace) -> None:
@@ -165,7 +166,7 @@ def _advise_arguments(parser: argparse.ArgumentParser) -> None:
     _add_stages(parser)
     parser.add_argument("--output", "-o", metavar="DIR", help="write STAGE.json for each stage into this folder")
     add_force(parser)
-    _add_json(parser)
+    add_json(parser)
 
 
 def _advise(options: argparse.Namespace) -> None:
@@ -211,7 +212,7 @@ def _report_arguments(parser: argparse.ArgumentParser) -> None:
     _add_stages(parser)
     parser.add_argument("--output", "-o", metavar="DIR", default="report", help="folder (default: %(default)s)")
     add_force(parser)
-    _add_json(parser)
+    add_json(parser)
 
 
 def _report(options: argparse.Namespace) -> None:
@@ -243,7 +244,7 @@ def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add_force(parser)
     add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
-    _add_json(parser)
+    add_json(parser)
 
 
 def _map(options: argparse.Namespace) -> None:
@@ -277,10 +278,6 @@ def _map(options: argparse.Namespace) -> None:
     console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))
     if output is not None:
         notes.print(f"map: {output}; to use it, name it in stage.guide.file", soft_wrap=True)
-
-
-def _add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def _add_stages(parser: argparse.ArgumentParser) -> None:
