@@ -64,8 +64,7 @@ class PeriodicLoop:
     machine's usual delay and busy-waits for the rest; otherwise every answer would be late by a tenth of a period.
 
     Attributes:
-        cycles: periods in which ``cycle`` was called.
-        missed: those without a call.
+        missed: periods without a call.
     """
 
     def __init__(self, period_ns: int, cycle: Callable[[int], object], punctual: bool = False) -> None:
@@ -74,7 +73,6 @@ class PeriodicLoop:
         self._early_ns = 0
         self._wake_ns = 0
         self._cycle = cycle
-        self.cycles = 0
         self.missed = MissedPeriods(period_ns)
         self._timer_errors = Histogram()
 
@@ -110,7 +108,6 @@ class PeriodicLoop:
             pass
         self._timer_errors.record(monotonic_ns() - wake_ns)
         self._cycle(wake_ns)
-        self.cycles += 1
         self._wake_ns = wake_ns + self._period_ns
 
     def _follow(self, late_ns: int) -> None:

@@ -25,7 +25,7 @@ def test_the_loop_never_works_twice_in_a_period_and_counts_what_it_missed():
     scheduled = [wake for wake, _ in wakes]
     assert all(later - earlier >= 10_000_000 for earlier, later in itertools.pairwise(scheduled))
     assert all((wake - scheduled[0]) % 10_000_000 == 0 for wake in scheduled)
-    assert loop.missed.stalls >= 1 and loop.cycles == 12
+    assert loop.missed.stalls >= 1
     assert all(now >= wake for wake, now in wakes)
 
 
