@@ -61,7 +61,11 @@ def test_a_live_stroke_is_recorded_compensated_and_audited_with_each_law_and_tri
             continue
         assert 1000 < timing["rate_hz"] < 2500 and timing["overruns"] >= 0
         late = timing["timer_error_us"]
-        assert 0 <= late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
+        # In one process the driver's loop does the cycles of the two others: it alone can be late.
+        if composed and node in ("feedforward", "controller"):
+            assert math.isnan(late["max"])
+        else:
+            assert 0 <= late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
     in_diagnostics = result.timing["driver"].latency.percentiles_us([50])[0]
     assert in_diagnostics == pytest.approx(figures["latency_p50_us"], rel=0.5)
     assert seen == sorted(seen) and seen[-1] > 0.99
