@@ -9,7 +9,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
@@ -62,7 +62,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     time = np.asarray(stamps * 1e-9, dtype=np.float64)
     window, target = motion_of(time, stroke.x).window, stroke.map.evaluate(stroke.true_x)[0]
     first, last = stroke.map.span
-    bounds = {
+    bounds: dict[str, Any] = {
         "current_limit": min(stage.actuator.current_limit, nominal.drive.largest_current),
         "stop": nominal.platform.stop,
         "span": (first - stage.guide.runout, last + stage.guide.runout),
