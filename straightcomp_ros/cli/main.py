@@ -77,7 +77,11 @@ def main(
     try:
         if not found:
             raise CommandFailed("no verb is installed; remedy: pip install straightcomp_ros, in a checkout make setup")
-        options = make_parser(given[:2] if named else [], found, program).parse_args(given)
+        parser = make_parser(given[:2] if named else [], found, program)
+        if not given:
+            parser.print_help()
+            return 0
+        options = parser.parse_args(given)
         words += filter(None, (options.verb, getattr(options, "tool", None)))
         code = int(options.run(options) or 0)
         sys.stdout.flush()
@@ -189,7 +193,12 @@ def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | 
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says in one sentence what is wrong with the words that were given; its verbs and tools do likewise."""
+    """Says in one sentence what is wrong with the words that were given; its verbs and tools do likewise. Options are
+    whole words, so that a new one never changes what a script means; ``-5e-8`` is a number."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; the usage is in the help."""

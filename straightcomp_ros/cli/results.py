@@ -6,13 +6,15 @@ import dataclasses
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, styled
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, printable, styled
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
@@ -45,16 +47,48 @@ _ERROR = re.compile(r"((encoder|true|residual|residual_encoder)_(pp|rms)|(straig
 """Names of the figures that say nothing of the machine when a run is not in order."""
 
 
+LONGEST_WHOLE = 20
+"""Characters of a word that a table never breaks between lines: no number is longer."""
+
+
+class FittingTable(Table):
+    """Breaks texts between words where the terminal is narrow, and never a number; where not even that is enough, each
+    row becomes lines of its own."""
+
+    def add_row(self, *cells: object, **options: Any) -> None:  # type: ignore[override]
+        """A row of texts, styled or not; what is neither becomes one."""
+        super().add_row(*(cell if isinstance(cell, Text) else printable(str(cell)) for cell in cells), **options)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        columns = [(str(column.header), *map(str, column.cells)) for column in self.columns]
+        widths = [max(map(cell_len, "\n".join(cells).split("\n"))) for cells in columns]
+        least = [min(LONGEST_WHOLE, max(map(cell_len, " ".join(cells).split()), default=0)) for cells in columns]
+        room = options.max_width - 3 * len(columns) - 1
+        if sum(least) > room:
+            yield Text(str(self.title))
+            for first, *others in zip(*(cells[1:] for cells in columns), strict=True):
+                yield Text(first)
+                for column, cell in zip(columns[1:], others, strict=True):
+                    yield Text(f"  {' '.join(column[0].split())}: {cell}")
+            return
+        while sum(widths) > room:
+            widest = max(range(len(widths)), key=lambda k: widths[k] if widths[k] > least[k] else -1)
+            widths[widest] -= 1
+        for column, width in zip(self.columns, widths, strict=True):
+            column.width = width
+        yield from super().__rich_console__(console, options)
+
+
 def titled_table(
     title: str, first: str, *others: str, left: Collection[str] = (), rows: Iterable[Sequence[object]] = ()
 ) -> Table:
     """A table; its first column and those named in ``left`` are left-aligned, the others right-aligned."""
-    table = Table(title=title, title_justify="left")
-    table.add_column(first, no_wrap=True)
-    for heading in others:
-        table.add_column(heading, justify="left" if heading in left else "right")
+    table = FittingTable(title=printable(title), title_justify="left")
+    for heading in (first, *others):
+        justify: Literal["left", "right"] = "left" if heading == first or heading in left else "right"
+        table.add_column(printable(heading), justify=justify, overflow="fold")
     for row in rows:
-        table.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
+        table.add_row(*row)
     return table
 
 

@@ -258,7 +258,7 @@ def test_a_demonstration_that_is_not_in_order_prints_its_figures_and_fails(
     for code, bag in enumerate((harmless, spoilt)):
         found = evaluate_bag(bag)
         result = Demonstration(bag, found, map_, evaluate(found.record, map_), {}, judged(bag))
-        monkeypatch.setattr(demo, "demonstrate", lambda *_, result=result: result)
+        monkeypatch.setattr(demo, "demonstrate", lambda *_, result=result, **__: result)
         assert main(["demo", "-o", str(tmp_path / "out"), "--json"]) == code
         assert (json.loads(capsys.readouterr().out)["verdict"] == "in_order") == (code == 0)
         assert main(["demo", "-o", str(tmp_path / "out")]) == code

@@ -147,6 +147,19 @@ def test_every_option_is_explained_and_has_one_name_everywhere_and_every_verb_wi
     assert without - families == {"completion", "dsp", "opcua user", "stage new"}
 
 
+def test_the_command_alone_prints_its_help_and_an_option_is_a_whole_word(capsys):
+    code, printed, said = run([], capsys)
+    assert code == 0 and "first steps:" in printed and said == ""
+    assert run(["simulate", "--stag", "stage.yaml"], capsys)[0] == 2
+    assert run(["history", "--jso"], capsys)[0] == 2
+
+
+def test_a_negative_number_with_an_exponent_is_the_value_of_an_option(capsys):
+    for number in ("-5e-8", "-1", "-.5", "-2.e3"):
+        code, _, said = run(["simulate", "--delay", number], capsys)
+        assert code == 2 and f"'drive.delay': {float(number)!r}" in said
+
+
 def completed(script, *words):
     """What bash offers after the words, the last of which is being typed."""
     quoted = " ".join(f"'{word}'" for word in ("straightcomp", *words))
