@@ -157,7 +157,7 @@ def test_the_command_alone_prints_its_help_and_an_option_is_a_whole_word(capsys)
 def test_a_negative_number_with_an_exponent_is_the_value_of_an_option(capsys):
     for number in ("-5e-8", "-1", "-.5", "-2.e3"):
         code, _, said = run(["simulate", "--delay", number], capsys)
-        assert code == 2 and f"'drive.delay': {float(number)!r}" in said
+        assert code == 2 and f"'stage.drive.delay': {float(number)!r}" in said
 
 
 def completed(script, *words):
