@@ -87,7 +87,7 @@ nightly: setup
 	[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
 
 # No live graph, no build, no whole strokes: what a change of an equation, a format or a parameter needs while one works.
-QUICK := model control straightness timing doctor packaging/test_gates.py messages settings
+QUICK := model control straightness timing doctor packaging/test_gates.py messages parameters
 LONGER := control/test_learning.py control/test_smc_observer.py
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
