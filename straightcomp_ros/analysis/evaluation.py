@@ -44,7 +44,8 @@ def attached_map(
         if survey is None:
             return None
         try:
-            return load_map(from_mapping(MapParameters, {**own, "file": str(survey)}))
+            # Recordings without this parameter are older than it: their reference went through every point.
+            return load_map(from_mapping(MapParameters, {"smooth": "none", **own, "file": str(survey)}))
         except (ParameterError, SurveyError):
             return None
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
 from straightcomp_ros.straightness.survey_runs import Repeatability, on_common_grid, repeatability
 
@@ -42,11 +43,13 @@ MAP = MapParameters()
 class Choices(NamedTuple):
     """Settings of the builder: ``step``, the length in m of the piece of x that makes one point of a run on the fly;
     ``limit``, the number of robust standard deviations beyond which a value is an outlier; and whether the map is made
-    ``level``: the least squares line of the mean is taken out, since straight edge and guide were not parallel."""
+    ``level``: the least squares line of the mean is taken out, since straight edge and guide were not parallel.
+    ``smooth`` is that of :class:`MapParameters`."""
 
     step: float
     limit: float
     level: bool = False
+    smooth: str = MAP.smooth
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,10 @@ class BuiltMap:
             "straightness_end_points_um": peak_to_peak(end_point_residual(x, mean)) * 1e6,
             "correction_pp_um": peak_to_peak(mean) * 1e6,
             **self.repeatability.to_display(),
+            "smoothed": self.straightness.noise.smoothed,
+            "noise_of_mean_um": self.straightness.noise.point * 1e6,
+            "map_uncertainty_95_um": self.straightness.noise.half_width * 1e6,
+            "map_uncertainty_95_twice_the_runs_um": NORMAL_95 * self.straightness.noise.twice * 1e6,
         }
 
     def write(self, path: Path) -> None:
@@ -117,7 +124,7 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     slope, height = np.polyfit(x, mean, 1) if choices.level else (0.0, float(mean.mean()))
     zeroed = [replace(run, deviation=run.deviation - (height + slope * run.x)) for run in kept]
     survey = Survey(tuple(zeroed), survey.source)
-    straightness = StraightnessMap(survey, MAP)
+    straightness = StraightnessMap(survey, replace(MAP, smooth=choices.smooth))
     by, spread = origin(), straightness.report.bidirectional
     provenance = {
         "made by": f"straightcomp map build, {by['package']} {by['version']} ({by['revision']}), "
@@ -125,9 +132,10 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         "source": f"{source.absolute().name}, sha256 {_digest(source)}",
         **(inputs or {}),
         "choices": f"step {choices.step * 1e3:g} mm, outliers beyond {choices.limit:g} robust standard deviations, "
-        f"{'least squares line' if choices.level else 'mean'} taken out",
+        f"{'least squares line' if choices.level else 'mean'} taken out, stage.guide.smooth {choices.smooth}",
         "runs": f"{len(survey.in_direction('forward'))} forward, {len(survey.in_direction('backward'))} backward; "
         f"rejected runs: {', '.join(lost_runs) or 'none'}; rejected points: {len(lost_points)}",
+        "noise": f"{'taken off' if straightness.noise.smoothed else 'left in'}; {straightness.noise}",
         "repeatability (ISO 230-2, bidirectional)": "unknown" if spread is None else f"{spread * 1e6:.3f} um",
     }
     return BuiltMap(survey, straightness, lost_points, lost_runs, provenance)

@@ -15,6 +15,7 @@ from straightcomp_ros.analysis.metrics import Metrics, straightness_over
 from straightcomp_ros.analysis.record import StrokeRecord, group_means
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.smoothing import NORMAL_95
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.map_building import BuiltMap
@@ -76,13 +77,14 @@ def save_whole(figure: Figure, path: Path) -> None:
 
 
 def plot_map(built: BuiltMap, path: Path) -> None:
-    """Draw the map over its runs, and below on their own scale the runs relative to the mean, with the band of ± 2 s.
+    """Draw the map over its runs, below on their own scale the runs relative to the mean, with the band of ± 2 s, and
+    what smoothing took off the mean, with the map's own bands of 1 s and 95 %.
 
     OSError or ValueError if the picture ``path`` cannot be written, or has an ending that is no picture's.
     """
-    figure = Figure(figsize=(10.0, 8.0), dpi=150, layout="constrained")
+    figure = Figure(figsize=(10.0, 11.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    upper, lower, lowest = figure.subplots(3, 1, sharex=True)
     figures, found, mean = built.figures(), built.repeatability, built.mean
     x_mm = found.x * 1e3
     for run in built.survey.runs:
@@ -108,8 +110,15 @@ def plot_map(built: BuiltMap, path: Path) -> None:
     r = figures["repeatability_bidirectional_um"]
     lower.set_title("Runs relative to the mean" + ("" if r is None else f"; R = {r:.3f} µm (ISO 230-2)"), fontsize=10)
     upper.set_title("Survey of the guide", fontsize=10)
-    lower.set_xlabel("slider position x / mm")
-    for axes in (upper, lower):
+    noise = built.straightness.noise
+    band = noise.band(found.x) * 1e6
+    for factor, shade, name in ((NORMAL_95, 0.25, "95 %"), (1.0, 0.5, "1 s")):
+        lowest.fill_between(x_mm, -factor * band, factor * band, color=GREY, alpha=shade, linewidth=0.0, label=name)
+    off = (mean - built.straightness.deviations(found.x)) * 1e6
+    lowest.plot(x_mm, off, ".", color=BLUE, markersize=2.0, label="mean of the runs")
+    lowest.set_title(f"Mean relative to the map, and the map's band: {noise}", fontsize=10)
+    lowest.set_xlabel("slider position x / mm")
+    for axes in (upper, lower, lowest):
         axes.set_ylabel("deviation / µm")
         _show_grid(axes)
         axes.legend(fontsize=8, ncols=2)

@@ -88,7 +88,8 @@ def _guide_findings(
     first, last = straightness.span
     start, end = motion.start, motion.start + motion.stroke
     detail = (
-        f"survey from {first * 1e3:.1f} to {last * 1e3:.1f} mm, strokes from {start * 1e3:.1f} to {end * 1e3:.1f} mm"
+        f"survey from {first * 1e3:.1f} to {last * 1e3:.1f} mm, strokes from {start * 1e3:.1f} to {end * 1e3:.1f} mm; "
+        f"{straightness.noise}"
     )
     beyond = max(first - start, end - last)
     remedy = "Survey the whole stroke, or shorten stage.motion.stroke."

@@ -43,7 +43,7 @@ class FeedforwardComponent:
     def __init__(self, node: ManagedNode, parameters: FeedforwardNodeParameters) -> None:
         self._node, self._parameters = node, parameters
         self._map = load_map(parameters.stage.guide)
-        node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map.report}")
+        node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map}")
         self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
         self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
@@ -77,7 +77,7 @@ class FeedforwardComponent:
 
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
-            self._node.get_logger().info(f"map {parameters.stage.guide.file}: {straightness.report}")
+            self._node.get_logger().info(f"map {parameters.stage.guide.file}: {straightness}")
             if not self._centred:
                 self._feedforward.change(straightness.reference)
 
@@ -93,7 +93,7 @@ class FeedforwardComponent:
             self.prepare(self._parameters)()
         except (ParameterError, SurveyError, OSError) as error:
             raise Refused(str(error)) from error
-        return f"map {self._parameters.stage.guide.file}: {self._map.report}"
+        return f"map {self._parameters.stage.guide.file}: {self._map}"
 
     def _on_center(self, middle: bool) -> str:
         """Fade the reference to the middle of the platform's travel, or back to the map."""

@@ -173,7 +173,9 @@ def true_plant(stage: StageParameters, truth: TruthParameters) -> PlantParameter
 
 def true_guide(stage: StageParameters, truth: TruthParameters) -> StraightnessMap:
     """The simulated guide; SurveyError if its survey is refused."""
-    return load_map(dataclasses.replace(stage.guide, file=truth.guide or stage.guide.file))
+    if truth.guide:
+        return load_map(dataclasses.replace(stage.guide, file=truth.guide, smooth="none"))
+    return load_map(stage.guide)
 
 
 def deviating(plant: PlantParameters, factors: Factors) -> PlantParameters:

@@ -10,12 +10,16 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from straightcomp_ros.parameters.declaration import parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.straightness.smoothing import smoothed
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
 
 T = TypeVar("T", float, NDArray[np.float64])
+
+LARGEST_FACTOR = 1e6
+"""Of the smoothing; its sixth root, 10, is the factor of the shortest wave that is left."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +36,33 @@ class MapParameters:
     runout: float = parameter(
         0.02, "Length beyond the survey over which the reference runs out to a constant", "(0, 1] m"
     )
+    smooth: str = parameter(
+        "auto",
+        "Smoothing of the survey: auto takes off its noise as the runs show it, none leaves every point as measured, "
+        "a number >= 0 multiplies the amount of auto",
+    )
+
+    def __post_init__(self) -> None:
+        if self.smooth not in ("auto", "none"):
+            with suppress(ValueError):
+                if 0.0 <= float(self.smooth) <= LARGEST_FACTOR:
+                    return
+            raise RefusedParameter(
+                "smooth", f"{self.smooth!r}; allowed: auto, none or a number from 0 to {LARGEST_FACTOR:g}"
+            )
 
 
 class StraightnessMap:
     """r(x) with two continuous derivatives, from a cubic spline through the mean of a survey's runs.
 
-    The spline has not-a-knot ends. r is centred: over the survey its largest and smallest value are opposite.
-    Beyond the survey r runs out to a constant, see :func:`runout`. No line is removed: the workpiece moves straight
-    along the line that the survey was measured against.
+    The spline has not-a-knot ends. Where the runs show noise that hides the guide, it is one that smooths their mean,
+    see :mod:`~straightcomp_ros.straightness.smoothing`. r is centred: over the survey its largest and smallest value
+    are opposite. Beyond the survey r runs out to a constant, see :func:`runout`. No line is removed: the workpiece
+    moves straight along the line that the survey was measured against.
 
     Attributes:
         report: agreement of the runs.
+        noise: what the survey's noise leaves in the map.
         span: first and last x of the survey in m.
         offset: the constant in r(x) = offset − δ(x), in m.
 
@@ -54,9 +74,11 @@ class StraightnessMap:
         x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
         self.report = repeatability(survey, x, values)
         first, last = self.span = (float(x[0]), float(x[-1]))
-        spline = cubic_spline(x, self.report.mean)
+        spline, self.noise = smoothed(survey, x, values, self.report.mean, parameters.smooth)
+        if spline is None:
+            spline = cubic_spline(x, self.report.mean)
         turns = spline.derivative().roots(extrapolate=False)
-        extremes = np.concatenate([spline(x), spline(turns[np.isfinite(turns)])])
+        extremes = np.concatenate([spline(spline.x), spline(turns[np.isfinite(turns)])])
         self.offset = offset = float(extremes.max() + extremes.min()) / 2.0
 
         # Value, slope and curvature of r at each end, the slope outward.
@@ -73,7 +95,7 @@ class StraightnessMap:
                 f"allowed: <= {parameters.travel * 1e6:.4g} µm (travel)"
             )
         # Piece i is origin and polynomial coefficients, constant first; it holds where i breaks are at or below x.
-        breaks = [first - parameters.runout, *x.tolist(), last + parameters.runout]
+        breaks = [first - parameters.runout, *spline.x.tolist(), last + parameters.runout]
         pieces = [
             (breaks[0], low, 0.0, 0.0, 0.0, 0.0),
             (first, *(c if power % 2 == 0 else -c for power, c in enumerate(into))),
@@ -86,6 +108,9 @@ class StraightnessMap:
         ]
         self._breaks, self._pieces = tuple(breaks), tuple(pieces)
         self._tables = (np.array(breaks), np.array(pieces).T)
+
+    def __str__(self) -> str:
+        return f"{self.report}; {self.noise}"
 
     def reference(self, x: float) -> tuple[float, float, float]:
         """r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN."""

@@ -176,7 +176,7 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
     )
     built = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False))
     plot.plot_map(built, Path("map.png"))
-    upper, lower = drawn[0].axes
+    upper, lower, lowest = drawn[0].axes
     *shown, mean = lines(upper)
     assert mean[1] == pytest.approx(built.mean * 1e6)
     # In the lower picture forward lies 0.15 µm below the mean of both directions, backward as much above.
@@ -185,6 +185,8 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
     for (x_mm, um), difference, run in zip(shown, points, built.survey.runs, strict=True):
         assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
         assert difference == pytest.approx((run.deviation - built.mean) * 1e6)
+    # Without noise the map goes through every mean.
+    assert [um for _, um in lines(lowest)] == [pytest.approx(0.0, abs=1e-9)]
     for axes in (upper, lower):
         assert axes.get_axisbelow() is True
         for line, run in zip(axes.get_lines(), built.survey.runs, strict=False):

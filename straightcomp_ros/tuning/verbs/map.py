@@ -32,6 +32,8 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
     add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
     add("--level", action="store_true", help="take the least squares line out, not only the mean")
+    smooth = "auto, none or a factor of auto: how much noise the map leaves out (default: %(default)s)"
+    add("--smooth", default="auto", metavar="HOW", help=smooth)
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     for quantity in ("x", "deviation"):
         own = f"the CSV file's own name for the column of {quantity}, which ends with its unit"
@@ -81,6 +83,9 @@ def _build(options: argparse.Namespace) -> None:
         notes.print(f"run {name}: the point at x = {x * 1e3:.1f} mm is rejected")
     if len(built.rejected_points) > 20:
         notes.print(f"and {len(built.rejected_points) - 20} more points")
+    notes.print(str(built.straightness.noise))
+    if options.smooth != "auto":
+        notes.print(f"the file has the runs as measured: set stage.guide.smooth to {options.smooth} for this map")
     if built.repeatability.short_of_the_standard:
         notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
     if options.output:
@@ -91,10 +96,17 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     from straightcomp_ros.analysis.map_building import Choices, build
     from straightcomp_ros.bags.fields import Field
     from straightcomp_ros.bags.folder import STORED
+    from straightcomp_ros.parameters.declaration import ParameterError
+    from straightcomp_ros.straightness.guide_map import MapParameters
     from straightcomp_ros.straightness.survey import SurveyError, read_survey
     from straightcomp_ros.tuning.survey.recording import Sensor, build_from_series, series_of_bag, series_of_csv
 
-    choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
+    try:
+        choices = Choices(
+            options.step * 1e-3, options.outliers, options.level, MapParameters(smooth=options.smooth).smooth
+        )
+    except ParameterError as error:
+        raise CommandFailed(f"--smooth: {error}", exit_code=2) from error
     source = Path(options.source)
     if not source.exists():
         raise SurveyError(f"survey {source} does not exist; give a bag or a CSV file")
@@ -126,6 +138,8 @@ def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
         "forward_s_um": found.forward and found.forward.s,
         "backward_s_um": found.backward and found.backward.s,
         "reversal_um": found.reversal,
+        "map_um": built.straightness.deviations(found.x),
+        "map_s_um": built.straightness.noise.band(found.x),
     }
     return {
         **built.figures(),

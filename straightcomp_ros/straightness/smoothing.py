@@ -1,0 +1,187 @@
+"""How much of a survey is noise, and the spline that takes it off: as smooth as the noise warrants, and no more.
+
+The noise of a point is the standard deviation between the runs of one direction, pooled over x, with each run's offset
+and slope (drift) taken off. The spline f is cubic and minimises, over the n points of the runs' mean,
+
+    Σ w_i (y_i − f(x_i))² + ∫ λ(x) f'''(x)² dx
+
+The third derivative leaves a parabola, and so the curvature at the ends, as it is. One λ for all x has the least
+Mallows' C_p, the estimate of the squared error from the known noise (C. L. Mallows, Technometrics 15, 1973). With a
+single run the noise is that of the residual, at the λ of generalised cross validation (P. Craven and G. Wahba, Numer.
+Math. 31, 1979). At a joint or kink λ(x) is smaller: it is the largest whose fit differs from none of the less smooth
+ones by more than the noise can explain (O. V. Lepski, Theory Probab. Appl. 35, 1990).
+
+The band is Wahba's: the posterior standard deviation of the spline as a Gaussian process, which contains the bias on
+average over x (G. Wahba, J. R. Stat. Soc. B 45, 1983). It does not contain the survey's zero and tilt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.straightness.survey import Survey
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = 1.96
+"""Standard deviations to each side that hold 95 % of a normal distribution."""
+_CLEAN = 0.6
+"""Fraction of its variance that smoothing must leave of the noise at most; else every mean is kept as measured."""
+_ROUNDING = 1e-9
+"""Noise in m that nothing is done about: survey files are rounded to a nanometre."""
+_DETECTED = 3.5
+"""Standard deviations by which a less smooth fit must differ before it is taken for the guide: of some hundred
+independent places of an even guide, one in twenty surveys exceeds it."""
+_MOST_KNOTS = 400
+_SMOOTHEST = 1e12
+"""Largest λ in units of the inverse of the stiffest mode's penalty; beyond it rounding would reach the softest."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapNoise:
+    """What the noise of a survey leaves in its map.
+
+    Attributes:
+        point: standard deviation in m of the mean of all runs at one point.
+        runs: number of runs.
+        repeated: whether a direction has two runs; else the noise is that of the residual of a smooth curve.
+        smoothed: whether noise was taken off; else the map goes through every mean.
+        x, deviation: (n,) in m: where the standard deviation of the map is given, and that.
+        twice: RMS over x of the standard deviation in m that a survey of twice as many runs would leave.
+    """
+
+    point: float
+    runs: int
+    repeated: bool
+    smoothed: bool
+    x: Array
+    deviation: Array
+    twice: float
+
+    @property
+    def half_width(self) -> float:
+        """Half width in m of the band that contains the guide with 95 %, RMS over x."""
+        return NORMAL_95 * float(np.sqrt(np.mean(self.deviation**2)))
+
+    def band(self, x: Array) -> Array:
+        """Standard deviation of the map in m at ``x`` in m."""
+        return np.asarray(np.interp(x, self.x, self.deviation))
+
+    def __str__(self) -> str:
+        more = f"{self.runs} more runs" if self.runs > 1 else "one more run"
+        text = f"the survey's noise leaves ±{self.half_width * 1e6:.2g} µm (95 %)"
+        text += f"; {more} would leave ±{NORMAL_95 * self.twice * 1e6:.2g} µm"
+        if not self.repeated:
+            text += "; estimated from the residual, since no run was repeated"
+        return text
+
+
+def point_noise(survey: Survey, x: Array, values: Array) -> float | None:
+    """Standard deviation in m of the mean of both directions at one point, from ``values`` (runs, n) at ``x`` (n,);
+    None unless one direction has two runs. A direction with a single run is taken to be as noisy as the other."""
+    line = np.column_stack([np.ones_like(x), x - x.mean()])
+    counts, sums = list[int](), list[float]()
+    for way in ("forward", "backward"):
+        chosen = values[[run.direction == way for run in survey.runs]]
+        if len(chosen):
+            apart = (chosen - chosen.mean(axis=0)).T
+            drift = line @ np.linalg.lstsq(line, apart, rcond=None)[0]
+            counts.append(len(chosen))
+            sums.append(float(np.sum((apart - drift) ** 2)) / (len(x) - 2))
+    if max(counts) < 2:
+        return None
+    pooled = sum(sums) / sum(count - 1 for count in counts)
+    variances = [total / (count - 1) if count > 1 else pooled for total, count in zip(sums, counts, strict=True)]
+    return math.sqrt(sum(v / count for v, count in zip(variances, counts, strict=True))) / len(counts)
+
+
+def measured(survey: Survey, x: Array) -> Array:
+    """Weight of each of the points ``x`` (n,): the fraction of the runs with a point of their own near it. The others'
+    values are interpolated, where a point was missing or rejected."""
+    room = 0.5 * float(np.median(np.diff(x)))
+    own = np.array([np.abs(run.x[_nearest(run.x, x)] - x) <= room for run in survey.runs])
+    return np.asarray(np.maximum(own.mean(axis=0), 0.5 / len(own)))
+
+
+def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> tuple[PPoly | None, MapNoise]:
+    """The smoothing spline through ``mean`` (n,) at ``x`` (n,) of ``values`` (runs, n), all in m, and its noise.
+
+    ``how`` is ``none``; ``auto``, by the noise; or the number by which that λ is multiplied. The spline is None where
+    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little.
+    """
+    noise, runs = point_noise(survey, x, values), len(values)
+    repeated = noise is not None
+    factor = float({"auto": "1", "none": "0"}.get(how, how))
+    if noise is not None and (factor == 0.0 or noise <= _ROUNDING):
+        return None, _as_measured(noise, runs, repeated, x)
+    # SciPy takes half of the time that a node needs to start, and a node without a map needs none of it.
+    from scipy.interpolate import BSpline, PPoly
+    from scipy.linalg import eigh
+
+    # None at the second point from either end, as in the spline through all points: there are no more coefficients.
+    knots = x[np.unique(np.linspace(0, len(x) - 1, min(len(x), _MOST_KNOTS)).round().astype(int))]
+    knots = np.delete(knots, [1, -2])
+    padded = np.concatenate([[knots[0]] * 3, knots, [knots[-1]] * 3])
+    at_points, at_knots = (BSpline.design_matrix(at, padded, 3) for at in (x, knots))
+    weight = measured(survey, x)
+    information = (at_points.T @ at_points.multiply(weight[:, None])).toarray()
+    sums = at_points.T @ (weight * mean)
+    middles, lengths = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
+    # The third derivative of a cubic is constant between two knots.
+    third = BSpline(padded, np.eye(len(sums)), 3)(middles, 3)
+
+    def penalty(of_x: Array) -> Array:
+        return np.asarray(third.T @ ((lengths * of_x)[:, None] * third))
+
+    # Modes that are independent for every λ (A. Demmler and C. Reinsch, Numer. Math. 24, 1975).
+    stiffness, modes = eigh(penalty(np.ones_like(middles)), information)
+    stiffness = np.maximum(stiffness, 0.0)
+    choices = np.geomspace(1.0, _SMOOTHEST, 25) / stiffness[-1]
+    kept = 1.0 / (1.0 + choices[:, None] * stiffness)
+    amounts = modes.T @ sums
+    fits = at_points @ (modes @ (kept * amounts).T)
+    squares, freedom = weight @ (mean[:, None] - fits) ** 2, kept.sum(axis=1)
+    if noise is None:
+        best = int((squares / (len(x) - freedom) ** 2).argmin())
+        noise = math.sqrt(squares[best] / (len(x) - freedom[best]))
+    best = int((squares + 2.0 * noise**2 * freedom).argmin())
+    clean = noise <= _ROUNDING or freedom[best] > _CLEAN * len(x)
+    if factor == 0.0 or (how == "auto" and clean):
+        return None, _as_measured(noise, runs, repeated, x)
+
+    shapes = at_knots @ modes
+    curves, shapes = shapes @ (kept * amounts).T, shapes**2
+    local, holds = np.zeros(len(knots), np.intp), np.ones(len(knots), np.bool_)
+    for smoother in range(1, best + 1):
+        spread = noise * np.sqrt(shapes @ ((kept[smoother] - kept[:smoother]) ** 2).T)
+        holds &= np.all(np.abs(curves[:, [smoother]] - curves[:, :smoother]) <= _DETECTED * spread, axis=1)
+        local[holds] = smoother
+    amount = factor * np.exp(np.interp(middles, knots, np.log(choices[local])))
+    inverse = np.linalg.inv(information + penalty(amount))
+    pieces = PPoly.from_spline(BSpline(padded, inverse @ sums, 3))
+    deviation, twice = (
+        noise * np.sqrt((at_knots @ (at_knots @ covariance).T).diagonal())
+        for covariance in (inverse, np.linalg.inv(2.0 * information + penalty(amount)))
+    )
+    return (
+        PPoly(pieces.c[:, 3:-3], pieces.x[3:-3]),
+        MapNoise(noise, runs, repeated, True, knots, deviation, float(np.sqrt(np.mean(twice**2)))),
+    )
+
+
+def _as_measured(noise: float, runs: int, repeated: bool, x: Array) -> MapNoise:
+    return MapNoise(noise, runs, repeated, False, x, np.full_like(x, noise), noise / math.sqrt(2.0))
+
+
+def _nearest(ascending: Array, x: Array) -> NDArray[np.intp]:
+    """Index of the value of ``ascending`` that is nearest to each ``x``."""
+    after = np.clip(np.searchsorted(ascending, x), 1, len(ascending) - 1)
+    return np.asarray(after - (x - ascending[after - 1] < ascending[after] - x))

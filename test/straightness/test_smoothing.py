@@ -1,0 +1,124 @@
+"""The map and the noise of its survey: found between runs, taken off where it hides the guide, stated as a band."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.smoothing import NORMAL_95, measured, point_noise
+from straightcomp_ros.straightness.survey import Survey, read_survey
+from straightcomp_ros.straightness.survey_runs import on_common_grid
+from trials.noise import FINE, GUIDE, JOINT, best_possible, guide, mapped, surveyed
+
+TABLE = [(spacing, noise) for spacing in (0.5e-3, 1e-3, 2e-3, 10e-3, 20e-3) for noise in (5e-8, 2e-7, 5e-7)]
+TABLE += [(5e-3, 5e-8), (5e-3, 5e-7)]
+
+
+def error(straightness, kink=0.0):
+    """Peak to peak, m."""
+    return float(np.ptp(straightness.deviations(FINE) - guide(FINE, kink)))
+
+
+def test_the_noise_of_a_point_is_that_between_runs_of_a_direction_without_their_drift():
+    for spacing, noise, runs in ((1e-3, 2e-7, 6), (10e-3, 25e-9, 3)):
+        survey = surveyed(spacing, noise, runs=runs, drift=5e-6)
+        # Three runs are two forward and one backward, which is taken to be as noisy.
+        expected = noise * (np.sqrt(1.0 / 6.0) if runs == 6 else np.sqrt(1.0 / 2.0 + 1.0) / 2.0)
+        assert point_noise(survey, *on_common_grid(survey, 20, 0.05)) == pytest.approx(expected, rel=0.1)
+    survey = surveyed(1e-3, 2e-7, runs=2)
+    assert point_noise(survey, *on_common_grid(survey, 20, 0.05)) is None
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_without_repeated_runs_the_noise_is_that_of_the_residual_and_the_map_says_so(runs):
+    noise = mapped(surveyed(1e-3, 2e-7, runs=runs)).noise
+    assert noise.point == pytest.approx(2e-7 / np.sqrt(runs), rel=0.1)
+    assert noise.smoothed and not noise.repeated and "no run was repeated" in str(noise)
+
+
+@pytest.mark.parametrize("file", ["config/guide_synthetic.csv", "config/survey_synthetic.csv"])
+def test_a_clean_survey_is_interpolated_to_the_last_bit(file):
+    straightness = load_map(MapParameters(file))
+    assert not straightness.noise.smoothed
+    for plain in (load_map(MapParameters(file, smooth="none")), load_map(MapParameters(file, smooth="0"))):
+        np.testing.assert_array_equal(straightness.evaluate(FINE), plain.evaluate(FINE))
+    survey = read_survey(file)
+    x, values = on_common_grid(survey, 20, 0.05)
+    np.testing.assert_allclose(straightness.deviations(x), values.mean(axis=0), atol=1e-15)
+
+
+def test_noise_is_taken_off_and_with_it_the_acceleration_that_it_would_demand():
+    survey = surveyed(1e-3, 2e-7)
+    smoothed, through = mapped(survey), mapped(survey, "none")
+    assert error(smoothed) < 0.18e-6 < 0.45e-6 < error(through)
+    true, kept, noisy = (np.abs(one.evaluate(FINE)[2]).max() for one in (GUIDE, smoothed, through))
+    assert kept < 2.0 * true < 0.02 * noisy
+    end = mapped(surveyed(0.2e-3, 5e-8))
+    assert np.abs(end.evaluate([-0.02, 1.78])[0]).max() < 1.5 * np.abs(GUIDE.evaluate([-0.02, 1.78])[0]).max()
+
+
+def test_a_joint_stays_sharp_in_a_map_that_is_smooth_elsewhere():
+    kink, survey = 5e-5, surveyed(1e-3, 5e-8, kink=5e-5)
+    near = np.abs(FINE - JOINT) < 0.01
+    left = mapped(survey).deviations(FINE) - guide(FINE, kink)
+    assert np.ptp(left[near]) < 0.1e-6
+    # One amount of smoothing for all x that leaves as little noise elsewhere rounds the joint off by more.
+    assert np.ptp(left[~near]) < 0.6 * error(mapped(survey, "none"), kink)
+
+
+def test_a_factor_multiplies_the_smoothing():
+    survey = surveyed(2e-3, 2e-7)
+    bends = [np.abs(mapped(survey, how).evaluate(FINE)[2]).max() for how in ("none", "0.001", "1", "1000")]
+    assert bends == sorted(bends, reverse=True) and bends[0] > 2.0 * bends[-1]
+    np.testing.assert_array_equal(mapped(survey, "1").evaluate(FINE), mapped(survey).evaluate(FINE))
+    # A factor is a wish: it smooths where auto leaves the survey as it is.
+    assert mapped(read_survey("config/survey_synthetic.csv"), "1").noise.smoothed
+    for wrong in ("some", "-1", "nan", "inf", ""):
+        with pytest.raises(ParameterError, match=r"'smooth'.*allowed: auto, none or a number"):
+            from_mapping(MapParameters, {"smooth": wrong})
+
+
+def test_points_that_few_runs_have_weigh_less_and_are_less_certain():
+    survey = surveyed(2e-3, 2e-7)
+    gone = slice(300, 316)
+    runs = [replace(run, x=np.delete(run.x, gone), deviation=np.delete(run.deviation, gone)) for run in survey.runs[1:]]
+    holed = Survey((survey.runs[0], *runs))
+    x = survey.runs[0].x
+    assert measured(holed, x)[gone.start + 2 : gone.stop - 2] == pytest.approx(1.0 / 6.0)
+    assert (measured(holed, x) == 1.0).sum() == x.size - 16
+    noise = mapped(holed).noise
+    assert noise.band(x[308]) > 1.2 * noise.band(x[200])
+
+
+def test_more_runs_leave_less():
+    noise = mapped(surveyed(1e-3, 2e-7)).noise
+    doubled = mapped(surveyed(1e-3, 2e-7, runs=12)).noise
+    assert NORMAL_95 * noise.twice == pytest.approx(doubled.half_width, rel=0.15)
+    assert str(noise).startswith(f"the survey's noise leaves ±{noise.half_width * 1e6:.2g} µm (95 %); 6 more runs")
+
+
+@pytest.mark.parametrize(
+    ("spacing", "noise"), [(5e-3, 2e-7), *(pytest.param(*each, marks=pytest.mark.nightly) for each in TABLE)]
+)
+def test_the_error_is_within_1_2_of_what_the_best_smoothing_leaves_that_knows_the_guide(spacing, noise):
+    surveys = [surveyed(spacing, noise, seed=seed) for seed in range(9)]
+    ours = np.median([error(mapped(survey)) for survey in surveys])
+    best = []
+    for survey in surveys:
+        x, values = on_common_grid(survey, 20, 0.05)
+        best.append(best_possible(x, values.mean(axis=0), guide(FINE)))
+    assert ours <= 1.2 * np.median(best)
+
+
+@pytest.mark.parametrize("draws", [20, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(("spacing", "noise"), [(1e-3, 2e-7), (5e-3, 2e-7), (10e-3, 25e-9)])
+def test_the_95_percent_band_contains_the_guide_at_95_percent_of_x(spacing, noise, draws):
+    x = FINE[:: round(spacing * 1e4)]
+    held = []
+    for seed in range(draws):
+        straightness = mapped(surveyed(spacing, noise, seed=seed))
+        left = straightness.deviations(x) - guide(x)
+        held.append(np.mean(np.abs(left) <= NORMAL_95 * straightness.noise.band(x)))
+    assert 0.93 <= np.mean(held) <= 0.97
