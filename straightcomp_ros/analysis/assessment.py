@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
-from straightcomp_ros.analysis.metrics import MetricsError, evaluate, stroke_figures
+from straightcomp_ros.analysis.metrics import LINES, MetricsError, evaluate, stroke_figures
 from straightcomp_ros.analysis.record import Array, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.parameters.declaration import ParameterError, instead
@@ -76,7 +76,7 @@ class Assessment:
         }
         for way in ("forward", "backward"):
             ours = [stroke for stroke in self.strokes if stroke.direction == way]
-            for name in ("before_least_squares", "before_end_points", "after_least_squares", "after_end_points"):
+            for name in (f"{when}_{line}" for when in ("before", "after") for line in LINES):
                 worst = max((getattr(stroke, name) for stroke in ours), default=None)
                 figures[f"straightness_{name}_{way}_um"] = None if worst is None else worst * 1e6
         for low, high in BANDS:

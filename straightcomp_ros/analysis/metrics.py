@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import Array, MetricsError, ReferenceMap, StrokeRecord
-from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.residual import (
+    end_point_residual,
+    least_squares_residual,
+    minimum_zone,
+    peak_to_peak,
+)
 from straightcomp_ros.straightness.survey import Direction
 
 __all__ = ["Metrics", "MetricsError", "StrokeFigures", "evaluate", "residual_over", "stroke_figures"]
@@ -21,6 +26,8 @@ _UNITS = {
     "travel": ("_mm", 1e3),
 }
 """How a figure is displayed: suffix of its name, and factor. All others are lengths, in µm."""
+LINES = ("least_squares", "end_points", "minimum_zone")
+"""Reference lines of a straightness, ISO 230-1:2012, 3.4."""
 RESTING = 0.2
 """Time in s after a stroke, from which the command at rest is judged."""
 
@@ -67,7 +74,7 @@ class Metrics(_Figures):
 @dataclass(frozen=True)
 class StrokeFigures(_Figures):
     """Figures of one movement one way; s, m. ``travel`` is that in x; the straightness by ISO 230-1 is relative to
-    either line, from true positions where they are known, else the map's and the encoder's."""
+    each line, from true positions where they are known, else the map's and the encoder's."""
 
     direction: str
     start: float
@@ -81,6 +88,8 @@ class StrokeFigures(_Figures):
     before_end_points: float
     after_least_squares: float  # of the workpiece
     after_end_points: float
+    before_minimum_zone: float
+    after_minimum_zone: float
 
 
 def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
@@ -123,6 +132,7 @@ def stroke_figures(stroke: StrokeRecord, reference: ReferenceMap, direction: Dir
     for name, deviation in (("before", guide), ("after", guide + y)):
         lines[f"{name}_least_squares"] = peak_to_peak(residual_of_stroke(time, x, deviation))
         lines[f"{name}_end_points"] = peak_to_peak(end_point_residual(x, deviation))
+        lines[f"{name}_minimum_zone"] = minimum_zone(x, deviation)
     return StrokeFigures(
         direction=direction,
         start=float(time[0]),

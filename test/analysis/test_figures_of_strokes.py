@@ -47,6 +47,7 @@ def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_
     assert figures.travel == pytest.approx(0.4, abs=1e-3)
     assert (figures.before_end_points, figures.before_least_squares) == pytest.approx((8e-6, 8e-6), rel=1e-2)
     assert (figures.after_end_points, figures.after_least_squares) == pytest.approx((4e-6, 4e-6), rel=1e-2)
+    assert (figures.before_minimum_zone, figures.after_minimum_zone) == pytest.approx((8e-6, 4e-6), rel=1e-2)
     assert figures.encoder_pp == pytest.approx(2e-6, rel=1e-2)
     assert figures.encoder_rms == pytest.approx(1e-6 / math.sqrt(2.0), rel=0.05)
     record, stroke = one_way(bow, truth=-bow(x))

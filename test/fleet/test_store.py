@@ -134,6 +134,20 @@ def test_a_store_of_an_earlier_version_is_read_and_added_to_without_doubling_a_s
     assert len(strokes_of(store)) == 2 * COUNT + 2
 
 
+def test_strokes_that_were_added_before_a_column_was_declared_are_null_there_until_they_are_added_again(
+    alone, months, tmp_path
+):
+    store = tmp_path / "store"
+    shutil.copytree(alone[0], store)
+    for file in store.glob("strokes/*/*/strokes.parquet"):
+        table = pyarrow.parquet.read_table(file, partitioning=None)
+        pyarrow.parquet.write_table(table.drop_columns("after_minimum_zone_um"), file)
+    null = "SELECT count(*) AS strokes FROM strokes WHERE after_minimum_zone_um IS NULL"
+    assert Store(str(store)).query(null).to_pylist() == [{"strokes": len(strokes_of(store))}]
+    assert added(store, months, again=True).added == COUNT
+    assert Store(str(store)).query(null).to_pylist() == [{"strokes": 0}]
+
+
 def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(alone, months, tmp_path, monkeypatch):
     shutil.copytree(alone[0], tmp_path / "store")
     rows_of = adding.rows_of

@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.residual import (
+    end_point_residual,
+    least_squares_residual,
+    minimum_zone,
+    peak_to_peak,
+)
 from straightcomp_ros.straightness.survey import read_survey
 
 X = np.linspace(-1.0, 1.0, 2001)
@@ -87,3 +92,26 @@ def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre(guide
     assert np.abs(report.reversal).max() < 4.0 * 0.025e-6 * np.sqrt(2.0 / 3.0)
     between = np.linspace(0.0, 1.76, 20_001)
     assert np.ptp(straightness.deviations(between) - guide.deviations(between)) < 0.08e-6
+
+
+@pytest.mark.parametrize("count", [3, 4, 50])
+def test_the_minimum_zone_is_the_narrowest_of_the_zones_with_an_edge_through_two_points(count):
+    rng = np.random.default_rng(count)
+    for _ in range(20):
+        # Some points share their x, the first and the last one too.
+        x, y = np.round(rng.uniform(0.0, 1.7, count), 1), rng.normal(0.0, 1e-6, count)
+        x[:3] = 0.0, 1.7, 1.7
+        rise, run = y[:, None] - y, x[:, None] - x
+        slopes = rise[run != 0.0] / run[run != 0.0]
+        width = np.ptp(y - slopes[:, None] * x, axis=1).min()
+        assert minimum_zone(x, y + 1e-3 * x) == pytest.approx(width, rel=1e-6)
+
+
+def test_the_minimum_zone_of_a_bow_is_its_height_of_a_line_nothing_and_never_wider_than_about_another_line():
+    assert minimum_zone(X, 5e-6 * X**2) == pytest.approx(5e-6)
+    assert minimum_zone(X, 2e-3 * X) == pytest.approx(0.0, abs=1e-15) and minimum_zone(X, 0.0 * X) == 0.0
+    # For x³ its slope is 3/4, at which ends and turning points are as far out: 1 − s = 2 (s/3)^1.5.
+    assert minimum_zone(X, X**3) == pytest.approx(0.5, abs=1e-5)
+    shape = np.exp(X) * np.sin(9.0 * X)
+    for residual in (least_squares_residual, end_point_residual):
+        assert minimum_zone(X, shape) <= peak_to_peak(residual(X, shape))

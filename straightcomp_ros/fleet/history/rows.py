@@ -69,6 +69,10 @@ class StrokeRow:
     before_end_points_um: float = column("the same about the line through the end points")
     after_least_squares_um: float = column("straightness of the workpiece about the least squares line")
     after_end_points_um: float = column("the same about the line through the end points")
+    before_minimum_zone_um: float | None = column(
+        "width of the guide's minimum zone (ISO 230-1); null in a row of an earlier version", None
+    )
+    after_minimum_zone_um: float | None = column("the same of the workpiece", None)
     control_activity_A: float = column("Σ |Δi_c| of the commands")
     coil_work_A2s: float = column("∫ i_c² dt of the commands: heat in the coils for each ohm")
     friction_A: float | None = column("friction as current: half the hysteresis of the coil current over y")
