@@ -176,20 +176,23 @@ class Store:
 
     def _add_table(self, database: Any, name: str, row: type, partitions: tuple[str, ...]) -> bool:
         """Add a table of the store; returns whether it has files."""
+        import pyarrow
+
         folder = f"{self.root}/{name}"
         if not self.local:
             folder = self.files.unstrip_protocol(folder)
         files = f"{glob.escape(folder)}/**/*.parquet".replace("'", "''")
-        if not database.execute(f"SELECT 1 FROM glob('{files}') LIMIT 1").fetchall():
-            import pyarrow
-
-            schema = pyarrow.schema([*schema_of(row), *((partition, pyarrow.string()) for partition in partitions)])
-            database.register(name, schema.empty_table())
+        found = bool(database.execute(f"SELECT 1 FROM glob('{files}') LIMIT 1").fetchall())
+        schema = pyarrow.schema([*schema_of(row), *((partition, pyarrow.string()) for partition in partitions)])
+        database.register(declared := f"declared_{name}" if found else name, schema.empty_table())
+        if not found:
             return False
         # A stage named 1 is no number.
         types = ", ".join(f"'{partition}': VARCHAR" for partition in partitions)
         hive = f", hive_partitioning = true, hive_types = {{{types}}}" if partitions else ""
-        database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet('{files}'{hive})")
+        # A file of an earlier version lacks columns that were declared since.
+        written = f"read_parquet('{files}', union_by_name = true{hive})"
+        database.execute(f"CREATE VIEW {name} AS FROM {declared} UNION ALL BY NAME FROM {written}")
         return True
 
     def clear_abandoned(self) -> None:
