@@ -93,7 +93,11 @@ def _guide_findings(
     )
     beyond = max(first - start, end - last)
     remedy = "Survey the whole stroke, or shorten stage.motion.stroke."
-    yield judged("survey", beyond <= 1e-6, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
+    quiet = 2.0 * straightness.noise.half_width <= found.encoder_floor
+    if beyond <= 1e-6:
+        remedy = "The noise leaves more than the encoder does: survey with more runs or more points."
+    good = beyond <= 1e-6 and quiet
+    yield judged("survey", good, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
 
     detail = (
         f"correction of {found.correction * 1e6:.1f} µm to each side; travel {stage.guide.travel * 1e6:g} µm, "

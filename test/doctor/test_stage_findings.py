@@ -7,6 +7,8 @@ import pytest
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, shipped_parameters
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.straightness.survey import write_survey
+from trials.noise import mapped, surveyed
 
 OWN = str(share_path("config/stage_synthetic.yaml"))
 OWN_BUS = {"driver": {"hardware": "can"}}
@@ -15,16 +17,17 @@ FOREIGN = str(share_path("config/board_motorola.yaml"))
 
 @pytest.fixture
 def check(capsys, tmp_path):
-    """``check(path, node={parameter: value})``: findings of the wire in a stage file with other parameters."""
+    """``check(path, node={parameter: value})``: findings of the wire, or of ``named``, in a stage file with other
+    parameters."""
 
-    def run(path, **changes):
+    def run(path, named="wire", **changes):
         values = shipped_parameters(stage=path)
         for node, changed in changes.items():
             values[node] |= changed
         file = tmp_path / "stage.yaml"
         file.write_text(as_parameter_file(values))
         main(["stage", "check", str(file), "--json"])
-        return [one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"].startswith("wire")]
+        return [one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"].startswith(named)]
 
     return run
 
@@ -57,6 +60,16 @@ def test_a_range_a_resolution_and_a_bus_that_do_not_do_are_found(check, changes,
     found = check(OWN if OWN_BUS.items() <= changes.items() else FOREIGN, **changes)
     (finding,) = (one for one in found if one["name"] == name)
     assert finding["state"] == state and words in finding["detail"] and finding["remedy"]
+
+
+@pytest.mark.parametrize(("spacing", "noise", "state"), [(1e-3, 2e-7, "ok"), (10e-3, 5e-7, "warn")])
+def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyond_the_encoder(
+    check, tmp_path, spacing, noise, state
+):
+    survey = surveyed(spacing, noise)
+    write_survey(tmp_path / "survey.csv", survey)
+    (finding,) = check(OWN, "survey", stage={"guide.file": str(tmp_path / "survey.csv")})
+    assert finding["state"] == state and str(mapped(survey).noise) in finding["detail"]
 
 
 def test_protection_that_is_missing_is_found(check):

@@ -14,7 +14,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.messages.cdr import ENCAPSULATION, joint_state
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import SurveyError, read_survey
+from straightcomp_ros.straightness.survey import SurveyError, read_survey, write_survey
 from straightcomp_ros.tuning.survey.recording import (
     Sensor,
     Series,
@@ -24,6 +24,7 @@ from straightcomp_ros.tuning.survey.recording import (
     series_of_csv,
     spikes,
 )
+from trials.noise import mapped, surveyed
 
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[3] / "bags" / "survey"
@@ -109,6 +110,25 @@ def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys)
     built, true = load_map(MapParameters(str(output))), load_map(MapParameters("config/guide_synthetic.csv"))
     x = np.linspace(0.002, 1.758, 1000)
     assert np.ptp(built.deviations(x) - true.deviations(x)) < 0.12e-6
+
+
+def test_a_map_is_reported_with_its_band_and_smoothed_as_asked(tmp_path, capsys):
+    source, picture = tmp_path / "survey.csv", tmp_path / "survey.png"
+    write_survey(source, surveyed(2e-3, 2e-7))
+    figures = {}
+    for how in ("auto", "none"):
+        assert main(["map", "build", str(source), "--smooth", how, "--plot", str(picture), "--force", "--json"]) == 0
+        found = figures[how] = json.loads(capsys.readouterr().out)
+        noise = mapped(read_survey(source), how).noise
+        assert found["smoothed"] == (how == "auto") and f"stage.guide.smooth {how}" in found["provenance"]["choices"]
+        assert found["map_uncertainty_95_um"] == pytest.approx(noise.half_width * 1e6, rel=1e-3)
+        assert found["map_s_um"] == pytest.approx(noise.band(np.array(found["x_mm"]) * 1e-3) * 1e6, rel=1e-3)
+    assert figures["none"]["map_um"] == pytest.approx(figures["none"]["mean_um"])
+    assert figures["auto"]["map_um"] != pytest.approx(figures["auto"]["mean_um"], abs=0.1)
+    assert main(["map", "build", str(source), "--smooth", "some"]) == 2
+    assert "allowed: auto, none or a number" in capsys.readouterr().err
+    assert main(["map", "build", str(source)]) == 0
+    assert "6 more runs would leave" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):
