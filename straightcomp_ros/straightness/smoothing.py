@@ -40,7 +40,11 @@ _ROUNDING = 1e-9
 _DETECTED = 3.5
 """Standard deviations by which a less smooth fit must differ before it is taken for the guide: of some hundred
 independent places of an even guide, one in twenty surveys exceeds it."""
-_MOST_KNOTS = 400
+_MOST_KNOTS = 600
+_TOO_COARSE = 1.2
+"""Typical square of the residual, in units of the noise, beyond which the guide is rougher than these knots follow."""
+_MEDIAN_OF_SQUARES = 0.455
+"""Of a standard normal variable; not moved by a step at a joint, which no knots follow."""
 _SMOOTHEST = 1e12
 """Largest λ in units of the inverse of the stiffest mode's penalty; beyond it rounding would reach the softest."""
 
@@ -76,6 +80,8 @@ class MapNoise:
         return np.asarray(np.interp(x, self.x, self.deviation))
 
     def __str__(self) -> str:
+        if self.point <= _ROUNDING:
+            return "the survey shows no noise"
         more = f"{self.runs} more runs" if self.runs > 1 else "one more run"
         text = f"the survey's noise leaves ±{self.half_width * 1e6:.2g} µm (95 %)"
         text += f"; {more} would leave ±{NORMAL_95 * self.twice * 1e6:.2g} µm"
@@ -84,18 +90,18 @@ class MapNoise:
         return text
 
 
-def point_noise(survey: Survey, x: Array, values: Array) -> float | None:
-    """Standard deviation in m of the mean of both directions at one point, from ``values`` (runs, n) at ``x`` (n,);
-    None unless one direction has two runs. A direction with a single run is taken to be as noisy as the other."""
-    line = np.column_stack([np.ones_like(x), x - x.mean()])
+def point_noise(survey: Survey, x: Array, values: Array, own: NDArray[np.bool_]) -> float | None:
+    """Standard deviation in m of the mean of both directions at one point, from ``values`` (runs, n) at ``x`` (n,), of
+    which those that are ``own`` (runs, n) count; None unless one direction has two runs. A direction with a single run
+    is taken to be as noisy as the other."""
     counts, sums = list[int](), list[float]()
     for way in ("forward", "backward"):
-        chosen = values[[run.direction == way for run in survey.runs]]
-        if len(chosen):
-            apart = (chosen - chosen.mean(axis=0)).T
-            drift = line @ np.linalg.lstsq(line, apart, rcond=None)[0]
-            counts.append(len(chosen))
-            sums.append(float(np.sum((apart - drift) ** 2)) / (len(x) - 2))
+        chosen = np.array([run.direction == way for run in survey.runs])
+        if chosen.any():
+            apart = values[chosen] - values[chosen].mean(axis=0)
+            apart = np.where(own[chosen], apart - drifts(x, apart, own[chosen]), 0.0)
+            counts.append(len(apart))
+            sums.append(float(np.sum(apart**2)) / (len(x) * float(own[chosen].mean()) - 2.0))
     if max(counts) < 2:
         return None
     pooled = sum(sums) / sum(count - 1 for count in counts)
@@ -103,12 +109,24 @@ def point_noise(survey: Survey, x: Array, values: Array) -> float | None:
     return math.sqrt(sum(v / count for v, count in zip(variances, counts, strict=True))) / len(counts)
 
 
-def measured(survey: Survey, x: Array) -> Array:
-    """Weight of each of the points ``x`` (n,): the fraction of the runs with a point of their own near it. The others'
-    values are interpolated, where a point was missing or rejected."""
+def drifts(x: Array, values: Array, own: NDArray[np.bool_]) -> Array:
+    """The least squares line (runs, n) of each run's ``own`` ``values`` (runs, n) over ``x`` (n,)."""
+    return np.array([np.polyval(np.polyfit(x[ours], run[ours], 1), x) for run, ours in zip(values, own, strict=True)])
+
+
+def measured(survey: Survey, x: Array) -> NDArray[np.bool_]:
+    """Whether each run has a point of its own near each of ``x`` (n,): (runs, n). Its other values are interpolated,
+    where a point was missing or rejected."""
     room = 0.5 * float(np.median(np.diff(x)))
-    own = np.array([np.abs(run.x[_nearest(run.x, x)] - x) <= room for run in survey.runs])
-    return np.asarray(np.maximum(own.mean(axis=0), 0.5 / len(own)))
+    return np.array([np.abs(run.x[_nearest(run.x, x)] - x) <= room for run in survey.runs])
+
+
+def filled(x: Array, values: Array, own: NDArray[np.bool_]) -> Array:
+    """``values`` (runs, n) with the mean of the other runs, and the run's drift, where a run has no point of its own:
+    across a wide gap a spline would carry the noise of its ends far away."""
+    drift = drifts(x, values - (own * values).sum(axis=0) / own.sum(axis=0), own)
+    common = (own * (values - drift)).sum(axis=0) / own.sum(axis=0)
+    return np.where(own, values, common + drift)
 
 
 def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> tuple[PPoly | None, MapNoise]:
@@ -117,7 +135,12 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     ``how`` is ``none``; ``auto``, by the noise; or the number by which that λ is multiplied. The spline is None where
     ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little.
     """
-    noise, runs = point_noise(survey, x, values), len(values)
+    own, runs = measured(survey, x), len(values)
+    if not own.all():
+        values = filled(x, values, own)
+        ways = np.array([run.direction == "forward" for run in survey.runs])
+        mean = np.mean([values[ways == way].mean(axis=0) for way in np.unique(ways)], axis=0)
+    noise = point_noise(survey, x, values, own)
     repeated = noise is not None
     factor = float({"auto": "1", "none": "0"}.get(how, how))
     if noise is not None and (factor == 0.0 or noise <= _ROUNDING):
@@ -126,12 +149,13 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     from scipy.interpolate import BSpline, PPoly
     from scipy.linalg import eigh
 
-    # None at the second point from either end, as in the spline through all points: there are no more coefficients.
-    knots = x[np.unique(np.linspace(0, len(x) - 1, min(len(x), _MOST_KNOTS)).round().astype(int))]
+    # No knot at the second point from either end, as in the spline through all points.
+    fine = len(x) > _MOST_KNOTS
+    knots = x[np.unique(np.searchsorted(x, np.linspace(x[0], x[-1], _MOST_KNOTS)))] if fine else x
     knots = np.delete(knots, [1, -2])
     padded = np.concatenate([[knots[0]] * 3, knots, [knots[-1]] * 3])
     at_points, at_knots = (BSpline.design_matrix(at, padded, 3) for at in (x, knots))
-    weight = measured(survey, x)
+    weight = own.mean(axis=0)
     information = (at_points.T @ at_points.multiply(weight[:, None])).toarray()
     sums = at_points.T @ (weight * mean)
     middles, lengths = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
@@ -154,6 +178,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         noise = math.sqrt(squares[best] / (len(x) - freedom[best]))
     best = int((squares + 2.0 * noise**2 * freedom).argmin())
     clean = noise <= _ROUNDING or freedom[best] > _CLEAN * len(x)
+    typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
+    clean |= fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
     if factor == 0.0 or (how == "auto" and clean):
         return None, _as_measured(noise, runs, repeated, x)
 

@@ -12,6 +12,7 @@ from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid
 from trials.noise import FINE, GUIDE, JOINT, best_possible, guide, mapped, surveyed
 
+LACKING = range(300, 316)
 TABLE = [(spacing, noise) for spacing in (0.5e-3, 1e-3, 2e-3, 10e-3, 20e-3) for noise in (5e-8, 2e-7, 5e-7)]
 TABLE += [(5e-3, 5e-8), (5e-3, 5e-7)]
 
@@ -21,14 +22,19 @@ def error(straightness, kink=0.0):
     return float(np.ptp(straightness.deviations(FINE) - guide(FINE, kink)))
 
 
+def noise_of(survey):
+    x, values = on_common_grid(survey, 20, 0.05)
+    return point_noise(survey, x, values, measured(survey, x))
+
+
 def test_the_noise_of_a_point_is_that_between_runs_of_a_direction_without_their_drift():
     for spacing, noise, runs in ((1e-3, 2e-7, 6), (10e-3, 25e-9, 3)):
         survey = surveyed(spacing, noise, runs=runs, drift=5e-6)
         # Three runs are two forward and one backward, which is taken to be as noisy.
         expected = noise * (np.sqrt(1.0 / 6.0) if runs == 6 else np.sqrt(1.0 / 2.0 + 1.0) / 2.0)
-        assert point_noise(survey, *on_common_grid(survey, 20, 0.05)) == pytest.approx(expected, rel=0.1)
+        assert noise_of(survey) == pytest.approx(expected, rel=0.1)
     survey = surveyed(1e-3, 2e-7, runs=2)
-    assert point_noise(survey, *on_common_grid(survey, 20, 0.05)) is None
+    assert noise_of(survey) is None
 
 
 @pytest.mark.parametrize("runs", [1, 2])
@@ -68,6 +74,16 @@ def test_a_joint_stays_sharp_in_a_map_that_is_smooth_elsewhere():
     assert np.ptp(left[~near]) < 0.6 * error(mapped(survey, "none"), kink)
 
 
+def test_a_guide_too_rough_for_the_knots_is_interpolated_and_a_step_keeps_the_noise_from_no_other_place():
+    survey, random = surveyed(1e-3, 25e-9), np.random.default_rng(3)
+    x = survey.runs[0].x
+    rough = np.interp(x, np.linspace(*GUIDE.span, 400), 3e-7 * random.normal(size=400))
+    stepped = np.where(x > JOINT, 5e-6, 0.0)
+    for form, smoothed in ((rough, False), (stepped, True), (0.0 * x, True)):
+        runs = tuple(replace(run, deviation=run.deviation + form) for run in survey.runs)
+        assert mapped(Survey(runs)).noise.smoothed == smoothed
+
+
 def test_a_factor_multiplies_the_smoothing():
     survey = surveyed(2e-3, 2e-7)
     bends = [np.abs(mapped(survey, how).evaluate(FINE)[2]).max() for how in ("none", "0.001", "1", "1000")]
@@ -80,16 +96,32 @@ def test_a_factor_multiplies_the_smoothing():
             from_mapping(MapParameters, {"smooth": wrong})
 
 
-def test_points_that_few_runs_have_weigh_less_and_are_less_certain():
-    survey = surveyed(2e-3, 2e-7)
-    gone = slice(300, 316)
-    runs = [replace(run, x=np.delete(run.x, gone), deviation=np.delete(run.deviation, gone)) for run in survey.runs[1:]]
-    holed = Survey((survey.runs[0], *runs))
+def kept(run, which):
+    return replace(run, x=run.x[which], deviation=run.deviation[which])
+
+
+def test_spacing_may_be_unequal():
+    survey = surveyed(1e-3, 2e-7)
     x = survey.runs[0].x
-    assert measured(holed, x)[gone.start + 2 : gone.stop - 2] == pytest.approx(1.0 / 6.0)
-    assert (measured(holed, x) == 1.0).sum() == x.size - 16
-    noise = mapped(holed).noise
-    assert noise.band(x[308]) > 1.2 * noise.band(x[200])
+    here = (x < 0.5) | (x > 1.2) | (np.arange(x.size) % 10 == 0)
+    sparse = (x > 0.52) & (x < 1.18)
+    straightness = mapped(Survey(tuple(kept(run, here) for run in survey.runs)))
+    off = straightness.deviations(x) - guide(x)
+    assert np.ptp(off[~sparse]) < 0.25e-6 and np.ptp(off[sparse]) < 0.45e-6
+    band = straightness.noise.band(x)
+    assert np.median(band[sparse]) > 1.5 * np.median(band[~sparse])
+
+
+def test_points_that_few_runs_have_weigh_less_and_are_less_certain():
+    survey = surveyed(2e-3, 2e-7, drift=2e-6)
+    x = survey.runs[0].x
+    holed = Survey((survey.runs[0], *(kept(run, np.isin(x, x[LACKING], invert=True)) for run in survey.runs[1:])))
+    assert np.flatnonzero(~measured(holed, x)).tolist() == [run * x.size + at for run in range(1, 6) for at in LACKING]
+    straightness = mapped(holed)
+    assert straightness.noise.band(x[308]) > 1.2 * straightness.noise.band(x[200])
+    # Where one run measured, its own noise and drift are what the map has to go by.
+    assert straightness.noise.point == pytest.approx(mapped(survey).noise.point, rel=0.05)
+    assert np.ptp((straightness.deviations(x) - guide(x))[LACKING]) < 0.3e-6
 
 
 def test_more_runs_leave_less():
