@@ -15,6 +15,7 @@ from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.metrics import LINES, MetricsError, evaluate, stroke_figures
 from straightcomp_ros.analysis.record import Array, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
@@ -28,12 +29,12 @@ class Interval(NamedTuple):
 
 
 class Assessment:
-    """A recorded run with all its figures.
+    """A recorded run with all its figures; ``sensor`` as in :func:`statements`.
 
     MetricsError if the stage does not move, or a number within the motion is not finite.
     """
 
-    def __init__(self, bag: Path, evaluation: BagEvaluation) -> None:
+    def __init__(self, bag: Path, evaluation: BagEvaluation, sensor: float | None = None) -> None:
         self.bag, self.evaluation = bag, evaluation
         self.warnings: Sequence[str] = ()  # the reader's about the bag
         self.record = record = evaluation.record
@@ -46,6 +47,7 @@ class Assessment:
         strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
         self.metrics = evaluate(record, reference)
         self.strokes = [stroke_figures(one, reference, direction) for one, direction in strokes]
+        self.straightness = [one.to_display() for one in statements(evaluation, sensor)]
         # Of the compensation error as the encoder sees it, while the stage moves.
         self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
         # Samples that the clock took and the bag lacks.
@@ -102,6 +104,7 @@ class Assessment:
             **self.verdict._asdict(),
             **self.figures(),
             "strokes": [stroke.to_display() for stroke in self.strokes],
+            "straightness": self.straightness,
             "spectrum_peaks": [
                 {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}
                 for frequency, density in self.spectrum.peaks()

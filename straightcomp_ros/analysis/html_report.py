@@ -12,6 +12,7 @@ from straightcomp_ros.analysis import html_page as page
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
+from straightcomp_ros.analysis.straightness_statement import budget_rows
 from straightcomp_ros.straightness.survey import Direction
 
 _POINTS = 6000
@@ -45,6 +46,10 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
             ("Limits", page.blocks.table(limits) if limits else ""),
             *((title, page.blocks.plots([page.html_plot(plot)])) for title, plot in plots if plot is not None),
             ("Strokes", page.blocks.table([stroke.to_display() for stroke in assessment.strokes])),
+            (
+                "Straightness and its uncertainty (ISO 230-1)",
+                page.blocks.table(budget_rows(assessment.straightness)),
+            ),
             *_events(assessment),
             ("Figures", page.blocks.table(figures, columns=other is None)),
         ],

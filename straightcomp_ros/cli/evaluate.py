@@ -6,10 +6,11 @@ decide: it is 1 when a figure is outside its limit, or the figures are not those
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_file
+from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
 from straightcomp_ros.cli.results import fail_unless_in_order, marked, print_verdict, shown, titled_table
 from straightcomp_ros.parameters.output_files import write_whole
@@ -28,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--limits", metavar="FILE", help="YAML file of limits: lines 'FIGURE: MAXIMUM' or 'FIGURE: {min: …, max: …}'"
     )
     parser.add_argument("--report", metavar="FILE", help="also write a report with interactive plots (one HTML file)")
+    parser.add_argument(
+        "--sensor-uncertainty",
+        type=float,
+        metavar="UM",
+        help="standard uncertainty of a recorded displacement sensor, to measure the guide by it in place of the map",
+    )
     add_remap_option(parser)
     add_force(parser)
     add_json(parser)
@@ -37,9 +44,13 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.analysis.assessment import checked_limits
 
     remap = parsed_remap(options.remap)
+    sensor = options.sensor_uncertainty
+    if sensor is not None:
+        check_range("--sensor-uncertainty", sensor, 0.0, 1e3, "µm")
+        sensor *= 1e-6
     report = output_file(options, "--report")
-    assessment = _assessed(Path(options.bag), remap)
-    other = _assessed(Path(options.compare), remap) if options.compare else None
+    assessment = _assessed(Path(options.bag), remap, sensor)
+    other = _assessed(Path(options.compare), remap, sensor) if options.compare else None
     figures = assessment.figures()
     checks = checked_limits(options.limits, figures) if options.limits else []
     failed = [str(check) for check in checks if not check.passed]
@@ -85,7 +96,7 @@ def parsed_remap(assignments: list[str]) -> dict[str, str]:
     return remap
 
 
-def _assessed(bag: Path, remap: dict[str, str]) -> Assessment:
+def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessment:
     from straightcomp_ros.analysis.assessment import Assessment
     from straightcomp_ros.analysis.evaluation import evaluate_bag
     from straightcomp_ros.analysis.record import MetricsError
@@ -93,7 +104,7 @@ def _assessed(bag: Path, remap: dict[str, str]) -> Assessment:
     with noted_warnings() as texts:
         try:
             with working("evaluating"):
-                assessment = Assessment(bag, evaluate_bag(bag, remap))
+                assessment = Assessment(bag, evaluate_bag(bag, remap), sensor)
         except MetricsError as error:
             raise CommandFailed(f"bag {bag}: {error}") from error
     assessment.warnings = texts
@@ -124,6 +135,25 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
         cells = (marked(f"{name}_um", text, words) for name, text in texts)
         strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *cells)
     console.print(strokes)
+    _print_straightness(assessment, words)
     print_verdict(assessment.verdict)
     if other is not None:
         print_verdict(other.verdict, str(other.bag))
+
+
+def _print_straightness(assessment: Assessment, words: Mapping[str, Any]) -> None:
+    from straightcomp_ros.analysis.straightness_statement import budget_rows
+
+    rows = budget_rows(assessment.straightness)
+    if not rows:
+        return
+    names = [name.removeprefix("u_").removesuffix("_um") for name in rows[0]][4:]
+    title = "Straightness by map and encoder in µm (ISO 230-1); U: expanded uncertainty (k = 2)"
+    table = titled_table(title, "straightness", "measured", "value", "U", *names)
+    for what, *cells in (row.values() for row in rows):
+        name = f"{what.split(',')[0]}_um"
+        table.add_row(what, *(marked(name, cell or "", words) for cell in cells))
+    console.print(table)
+    unknown = dict.fromkeys(name for one in assessment.straightness for name in one["unknown"])
+    if unknown:
+        notes.print(f"not known, and not in U: {', '.join(unknown)} (repeatability takes two strokes each way)")

@@ -11,6 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from straightcomp_ros.analysis.html_page import blocks, html_page, with_code
+from straightcomp_ros.analysis.straightness_statement import budget_rows
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
@@ -25,6 +26,9 @@ _BUDGET = """\
 Simulated with the machine as found: what would be left if a cause were gone. The error of the survey adds to each:
 {:.3g} µm RMS at each of its points (`stage.uncertainty.map_noise`). The platform follows it, and no encoder of this
 stage sees it."""
+_STRAIGHTNESS = """\
+By the map and the encoder, with the expanded uncertainty (k = 2; GUM) and the standard uncertainties that it is made
+of. "?": not known, and not in it. In brackets: not counted, since a larger one contains it."""
 _SIGNALS = (
     ("rate_Hz", "samples per second", 1.0),
     ("clock_drift_ppm", "drift of the samples' clock [ppm]", 1.0),
@@ -141,6 +145,9 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     section("Steps", (("step", "finding"), [(name.replace("_", " "), one["sentence"]) for name, one in steps.items()]))
     checks = [tuple(one[key] for key in ("name", "value", "allowed", "passed")) for one in content["checks"]]
     section("Figures and their limits", (("figure", "measured", "allowed", ""), checks))
+    if stated := budget_rows(figures("acceptance").get("straightness", [])):
+        table = tuple(stated[0]), [tuple(one.values()) for one in stated]
+        section("Straightness (ISO 230-1)", table, note=_STRAIGHTNESS)
     later = [tuple(one[key] for key in ("name", "value", "limit")) for one in content["later_limits"]]
     section("Limits for later strokes", (("figure", "this stroke", "later strokes: at most"), later), note=_LATER)
     budget = [(one["cause"], one["pp_um"], one["rms_um"]) for one in figures("design").get("budget", [])]

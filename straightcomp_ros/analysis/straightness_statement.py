@@ -1,0 +1,307 @@
+"""Straightness as ISO 230-1 states it: about three lines, each with its expanded uncertainty and the budget behind it.
+
+The values are those of an instrument: the guide by the map (or a displacement sensor that was recorded), the platform
+by the encoder, never the truth of a simulation. A value is the mean over the strokes of one direction.
+
+A peak-to-peak value is a difference of extremes, so that errors do not only spread it, they move it: errors in the
+measured curve make it larger, and what the measurement cannot see makes the true one larger than the measured. Both are
+propagated by Monte Carlo (JCGM 101:2008, supplement 1 to the GUM) with a fixed seed: errors are drawn and added to the
+measured curve, from which the mean over pieces of x has taken the noise of single samples. The mean change of the
+straightness is the correction of the value, its standard deviation the contribution to the uncertainty; sensitivity is
+their ratio to the standard uncertainty of the input (numerically, GUM 5.1.4).
+
+- repeatability: standard deviation between the strokes of one direction; for few strokes widened by Student's t, so
+  that k = 2 holds 95 % (GUM, annex G);
+- encoder: q/√12 of y, uniform, independent from sample to sample. Repeatability contains it: the larger one counts;
+- map: what the survey's noise leaves in it; normal, independent at as many points as the map has independent ones, the
+  same in all strokes;
+- sensor: as given; normal, independent at points 10 mm apart, the same in all strokes.
+
+The platform follows the map: no encoder sees its errors, so that they are in the true straightness after compensation
+and not in the measured one. Before compensation the map is the measurement. Not in the budget: errors of the encoder
+between its counts (interpolation), which no stage file describes, and errors of the survey's straightedge that all runs
+share.
+"""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.metrics import LINES, residual_of_stroke
+from straightcomp_ros.analysis.record import Array, group_means
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.residual import end_point_residual, minimum_zone, peak_to_peak
+from straightcomp_ros.straightness.survey import Direction
+from straightcomp_ros.straightness.survey_runs import cubic_spline
+
+COVERAGE_FACTOR = 2.0
+_COVERAGE = 0.9545
+"""Of a normal distribution within ±2 standard deviations."""
+_PIECES = 200
+_DRAWS = 200
+"""The standard deviation of a contribution is then known to 5 %."""
+_THIRDS = 20
+"""Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
+_SENSOR_POINTS = 0.01
+"""Distance in m at which errors of a sensor and its straightedge are taken to be independent."""
+
+
+class Input(NamedTuple):
+    """A source of errors of a curve over x.
+
+    Attributes:
+        name: what it is called in a budget.
+        uncertainty: standard uncertainty in m of one error; None if it is not known.
+        points: x in m at which the errors are independent, with a spline between; None: from sample to sample.
+        seen: whether the errors are in the measured curve, or in the true one alone.
+    """
+
+    name: str
+    uncertainty: float | None
+    points: Array | None = None
+    seen: bool = True
+
+
+class Contribution(NamedTuple):
+    """A line of a budget: the input's standard uncertainty in m (None: not known), what it does to the straightness in
+    m as a standard deviation (``share``) and on average (``correction``), and whether it counts."""
+
+    name: str
+    uncertainty: float | None
+    share: float = 0.0
+    correction: float = 0.0
+    counts: bool = True
+
+
+class Statement(NamedTuple):
+    """The straightness ``when`` (before or after compensation) about ``line``, in m; ``measured`` is the mean over
+    ``strokes`` strokes."""
+
+    when: str
+    direction: Direction
+    line: str
+    strokes: int
+    measured: float
+    budget: tuple[Contribution, ...]
+
+    @property
+    def value(self) -> float:
+        """Without what errors have added to the measured one, with what it could not see; m."""
+        return max(0.0, self.measured + sum(one.correction for one in self.budget))
+
+    @property
+    def standard_uncertainty(self) -> float:
+        """In m, of the contributions that are known."""
+        return math.sqrt(sum(one.share**2 for one in self.budget if one.counts))
+
+    @property
+    def expanded_uncertainty(self) -> float:
+        """In m, with the coverage factor 2."""
+        return COVERAGE_FACTOR * self.standard_uncertainty
+
+    @property
+    def unknown(self) -> list[str]:
+        """Contributions that are not known, and not in the uncertainty."""
+        return [one.name for one in self.budget if one.uncertainty is None]
+
+    def to_display(self) -> dict[str, Any]:
+        """As a person reads it: lengths in µm, the budget as a list."""
+        return {
+            "when": self.when,
+            "direction": self.direction,
+            "line": self.line,
+            "strokes": self.strokes,
+            "measured_um": self.measured * 1e6,
+            "value_um": self.value * 1e6,
+            "standard_uncertainty_um": self.standard_uncertainty * 1e6,
+            "expanded_uncertainty_um": self.expanded_uncertainty * 1e6,
+            "coverage_factor": COVERAGE_FACTOR,
+            "unknown": self.unknown,
+            "budget": [
+                {
+                    "contribution": one.name,
+                    "standard_uncertainty_um": one.uncertainty and one.uncertainty * 1e6,
+                    "sensitivity": one.share / one.uncertainty if one.uncertainty else None,
+                    "share_um": one.share * 1e6,
+                    "correction_um": one.correction * 1e6,
+                    "counts": one.counts,
+                }
+                for one in self.budget
+            ],
+        }
+
+
+def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each statement in the form of :meth:`Statement.to_display`: value and uncertainty, and as a column each
+    contribution to the standard uncertainty; in brackets one that does not count."""
+    longest: list[Any] = max((statement["budget"] for statement in displayed), key=len, default=[])
+    names = [one["contribution"] for one in longest]
+    rows = []
+    for statement in displayed:
+        cells: dict[str, Any] = dict.fromkeys(f"u_{name}_um" for name in names)
+        for one in statement["budget"]:
+            known = f"{one['share_um']:.3f}" if one["counts"] else f"({one['share_um']:.3f})"
+            cells[f"u_{one['contribution']}_um"] = "?" if one["standard_uncertainty_um"] is None else known
+        what = f"{statement['when']}, {statement['direction']}, {statement['line'].replace('_', ' ')}"
+        figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
+        shown = {f"{name}_um": f"{figure:.3f}" for name, figure in figures.items()}
+        rows.append({"straightness": what, **shown, **cells})
+    return rows
+
+
+Samples = tuple[Array, Array, Array]
+"""Time in s, x in m and deviation in m of a stroke, (n,) each."""
+
+
+def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[Statement]:
+    """Of a run, before and after compensation, for each direction and line. ``sensor`` is the standard uncertainty in m
+    of a recorded displacement sensor, which then takes the place of the map."""
+    record, readings, found = evaluation.record, evaluation.guide, list[Statement]()
+    by_sensor = sensor is not None and readings is not None and bool(np.isfinite(readings).any())
+    guide = readings if by_sensor and readings is not None else record.reference.deviations(record.x)
+    count = evaluation.parameters.get("driver", {}).get("stage.encoder.y_resolution")
+    encoder = Input("encoder", None if count is None else float(count) / math.sqrt(12.0))
+    points = np.arange(record.x.min(), record.x.max() + _SENSOR_POINTS, _SENSOR_POINTS)
+    for direction in ("forward", "backward"):
+        strokes = [one.samples for one in record.motion.strokes if one.direction == direction]
+        for when, curve in (("before", guide), ("after", guide + record.y)):
+            after = when == "after"
+            source = Input("sensor", sensor, points) if by_sensor else _map_input(evaluation.map, seen=not after)
+            known = [samples for samples in strokes if np.count_nonzero(np.isfinite(curve[samples])) > 2 * _PIECES]
+            if known:
+                series = [_finite(record.time[one], record.x[one], curve[one]) for one in known]
+                # By the map, the guide is the same in all strokes.
+                inputs = [*([encoder] if after else []), source]
+                found += stated(when, direction, series, inputs, repeats=after or by_sensor)
+    return found
+
+
+def stated(
+    when: str, direction: Direction, strokes: Sequence[Samples], inputs: Sequence[Input], repeats: bool = True
+) -> list[Statement]:
+    """The statements about each line from the ``strokes`` of one direction; where they ``repeats`` a measurement, with
+    the standard deviation between them."""
+    values = np.array([_of_stroke(*one) for one in strokes])
+    x, mean, samples = _mean_curve(strokes)
+    budgets = [[_repeatability(one)] if repeats else [] for one in values.T]
+    random = np.random.default_rng(0)
+    for one in inputs:
+        changes = np.zeros((1, len(LINES)))
+        if one.uncertainty is not None:
+            changes = _changes(one, one.uncertainty, x, mean, samples, random)
+        shares = changes.std(axis=0) / math.sqrt(len(strokes) if one.points is None else 1)
+        corrections = (-1.0 if one.seen else 1.0) * changes.mean(axis=0)
+        for budget, share, correction in zip(budgets, shares.tolist(), corrections.tolist(), strict=True):
+            budget.append(Contribution(one.name, one.uncertainty, share, correction))
+    return [
+        Statement(when, direction, line, len(strokes), float(of_line.mean()), _larger_of_random(budget))
+        for line, of_line, budget in zip(LINES, values.T, budgets, strict=True)
+    ]
+
+
+def _finite(*columns: Array) -> Samples:
+    known = np.isfinite(columns[-1])
+    time, x, curve = (column[known] for column in columns)
+    return time, x, curve
+
+
+def _map_input(straightness: StraightnessMap | None, seen: bool) -> Input:
+    """By the standard deviation of the map, RMS over x. Where smoothing made it smaller by the factor f than that of a
+    point of the survey, the map has 1/f² times fewer independent points."""
+    if straightness is None:
+        return Input("map", None, np.empty(0), seen)
+    noise, points = straightness.noise, straightness.report.x
+    deviation = float(np.sqrt(np.mean(noise.deviation**2)))
+    left = min(1.0, deviation / noise.point) ** 2 if noise.point else 1.0
+    return Input("map", deviation, np.linspace(*straightness.span, max(4, round(left * points.size))), seen)
+
+
+def _of_stroke(time: Array, x: Array, curve: Array) -> tuple[float, ...]:
+    """The straightness about each of the lines, m."""
+    lines = residual_of_stroke(time, x, curve), end_point_residual(x, curve)
+    return *map(peak_to_peak, lines), minimum_zone(x, curve)
+
+
+def _mean_curve(strokes: Sequence[Samples]) -> tuple[Array, Array, Array]:
+    """Over the pieces (n,) of x: middle and mean deviation in m, and samples of a stroke."""
+    x, curve = (np.concatenate([one[column] for one in strokes]) for column in (1, 2))
+    place = ((x - x.min()) / (np.ptp(x) / _PIECES)).astype(int).clip(0, _PIECES - 1)
+    means = group_means(x, curve, place)
+    return *means, np.maximum(np.unique(place, return_counts=True)[1] / len(strokes), 1.0)
+
+
+def _changes(
+    one: Input, uncertainty: float, x: Array, mean: Array, samples: Array, random: np.random.Generator
+) -> Array:
+    """(draws, lines) how errors of the input change the straightness of the curve ``mean`` (n,) over ``x`` (n,), in m;
+    each of its points stands for ``samples`` (n,)."""
+    shape = _DRAWS, x.size
+    if one.points is None:
+        # The largest of m uniform numbers has the distribution of the m-th root of one.
+        half = math.sqrt(3.0) * uncertainty
+        above, below = (half * (2.0 * random.random(shape) ** (1.0 / samples) - 1.0) for _ in range(2))
+        ends = half * random.uniform(-1.0, 1.0, (_DRAWS, 2))
+        high, low, middle = mean + above, mean - below, np.broadcast_to(mean, shape)
+    else:
+        if one.seen:
+            mean = _without(one.points, uncertainty, x, mean)
+        errors = random.normal(0.0, uncertainty, (one.points.size, _DRAWS))
+        high = low = middle = mean + cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
+        ends = middle[:, [0, -1]] - mean[[0, -1]]
+    arm = x - x.mean()
+
+    def width(slopes: Array) -> Array:
+        lines = np.outer(slopes, arm)
+        return np.asarray((high - lines).max(axis=1) - (low - lines).min(axis=1))
+
+    least_squares = middle @ arm / (arm @ arm)
+    about = width(least_squares), width(np.diff(mean[[0, -1]] + ends).ravel() / np.ptp(x))
+    # The width is convex in the slope: its minimum is not where it is wider than about another line.
+    reach = 2.0 * about[0] / np.ptp(x)
+    lowest, highest = least_squares - reach, least_squares + reach
+    for _ in range(_THIRDS):
+        third = (highest - lowest) / 3.0
+        falls = width(lowest + third) > width(highest - third)
+        lowest, highest = np.where(falls, lowest + third, lowest), np.where(falls, highest, highest - third)
+    changed = np.column_stack([*about, width((lowest + highest) / 2.0)])
+    return changed - _of_stroke(np.arange(x.size, dtype=np.float64), x, mean)
+
+
+def _without(points: Array, uncertainty: float, x: Array, mean: Array) -> Array:
+    """The curve without errors that are in it, of which added ones would move its extremes less: as smooth as they
+    allow: its squared distance from ``mean`` is the least that m errors are likely to make, m − √(2m) (C. H. Reinsch,
+    Numer. Math. 10, 1967)."""
+    inside = points[(points > x[0]) & (points < x[-1])]
+    if inside.size < 4 or not uncertainty:
+        return mean
+    from scipy.interpolate import UnivariateSpline
+
+    with warnings.catch_warnings():
+        # Where errors are a billionth of the curve, the distance is not met exactly.
+        warnings.simplefilter("ignore")
+        weights, squares = np.full(inside.size, 1.0 / uncertainty), inside.size - math.sqrt(2.0 * inside.size)
+        return np.asarray(UnivariateSpline(inside, np.interp(inside, x, mean), weights, s=squares)(x))
+
+
+def _repeatability(values: Array) -> Contribution:
+    """From the straightness (n,) in m of n strokes: s/√n, wider by Student's t over 2 for n − 1 degrees of freedom."""
+    from scipy.stats import t as student
+
+    n = values.size
+    if n < 2:
+        return Contribution("repeatability", None)
+    s = float(values.std(ddof=1))
+    factor = float(student.ppf(0.5 + _COVERAGE / 2.0, n - 1)) / COVERAGE_FACTOR
+    return Contribution("repeatability", s, s / math.sqrt(n) * factor)
+
+
+def _larger_of_random(budget: Sequence[Contribution]) -> tuple[Contribution, ...]:
+    """Strokes differ by the encoder's errors too: of both, the smaller does not count."""
+    largest = max((one.share for one in budget if one.name in ("repeatability", "encoder")), default=0.0)
+    return tuple(
+        one._replace(counts=one.name not in ("repeatability", "encoder") or one.share == largest) for one in budget
+    )

@@ -1,0 +1,93 @@
+"""The uncertainty of a straightness holds what it claims, and its budget names what it is made of."""
+
+import math
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.metrics import LINES
+from straightcomp_ros.analysis.straightness_statement import Input, stated, statements
+from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, minimum_zone
+from straightcomp_ros.straightness.survey_runs import cubic_spline
+
+X = np.linspace(0.0, 1.76, 4000)
+POINTS = np.linspace(0.0, 1.76, 60)
+SHAPE = 0.3e-6 * np.sin(2.0 * np.pi * 1.3 * X / 1.76) + 0.1e-6 * np.cos(2.0 * np.pi * 4.0 * X / 1.76)
+COUNT, NOISE, SPREAD, STROKES = 0.1e-6, 0.03e-6, 0.05, 8
+
+
+def straightness(curve):
+    lines = (np.ptp(residual(X, curve)) for residual in (least_squares_residual, end_point_residual))
+    return dict(zip(LINES, (*lines, minimum_zone(X, curve)), strict=True))
+
+
+def measured(random, seen, errors):
+    """Strokes that differ in height, by an encoder and a map or sensor with these errors at their points."""
+    curves = (1.0 + SPREAD * random.normal(size=(STROKES, 1))) * SHAPE
+    curves += random.uniform(-COUNT / 2.0, COUNT / 2.0, curves.shape) + (errors if seen else 0.0)
+    inputs = [Input("encoder", COUNT / math.sqrt(12.0)), Input("map", NOISE, POINTS, seen)]
+    return stated("after", "forward", [(X / 0.3, X, curve) for curve in curves], inputs)
+
+
+def coverage(seen, draws):
+    """By line, the fractions of the intervals with their correction and without it that hold the true straightness."""
+    random, held = np.random.default_rng(1), np.zeros((draws, len(LINES), 2))
+    for draw in range(draws):
+        errors = cubic_spline(POINTS, random.normal(0.0, NOISE, POINTS.size))(X)
+        truth = straightness(SHAPE if seen else SHAPE + errors)
+        for row, one in zip(held[draw], measured(random, seen, errors), strict=True):
+            row[:] = [abs(value - truth[one.line]) <= one.expanded_uncertainty for value in (one.value, one.measured)]
+    return dict(zip(LINES, held.mean(axis=0).tolist(), strict=True))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seen", [True, False])
+def test_of_1000_intervals_93_to_97_percent_hold_the_straightness_about_each_line(seen):
+    for line, (corrected, _) in coverage(seen, 1000).items():
+        assert 0.93 <= corrected <= 0.97, line
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_most_intervals_hold_and_without_the_correction_for_extremes_fewer_do(seen):
+    for line, (corrected, uncorrected) in coverage(seen, 40).items():
+        assert corrected >= 0.85 and uncorrected < (0.4 if seen else 0.95), line
+
+
+def test_a_budget_lists_each_contribution_and_repeatability_contains_the_encoder_s():
+    for one in measured(np.random.default_rng(2), False, 0.0):
+        repeatability, encoder, survey = one.budget
+        assert repeatability.counts and not encoder.counts and survey.counts and not one.unknown
+        assert one.expanded_uncertainty == pytest.approx(2.0 * math.hypot(repeatability.share, survey.share))
+        assert encoder.correction < 0.0 < survey.correction
+        assert one.value == pytest.approx(one.measured + encoder.correction + survey.correction)
+        for line in one.to_display()["budget"]:
+            assert line["sensitivity"] * line["standard_uncertainty_um"] == pytest.approx(line["share_um"])
+        # Of eight strokes: s/√8, and k = 2 is to hold as much as t = 2.43 of seven degrees of freedom.
+        assert repeatability.share == pytest.approx(repeatability.uncertainty / math.sqrt(8.0) * 2.43 / 2.0, rel=1e-3)
+
+
+def test_the_same_run_gives_the_same_statements_to_the_bit():
+    assert measured(np.random.default_rng(2), True, 0.0) == measured(np.random.default_rng(2), True, 0.0)
+
+
+def test_what_a_run_does_not_tell_is_named_and_left_out(make_record, assessed):
+    found = assessed(make_record(), parameters={"driver": {"stage.encoder.y_resolution": COUNT}}).as_json()
+    before, after = (found["straightness"][row] for row in (0, 3))
+    assert (before["when"], before["line"], before["unknown"]) == ("before", "least_squares", ["map"])
+    assert (after["when"], after["strokes"], after["unknown"]) == ("after", 1, ["repeatability", "map"])
+    assert before["value_um"] == pytest.approx(found["straightness_before_least_squares_forward_um"], abs=1e-3)
+    # The platform follows to a count, which is the encoder's error and no deviation: the truth is straight.
+    assert after["measured_um"] == pytest.approx(0.1, abs=0.02)
+    assert after["value_um"] == pytest.approx(0.0, abs=0.02)
+    assert assessed(make_record()).as_json()["straightness"][3]["unknown"] == ["repeatability", "encoder", "map"]
+
+
+def test_a_recorded_sensor_takes_the_place_of_the_map(make_record, assessed, cosine_map):
+    record = make_record()
+    seen = assessed(record, guide=0.5 * cosine_map.deviations(record.x), map=cosine_map).evaluation
+    by_map, by_sensor = (statements(seen, sensor)[0] for sensor in (None, 0.01e-6))
+    assert by_sensor.measured == pytest.approx(0.5 * by_map.measured, rel=1e-3)
+    assert [one.name for one in by_map.budget] == ["map"]
+    assert [one.name for one in by_sensor.budget] == ["repeatability", "sensor"]
+    # Both extremes have the sensor's uncertainty, some more than one place is the extreme.
+    assert by_sensor.expanded_uncertainty == pytest.approx(2.0 * math.sqrt(2.0) * 0.01e-6, rel=0.4)
