@@ -1,0 +1,52 @@
+"""Each page is of one kind, says for whom it is, and those for users in need have every word that a program prints."""
+
+import re
+
+import pytest
+import yaml
+from test_imports_point_inward import SOURCE
+
+from straightcomp_ros.analysis.judgement import WORDS
+from straightcomp_ros.safety.faults import Fault
+
+DOCS = SOURCE.parent / "docs"
+NAVIGATION = yaml.safe_load((SOURCE.parent / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+TROUBLESHOOTING = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+
+
+def pages(entries):
+    """File names in a section of the navigation, in their order."""
+    for entry in entries if isinstance(entries, list) else [entries]:
+        if isinstance(entry, dict):
+            yield from (page for below in entry.values() for page in pages(below))
+        else:
+            yield entry
+
+
+KINDS = {page: kind for section in NAVIGATION for kind, below in section.items() for page in pages(below)}
+
+
+def test_the_navigation_has_each_page_once_in_four_kinds_after_the_overview():
+    assert sorted(pages(NAVIGATION)) == sorted(page.name for page in DOCS.glob("*.md"))
+    assert list(dict.fromkeys(KINDS.values())) == ["Overview", "Tutorial", "How-to", "Reference", "Explanation"]
+
+
+@pytest.mark.parametrize("page", sorted(KINDS))
+def test_the_first_line_of_a_page_says_its_kind_and_for_whom_it_is(page):
+    heading, blank, first = (DOCS / page).read_text(encoding="utf-8").splitlines()[:3]
+    assert heading.startswith("# ") and not blank
+    assert re.fullmatch(rf"\*{KINDS[page]}, for [^*]+\*", first), first
+
+
+def rows(section):
+    """First and second cell of the rows below a heading of the page on symptoms."""
+    text = TROUBLESHOOTING.partition(f"## {section}\n")[2].partition("\n## ")[0]
+    return [[cell.strip() for cell in line.split(" | ")] for line in text.splitlines() if line.startswith("| ")][1:]
+
+
+def test_each_verdict_and_each_fault_has_its_row_with_what_to_do():
+    verdicts = [word for row in rows("Symptoms of a run") for word in re.findall(r"`(\w+)`", row[1])]
+    assert set(verdicts) == set(WORDS)
+    faults = rows("Faults")
+    assert [row[0].strip("|` ") for row in faults] == [fault.label for fault in Fault]
+    assert all(len(row) == 4 and all(row) for row in faults)

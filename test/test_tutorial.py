@@ -1,0 +1,91 @@
+"""The tutorial's commands work in their order, make the files that it shows, and print what it prints."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+# The code is reached by other tests.
+pytestmark = pytest.mark.no_cover
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PAGE = (REPOSITORY / "docs" / "tutorial.md").read_text(encoding="utf-8")
+MADE = {
+    "map build": ("map.csv", "map.png"),
+    "stage new": ("gantry/stage.yaml", "gantry/survey.csv"),
+    "stage check": (),
+    "design": (),
+    "simulate": ("simulated.png",),
+    "commission": tuple(
+        f"commissioning/{name}" for name in ("certificate.html", "loop.png", "stroke.png", "tuned.yaml")
+    ),
+    "evaluate": (),
+}
+"""Files in the folder `tutorial` by the command that makes them."""
+TOLERANCE = 0.3
+"""Of each figure that is shown: the searches end elsewhere on another processor."""
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def steps():
+    """Each command of the page, without `make` and the shell's own, with the lines of output that are shown."""
+    for block, after in re.findall(r"```console\n(.*?)```(.*?)(?=```console|\Z)", PAGE, re.DOTALL):
+        shown = re.search(r"```text\n(.*?)```", after, re.DOTALL)
+        (command,) = [line for line in block.splitlines() if not line.startswith(("mkdir", "source"))]
+        if command.startswith("straightcomp "):
+            yield shlex.split(command)[1:], [line for line in shown[1].splitlines() if line != "…"]
+
+
+def verb_of(words):
+    return next(verb for verb in MADE if words[: len(verb.split())] == verb.split())
+
+
+def plain(line):
+    return " ".join(line.replace("│", " ").split())
+
+
+def agrees(shown, printed):
+    """Whether a printed line begins with the text that is shown, and has its figures within the tolerance."""
+    pattern = NUMBER.sub("\0", plain(shown))
+    text = r"([-+]?[\d.]+(?:e[-+]?\d+)?)".join(map(re.escape, pattern.split("\0")))
+    found = re.match(text, plain(printed))
+    expected = map(float, NUMBER.findall(plain(shown)))
+    return bool(found) and all(
+        float(one) == pytest.approx(ours, rel=TOLERANCE) for one, ours in zip(found.groups(), expected, strict=True)
+    )
+
+
+def follow(folder, verbs):
+    shutil.copytree(REPOSITORY / "examples", folder / "examples")
+    (folder / "tutorial").mkdir()
+    for words, shown in steps():
+        if (verb := verb_of(words)) in verbs:
+            command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words]
+            environment = {"PYTHONPATH": str(REPOSITORY), "COLUMNS": "400"}
+            run = subprocess.run(command, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True)
+            assert run.returncode == 0, run.stdout + run.stderr
+            printed = (run.stdout + run.stderr).splitlines()
+            assert [line for line in shown if not any(agrees(line, one) for one in printed)] == [], run.stdout
+            assert [name for name in MADE[verb] if not (folder / "tutorial" / name).exists()] == []
+
+
+def test_the_page_has_each_command_once_and_in_the_order_in_which_one_needs_the_other():
+    assert [verb_of(words) for words, _ in steps()] == list(MADE)
+    pictures = re.findall(r"\]\((images/\w+\.png)\)", PAGE)
+    assert len(pictures) == 5 and all((REPOSITORY / "docs" / name).exists() for name in pictures)
+
+
+def test_survey_description_check_and_simulation_print_what_the_tutorial_shows(tmp_path):
+    """With the shipped gains: they leave nearly the error of the designed ones."""
+    follow(tmp_path, {"map build", "stage new", "stage check", "simulate"})
+
+
+@pytest.mark.nightly
+def test_the_whole_tutorial_leads_to_a_certificate_and_prints_what_it_shows(tmp_path):
+    follow(tmp_path, set(MADE))
+    assert "gantry" in (tmp_path / "tutorial" / "commissioning" / "certificate.html").read_text(encoding="utf-8")
