@@ -28,7 +28,7 @@ class MapParameters:
 
     file: str = parameter(
         "config/survey_synthetic.csv",
-        "Survey file; a relative name is looked up in the working directory, then in the package's share",
+        "Survey file; a relative name is of the stage file's folder, the working directory or the package's share",
     )
     min_points: int = parameter(20, "Fewest points that a run of the survey may have", "[4, 1e6]")
     max_gap: float = parameter(0.05, "Widest distance between neighbouring points", "(0, 1] m")

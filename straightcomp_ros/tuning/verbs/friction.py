@@ -4,8 +4,9 @@ Uses the streams `encoder` and `command` only, never `truth`. Position and curre
 common factor: mass or coil turns must be known (--known), and are taken from the parameters. A stroke along a good
 guide says little about mass and viscous friction; --excitation writes a map whose reference excites them:
 
-  straightcomp friction --excitation excitation.csv
-  straightcomp simulate --set stage.guide.file=excitation.csv --bag BAG     (or run it on the machine)
+  straightcomp friction --excitation waves.csv
+  straightcomp simulate --set stage.guide.file=waves.csv --set driver.simulated.truth.guide=waves.csv --bag BAG
+                                                                            (or run it on the machine)
   straightcomp friction BAG -o plant.yaml
   straightcomp simulate --stage plant.yaml
 """
