@@ -230,22 +230,23 @@ def verdict_of(motion: JudgedMotion) -> Verdict:
 def _starved(motion: JudgedMotion, later: Verdict | None) -> str:
     mask = motion.disturbed(motion.stalls)
     longest = max(end - start for start, end in motion.stalls)
-    stalls = f"stalls of the host ({len(motion.stalls)}, the longest {longest * 1e3:.1f} ms)"
-    remedy = "straightcomp doctor says what delays this computer"
+    count = f"{len(motion.stalls)} times samples or commands were late or missing"
+    stalls = f"stalls of the host ({count}, for at most {longest * 1e3:.1f} ms)"
+    remedy = "end other programs, permit real-time priority (straightcomp doctor says how), and run it again"
     if np.count_nonzero(~mask) < _UNDISTURBED * mask.size:
         share = f"{stalls} disturbed {mask.mean():.0%} of the motion; allowed: {1.0 - _UNDISTURBED:.0%}"
         reason = later.reason if later else ""
         usual = float(np.ptp(np.quantile(motion.error, (0.5 * _RARE, 1.0 - 0.5 * _RARE))))
         if not reason and motion.pp > _PEAK * usual and motion.pp - usual > motion.count:
             reason = f"error {_um(motion.pp)} p-p, {_um(usual)} in {1.0 - _RARE:.0%} of the motion"
-        return f"{share}; {remedy}; {reason}" if reason else ""
+        return f"the computer was too busy to judge the servo: {share}; {remedy}; {reason}" if reason else ""
     # A loop that fails without a stall too has another reason.
     calm = motion.calm(mask)
     if not motion.harmed(mask) or calm > motion.largest:
         return ""
     return (
-        f"{stalls} made an error of {_um(motion.pp)} p-p; otherwise it was {_um(calm)}, and {_HARM:g} times that is "
-        f"allowed; {remedy}"
+        f"the servo works, the computer was busy: error {_um(calm)} p-p, but {stalls} made it {_um(motion.pp)}; "
+        f"allowed: {_HARM:g} times; {remedy}"
     )
 
 

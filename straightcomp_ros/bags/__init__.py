@@ -8,6 +8,10 @@ class BagError(ValueError):
     """What is damaged, without the file and the advice."""
 
 
+class NoBag(BagError):
+    """What is named as a bag is none: there is no such file or folder, or it is something else."""
+
+
 PARAMETERS_ATTACHMENT = "parameters.yaml"
 """Name of a bag's attachment with the parameters of the recorded nodes, as a ROS 2 parameter file."""
 MAP_ATTACHMENT = "map.csv"

@@ -19,7 +19,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, NoBag
 from straightcomp_ros.bags.information import ROOT_KEY
 from straightcomp_ros.bags.mcap_input import MESSAGE, MESSAGE_FIELDS, Block, McapInput
 from straightcomp_ros.bags.topics import Definition, Topic
@@ -104,7 +104,7 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
     """
     bag = Path(bag)
     if not bag.exists():
-        raise BagError(f"bag {bag} does not exist; give a bag folder or a file that ends with .mcap")
+        raise NoBag(f"bag {bag} does not exist; give a bag folder or a file that ends with .mcap")
     stored = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if STORED.fullmatch(file.name))
     compressed = [file for file in stored if file.suffix not in (".mcap", ".db3") and STORED.fullmatch(file.name)]
     files = {file.name: file for file in stored if file not in compressed}
@@ -114,7 +114,7 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
         pattern = packed[0].name if bag.is_file() else f"*{''.join(packed[0].suffixes[-2:])}"
         raise BagError(f"bag {bag}: its files are compressed as a whole; unpack them with `{program} {pattern}`")
     if not files:
-        raise BagError(f"bag {bag}: the folder holds no .mcap and no .db3 file; give the folder of the recording")
+        raise NoBag(f"bag {bag}: the folder holds no .mcap and no .db3 file; give the folder of the recording")
     if bag.is_file():
         return [bag], []
     information = _information(bag)

@@ -28,7 +28,7 @@ from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Metadat
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, NoBag
 from straightcomp_ros.bags.topics import Definition, Topic
 
 FRAME = struct.Struct("<BQ")
@@ -199,14 +199,14 @@ class McapInput:
         try:
             self._file = open(path, "rb")  # noqa: SIM115 - closed by __exit__
         except OSError as error:
-            raise BagError(f"bag {path} cannot be read: {error.strerror}; check the path") from error
+            raise NoBag(f"bag {path} cannot be read: {error.strerror}; check the path") from error
         self.size = self._file.seek(0, 2)
         start = self.read(0, len(MAGIC))
         if start != MAGIC:
             self._file.close()
             if not start:
                 raise BagError(f"bag {path} is empty: the recording was never started; record again")
-            raise BagError(f"bag {path} is not an MCAP file; give a bag folder or a file that ends with .mcap")
+            raise NoBag(f"bag {path} is not an MCAP file; give a bag folder or a file that ends with .mcap")
         self.summary = self._summary()
 
     def damaged(self, offset: int, reason: str) -> BagError:

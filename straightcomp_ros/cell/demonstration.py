@@ -51,6 +51,7 @@ class Demonstration:
     metrics: Metrics
     timing: Mapping[str, NodeTiming]
     verdict: Verdict
+    unclean: Sequence[str] = ()  # a sentence for each node that did not stop by itself
 
     def figures(self) -> dict[str, Any]:
         """Display values by name, as printed by `straightcomp demo --json`."""
@@ -83,6 +84,7 @@ def demonstrate(
     opcua_strokes: int = 0,
     namespace: str = "",
     *,
+    environment: Mapping[str, str] | None = None,
     composed: bool = False,
 ) -> Demonstration:
     """Run the graph for one cycle and evaluate the bag.
@@ -92,6 +94,7 @@ def demonstrate(
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; made if need be. There must be no bag.
         progress: called with the finished fraction of the cycle.
         opcua_strokes: strokes that a client of the OPC UA gateway runs; 0: the cell runs its own number.
+        environment: of the nodes, as of :func:`~straightcomp_ros.cell.launcher.run_cycle`.
         composed: run driver, feedforward and controller in one process.
 
     Raises:
@@ -108,7 +111,7 @@ def demonstrate(
         with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client):
             write_whole(parameter_file, as_parameter_file(values))
             programs = {**emulated_machine(values, parameter_file), **gateway}
-            run_cycle(
+            unclean = run_cycle(
                 bag,
                 parameter_file,
                 logs,
@@ -117,6 +120,7 @@ def demonstrate(
                 programs=programs,
                 in_place_of_cell=client,
                 namespace=namespace,
+                environment=environment,
                 composed=composed,
             )
     except LaunchError as error:
@@ -137,7 +141,7 @@ def demonstrate(
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
     partial = evaluation.partial()
     verdict = partial or judged_run(record, straightness, by_node(values), straightness, evaluation.stalls)
-    return Demonstration(bag, evaluation, straightness, metrics, timing, verdict)
+    return Demonstration(bag, evaluation, straightness, metrics, timing, verdict, unclean)
 
 
 @contextmanager

@@ -198,8 +198,9 @@ def run_cycle(
     programs: Mapping[str, Sequence[str]] | None = None,
     in_place_of_cell: Sequence[str] | None = None,
     namespace: str = "",
+    environment: Mapping[str, str] | None = None,
     composed: bool = False,
-) -> None:
+) -> list[str]:
     """Start the graph, follow the cell to the end of its cycle of ``duration`` s, and stop it; ``bag`` has the record.
 
     Args:
@@ -209,14 +210,18 @@ def run_cycle(
         commands: by node, a command to start instead of the node's executable.
         programs: commands by name, to start before the nodes, which need them: a bus, an emulated board.
         in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
+        environment: of the processes; by default an :func:`isolated_environment`.
         composed: run driver, feedforward and controller in one process.
+
+    Returns:
+        A sentence, printed too, for each node but the logger that did not end by itself when it was asked to.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
     """
     commands, programs = commands or {}, programs or {}
     processes = (COMPOSED, "logger") if composed else RECORDED
-    with Graph(logs, namespace=namespace) as graph:
+    with Graph(logs, environment, namespace) as graph:
         for name, command in programs.items():
             graph.start_program(name, command)
         ids = {}
@@ -243,7 +248,8 @@ def run_cycle(
         codes = graph.stop([name for name in processes if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
-        # The bag is complete and the amplifier is off now, so how the other nodes ended does not affect the result.
-        for name, code in codes.items():
-            if code != 0:
-                print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
+        # The bag is complete and the amplifier is off now, so how the other nodes ended does not affect the figures.
+        unclean = [f"node '{name}' did not stop cleanly: {exit_words(code)}" for name, code in codes.items() if code]
+        for sentence in unclean:
+            print(sentence, file=sys.stderr)
+        return unclean

@@ -42,6 +42,11 @@ class Observation:
         return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in _WORKING)
 
     @property
+    def alone(self) -> bool:
+        """Whether no node of the graph is seen at all."""
+        return set(self.nodes.values()) <= {ABSENT}
+
+    @property
     def fault(self) -> str:
         """All faults in one line; empty without any."""
         return "; ".join(f"{node}: {text}" for node, text in self.faults.items())

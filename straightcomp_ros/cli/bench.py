@@ -8,7 +8,7 @@ from typing import Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, require_ros, working
 from straightcomp_ros.cli.results import rounded, titled_table
 
 SUMMARY = "measure the graph's timing, or the cost of its functions"
@@ -30,7 +30,9 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=float, default=20.0, help="length of the window (default: %(default)s)")
     soak = "use a window of this many minutes, to see whether memory grows; the bag takes about 1 MB/s"
     add("--soak", type=float, metavar="MINUTES", help=soak)
-    priority = "run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling)"
+    priority = (
+        "run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling; formerly --fifo)"
+    )
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
     triggers = "repeat with the controller's other trigger (sample, timer), and print the ratio of both"
     add("--triggers", action="store_true", help=triggers)
@@ -136,7 +138,7 @@ def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace) -> Non
         shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())
         console.print(f"{figures['trigger']} / {second}: {shown}")
     if options.output:
-        notes.print(f"bags and logs: {options.output}")
+        print_written(options.output, then="straightcomp evaluate the bags in it")
 
 
 def _print_measurement(figures: Mapping[str, Any], title: str) -> None:

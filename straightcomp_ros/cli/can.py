@@ -22,7 +22,7 @@ from straightcomp_ros.cli.options import (
     named_files,
     stage_values,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 
 SUMMARY = "a CAN bus between processes, recorded buses, and frames in C"
 PURPOSE = "set up"
@@ -38,7 +38,7 @@ def _hub_arguments(parser: argparse.ArgumentParser) -> None:
     faults = f"spoil frames at this rate, 0 to 1. KIND: {', '.join(KINDS)}"
     add_repeatable(parser, "--fault", "KIND=RATE", faults, type=_rate)
     add("--seed", type=int, default=0, help="seed of the faults (default: %(default)s)")
-    priority = "SCHED_FIFO priority; best that of the nodes (default: normal scheduling)"
+    priority = "SCHED_FIFO priority; best that of the nodes (default: normal scheduling; formerly --fifo)"
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
     add_json(parser)
 
@@ -194,8 +194,8 @@ def _firmware(options: argparse.Namespace) -> None:
     if options.json:
         print_json({"source": wire.source(), "files": [str(folder / name) for name in texts], "build": build})
         return
-    console.print(f"{', '.join(texts)} in {folder}: the frames of {wire.source()}", soft_wrap=True, highlight=False)
-    console.print(f"in the source of straightcomp_ros: {build}", soft_wrap=True, highlight=False)
+    console.print(f"frames of {wire.source()}", soft_wrap=True, highlight=False)
+    print_written(*(folder / name for name in texts), then=f"in the source of straightcomp_ros: {build}")
 
 
 TOOLS = {

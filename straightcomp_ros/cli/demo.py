@@ -2,7 +2,8 @@
 
 Starts driver, feedforward, controller, logger and cell as processes, as `ros2 launch straightcomp_ros
 cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the output folder. The exit
-code is 1 for a run that is not in order."""
+code is 1 for a run that is not in order, and if a node had to be killed. After Ctrl-C what was recorded is in
+unfinished/ in the output folder, until the next run."""
 
 import argparse
 import dataclasses
@@ -10,9 +11,11 @@ import importlib.util
 import tempfile
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 
 from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
+from straightcomp_ros.cell.launcher import isolated_environment
 from straightcomp_ros.cli.options import (
     add_force,
     add_json,
@@ -22,7 +25,7 @@ from straightcomp_ros.cli.options import (
     named_files,
     output_folder,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, require_ros, working
 from straightcomp_ros.cli.results import fail_unless_in_order, print_verdict, results_table, timing_table
 from straightcomp_ros.parameters.output_files import making
 
@@ -66,6 +69,9 @@ def run(options: argparse.Namespace) -> None:
     picture = output / "run.png"
     names, reads = ("bag", "logs", "parameters.yaml", picture.name), named_files(options, "--output")
     made = making(output, names, reads=reads, force=options.force)
+    environment = isolated_environment()
+    domain = environment["ROS_DOMAIN_ID"]
+    notes.print(f"ROS domain {domain}; watch it: ROS_DOMAIN_ID={domain} straightcomp view", highlight=False)
     # The path of a socket has room for about a hundred characters: too few for some output folders.
     with made as place, tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
         if options.hardware == "can":
@@ -73,7 +79,15 @@ def run(options: argparse.Namespace) -> None:
         elif options.hardware:
             values["driver"]["hardware"] = options.hardware
         opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
-        result = demonstrate(values, place, advance, opcua_strokes, options.namespace, composed=options.composed)
+        result = demonstrate(
+            values,
+            place,
+            advance,
+            opcua_strokes,
+            options.namespace,
+            environment=environment,
+            composed=options.composed,
+        )
         result = dataclasses.replace(result, bag=output / result.bag.name)
         figures = result.figures()
         title = f"Recorded stroke, law '{figures['law']}'"
@@ -86,5 +100,7 @@ def run(options: argparse.Namespace) -> None:
         if result.held_up:
             console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
         print_verdict(result.verdict)
-        notes.print(f"bag: {result.bag}\nplot: {picture}")
+        print_written(result.bag, picture, then=f"straightcomp evaluate {quote(str(result.bag))} --report report.html")
     fail_unless_in_order(result.verdict)
+    if result.unclean:
+        raise CommandFailed("; ".join(result.unclean))

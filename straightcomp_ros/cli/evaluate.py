@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, output_file
-from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
+from straightcomp_ros.cli.output import (
+    CommandFailed,
+    console,
+    noted_warnings,
+    notes,
+    print_json,
+    print_written,
+    working,
+)
 from straightcomp_ros.cli.results import fail_unless_in_order, marked, print_verdict, shown, titled_table
 from straightcomp_ros.parameters.output_files import write_whole
 
@@ -58,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
         from straightcomp_ros.analysis.html_report import report_html
 
         write_whole(report, report_html(assessment, other, checks))
-        notes.print(f"report: {report}")
+        print_written(report, then="open it in a browser")
     if options.json:
         found = assessment.as_json()
         if other is not None:

@@ -26,7 +26,8 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
-_WRONG_USE = {"AdmissionError", "HardwareError", "HistoryError", "OutputRefused", "ParameterError", "SurveyError"}
+_WRONG_USE = {"AdmissionError", "HardwareError", "HistoryError", "NoBag"}
+_WRONG_USE |= {"OutputRefused", "ParameterError", "SurveyError"}
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""
@@ -89,7 +90,9 @@ def main(
     except CommandFailed as failure:
         return _ended(words, str(failure), failure.exit_code)
     except KeyboardInterrupt as stop:
-        return _ended(words, *_SIGNALS[type(stop)])
+        word, code = _SIGNALS[type(stop)]
+        kept = getattr(stop, "kept", None)
+        return _ended(words, f"{word}; what it had made is in {kept} until the next run" if kept else word, code)
     except BrokenPipeError:
         # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,7 +13,7 @@ from typing import Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import add_json, check_range
-from straightcomp_ros.cli.output import CommandFailed, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, notes, print_json, print_written
 from straightcomp_ros.opcua.admission import OPERATOR, ROLES, OpcuaParameters, add_user
 
 SUMMARY = "users of the OPC UA gateway; a cycle run through it"
@@ -32,7 +32,8 @@ def _user_arguments(parser: argparse.ArgumentParser) -> None:
 def _user(options: argparse.Namespace) -> None:
     """Add a user to the gateway's file of users, or give one a new password."""
     add_user(options.file, options.name, _password(options.name), options.role)
-    notes.print(f"user '{options.name}', {options.role}: {options.file}")
+    notes.print(f"user '{options.name}', {options.role}")
+    print_written(options.file, then="start the gateway with the parameter opcua.users, this file")
 
 
 def _cycle_arguments(parser: argparse.ArgumentParser) -> None:

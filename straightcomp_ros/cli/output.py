@@ -87,6 +87,11 @@ def noted_warnings(category: type[Warning] = Warning) -> Iterator[list[str]]:
         notes.print(f"warning: {text}", style="yellow", soft_wrap=True)
 
 
+def print_written(*files: object, then: str) -> None:
+    """End of a verb that has written something: what, and what to do next, a command or a sentence."""
+    notes.print(f"written: {', '.join(map(str, files))}\nnext: {then}", soft_wrap=True, highlight=False)
+
+
 def print_json(values: Mapping[str, Any]) -> None:
     """Print one JSON object; a number that is not finite becomes null, as JSON has no word for it."""
     print(json.dumps(plain(values)))

@@ -5,10 +5,11 @@ is sound into a new bag. The original is never changed."""
 
 import argparse
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.cli.options import add_json
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
 
 SUMMARY = "make a finished bag from a cut-off or damaged one"
@@ -51,6 +52,7 @@ def _print(result: Any, lost: int | None) -> None:
     topics = sorted({*result.saved, *(result.lost or {})})
     rows = ((topic, result.saved[topic], "?" if lost is None else result.lost.get(topic, 0)) for topic in topics)
     console.print(titled_table(f"Saved to {result.output}", "topic", "saved", "lost", rows=rows))
+    print_written(result.output, then=f"straightcomp evaluate {quote(str(result.output))}")
     for name in result.unfinished:
         notes.print(f"{name} was not finished: what was not in it yet when the recording ended is lost")
     for name, offset, length, reason in result.gaps:

@@ -8,11 +8,12 @@ driver, and a new bag records what they answer."""
 import argparse
 import dataclasses
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, require_ros, working
 from straightcomp_ros.cli.results import fail_unless_in_order, marked, print_verdict, shown, titled_table
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
@@ -117,4 +118,4 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
         counts = f"{found.equal} as recorded to the bit, {found.different} otherwise"
         played = f"{found.samples} samples played; {found.commands} commands came back"
         console.print(f"{played}: {counts}", soft_wrap=True)
-        notes.print(f"bag: {found.bag}")
+        print_written(found.bag, then=f"straightcomp replay {quote(str(found.bag))}")

@@ -70,6 +70,8 @@ class FittingTable(Table):
                 yield Text(first)
                 for column, cell in zip(columns[1:], others, strict=True):
                     yield Text(f"  {' '.join(column[0].split())}: {cell}")
+            if self.caption:
+                yield Text(str(self.caption))
             return
         while sum(widths) > room:
             widest = max(range(len(widths)), key=lambda k: widths[k] if widths[k] > least[k] else -1)
@@ -132,7 +134,7 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
 
 def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
     """Each node's rate, lateness and longest time without a CPU; ``timing`` as in the figures of a demonstration."""
-    columns = ("rate\n[Hz]", "overruns", "stalls", "lost", "late\np99", "max\n[µs]", "no CPU\n[ms]")
+    columns = ("rate\n[Hz]", "overruns", "stalls\n≥ 2 ms", "lost", "late\np99", "max\n[µs]", "no CPU\n[ms]")
     table = titled_table("Timing of the nodes, from their diagnostics", "node", *columns)
     for node, values in timing.items():
         late = [values["timer_error_us"][key] for key in ("p99", "max")]

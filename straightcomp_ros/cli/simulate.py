@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.analysis.judgement import Verdict, worst
@@ -20,7 +21,7 @@ from straightcomp_ros.cli.options import (
     chosen_parameters,
     output_file,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, working
 from straightcomp_ros.cli.results import (
     cycles_table,
     fail_unless_in_order,
@@ -105,6 +106,10 @@ def run(options: argparse.Namespace) -> None:
             console.print(cycles_table(figures["law"], shown))
         console.print(results_table(figures, over_starts))
         print_verdict(verdict)
+        if options.bag:
+            print_written(options.bag, *([plot] if plot else []), then=f"straightcomp evaluate {quote(options.bag)}")
+        elif plot is not None:
+            print_written(plot, then="straightcomp demo runs the same in the node graph")
     fail_unless_in_order(verdict)
 
 

@@ -5,6 +5,7 @@ import itertools
 import math
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.cli import Tool
@@ -16,7 +17,7 @@ from straightcomp_ros.cli.options import (
     output_folder,
     stage_values,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written
 from straightcomp_ros.cli.results import show_findings, titled_table
 from straightcomp_ros.parameters.declaration import Declaration, ParameterError, declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters
@@ -60,16 +61,18 @@ def _new(options: argparse.Namespace) -> None:
     folder = output_folder("DIR", str(options.folder))
     file, survey = folder / FILE, folder / SURVEY
     declared = {one.name: one for one in declarations(StageParameters)}
-    values: dict[str, Any] = {"name": folder.resolve().name, **dict(map(_assignment, options.set))}
+    given = dict(map(_assignment, options.set))
     source = find_survey(options.survey or MapParameters().file)
     for path in (file, survey):
         if path.exists() and not options.force and not path.samefile(source):
             raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
     x = [run.x for run in read_survey(source).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
-    values = {"motion.start": first, "motion.stroke": last - first, **values, "guide.file": SURVEY}
+    found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
     if sys.stdin.isatty() and not options.yes:
-        values |= {name: _asked(declared[name]) for name in _ASKED.split() if name not in values}
+        answers = {name: _asked(declared[name]) for name in _ASKED.split() if name not in given}
+        given |= {name: answer for name, answer in answers.items() if answer is not None}
+    values = {**found, **given, "guide.file": SURVEY}
     # Refused before anything is written.
     from_mapping(StageParameters, values)
     if not (survey.exists() and survey.samefile(source)):
@@ -77,11 +80,13 @@ def _new(options: argparse.Namespace) -> None:
     described = {f"{STAGE}.{name}": value for name, value in values.items()}
     text = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."), described)
     write_whole(file, _HEAD.format(name=values["name"]) + "\n" + text)
-    given = len(values)
-    console.print(f"{file}: {given} facts given, {len(declared) - given} with their defaults", highlight=False)
+    console.print(
+        f"{file}: {len(given)} facts given, name and strokes by folder and survey, defaults for the others",
+        highlight=False,
+    )
     if options.survey is None:
         console.print(f"{survey} is the synthetic survey: replace it by that of your guide", highlight=False)
-    console.print(f"next: straightcomp stage check {file}", highlight=False)
+    print_written(file, survey, then=f"straightcomp stage check {quote(str(file))}")
 
 
 def _assignment(text: str) -> tuple[str, Any]:
@@ -100,7 +105,7 @@ def _value(text: str) -> Any:
 
 
 def _asked(declaration: Declaration) -> Any:
-    """The answer to a question on the terminal, asked again until it is allowed."""
+    """The answer to a question on the terminal, asked again until it is allowed; None for the default."""
     unit = f" {declaration.unit}" if declaration.unit else ""
     while True:
         try:
@@ -108,7 +113,7 @@ def _asked(declaration: Declaration) -> Any:
         except EOFError as error:
             raise CommandFailed("no answer; give facts by --set, or --yes for the defaults", exit_code=2) from error
         try:
-            return declaration.check(_value(answer)) if answer else declaration.default
+            return declaration.check(_value(answer)) if answer else None
         except ParameterError as error:
             print(f"  {error}")
 
@@ -130,7 +135,10 @@ def _check(options: argparse.Namespace) -> int:
     tracking = node_parameters("feedforward", values).feedforward
     driver = node_parameters("driver", values)
     found = stage_findings(controller.stage, controller.control, tracking)
-    return show_findings(itertools.chain(found, board_findings(driver)), json=options.json)
+    code = show_findings(itertools.chain(found, board_findings(driver)), json=options.json)
+    if not (code or options.json):
+        notes.print(f"next: straightcomp simulate --stage {quote(options.file)}", soft_wrap=True, highlight=False)
+    return code
 
 
 def _show(options: argparse.Namespace) -> None:

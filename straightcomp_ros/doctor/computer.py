@@ -45,6 +45,10 @@ _LIMITS = "/etc/security/limits.d/realtime.conf"
 _SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit")
 _SLEEP_S, _SLEEPS = 0.5e-3, 200
 _LATE_S = 1e-3
+_LOOK_S, _BUSY, _STOLEN = 0.5, 0.5, 0.02
+"""Time of a look at the CPUs; load for each of them, and share of steal, that leave room for the loop."""
+_IDLE, _STEAL = [3, 4], 7
+"""Columns of /proc/stat: idle and waiting for the disk; taken by the hypervisor."""
 _ARPHRD_CAN = "280"
 _OUR_INTERFACE = "straightcomp_hub"
 
@@ -219,6 +223,26 @@ def clock(
     return judged("clock", source not in _SLOW_CLOCKS, detail, remedy)
 
 
+def load(folder: Path = Path("/proc"), wait: Callable[[float], None] = time.sleep, count: int | None = None) -> Finding:
+    """Whether other programs, or other virtual machines (steal), have the CPUs now."""
+    usable = len(os.sched_getaffinity(0)) if count is None else count
+
+    def ticks() -> list[int]:
+        return [int(number) for number in _read(folder / "stat").split("\n")[0].split()[1:9]]
+
+    before = ticks()
+    wait(_LOOK_S)
+    spent = np.subtract(ticks(), before)
+    idle, steal = (float(spent[place].sum() / max(1, spent.sum())) for place in (_IDLE, _STEAL))
+    waiting = float(_read(folder / "loadavg").split()[0])
+    detail = f"load {waiting:.1f} on {usable} CPUs, steal {steal:.0%}, idle {idle:.0%}"
+    remedy = (
+        "End other programs, and give a virtual machine CPUs of its own: on a busy computer a run may end as "
+        "'starved', which says nothing of the servo."
+    )
+    return judged("load", waiting <= _BUSY * usable and steal <= _STOLEN, detail, remedy)
+
+
 def timer(sleep: Callable[[float], None] = time.sleep, clock_now: Callable[[], float] = time.perf_counter) -> Finding:
     """How late a thread of normal priority wakes up now."""
     late = []
@@ -291,6 +315,7 @@ CHECKS: Mapping[str, Callable[[], Finding | list[Finding]]] = {
     "cores": cores,
     "frequency governor": governor,
     "clock": clock,
+    "load": load,
     "timer": timer,
     "CAN interfaces": can_interfaces,
     "python-can": python_can,

@@ -13,6 +13,7 @@ from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Frames
+from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
@@ -30,6 +31,25 @@ _GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 _SHARE_OF_LIMIT = 0.7
 """Of the current limit for the largest steady demand: the rest is for the law's corrections."""
 _BUS_FULL = 0.8
+_STRAIGHT = 0.1e-6
+"""Correction in m to each side below which a guide hardly needs one: such a survey is rather of another unit."""
+_USUAL = {
+    "motion.stroke": (0.01, 20.0),
+    "motion.speed": (1e-3, 5.0),
+    "motion.acceleration": (1e-3, 50.0),
+    "platform.mass": (0.05, 500.0),
+    "actuator.turns": (10.0, 10_000.0),
+    "actuator.pole_area": (1e-6, 0.1),
+    "actuator.air_gap": (0.1e-3, 10e-3),
+    "actuator.bias_current": (0.01, 20.0),
+    "friction.coulomb": (1e-3, 200.0),
+    "friction.stribeck_velocity": (1e-6, 0.01),
+    "friction.bristle_stiffness": (1e4, 1e9),
+    "drive.bandwidth": (10.0, 100e3),
+    "encoder.x_resolution": (0.1e-9, 10e-6),
+    "encoder.y_resolution": (0.1e-9, 2e-6),
+}
+"""Of stages of this kind, in SI: what is outside has rather the wrong unit. A parameter's own range is far wider."""
 
 
 class Consequences:
@@ -75,6 +95,15 @@ def stage_findings(
         yield Finding("survey", "fail", str(error))
         return
     found = Consequences(stage, control, straightness)
+    facts = to_mapping(stage)
+    unusual = (
+        f"stage.{name} {facts[name]:g} (usual: {low:g} to {high:g})"
+        for name, (low, high) in _USUAL.items()
+        if not low <= facts[name] <= high
+    )
+    detail = ", ".join(unusual)
+    remedy = "Check the units: all are SI, as kg, m, N and A."
+    yield judged("units", not detail, detail or "every fact is usual for such a stage", remedy)
     yield from _guide_findings(stage, straightness, found, tracking.bandwidth)
     yield from _loop_findings(stage, control, found)
     yield from _drive_findings(stage, found)
@@ -103,6 +132,16 @@ def _guide_findings(
         f"correction of {found.correction * 1e6:.1f} µm to each side; travel {stage.guide.travel * 1e6:g} µm, "
         f"stop at {stop * 1e6:g} µm"
     )
+    if found.correction < found.encoder_floor:
+        straight = found.correction < _STRAIGHT
+        remedy = "Check the unit of the survey's deviation, and stage.encoder.y_resolution."
+        few = (
+            f"{found.correction * 1e6:.3g} µm to each side, but the encoder's count of "
+            f"{stage.encoder.y_resolution * 1e6:g} µm leaves {found.encoder_floor * 1e6:.3g} µm p-p at best"
+        )
+        yield Finding("correction", "warn" if straight else "fail", few, remedy)
+    else:
+        yield Finding("correction", "ok", f"{found.correction / found.encoder_floor:.3g} times what the encoder leaves")
     narrowest = stage.actuator.air_gap * (1.0 - stage.uncertainty.air_gap)
     if stage.guide.travel >= stop:
         yield Finding("travel", "fail", detail, "stage.guide.travel must lie inside stage.platform.stop.")
@@ -157,11 +196,13 @@ def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Fin
         f"friction, pull and acceleration need up to {found.holding_current:.3g} A; limit {limit:g} A, "
         f"converter {drive:g} A, bias {bias:g} A"
     )
-    if limit > min(drive, bias):
+    usable = min(limit, drive)
+    if found.holding_current > usable:
+        remedy = "Raise current limit, converter's range and bias, or reduce friction, mass or speed."
+        yield Finding("force", "fail", detail, remedy)
+    elif limit > min(drive, bias):
         smaller = "the converter's range" if drive < bias else "the bias current, beyond which one magnet only pulls"
         yield Finding("force", "warn", detail, f"stage.actuator.current_limit is above {smaller}.")
-    elif found.holding_current > limit:
-        yield Finding("force", "fail", detail, "Raise current limit and bias, or reduce friction, mass or speed.")
     else:
         remedy = "Little is left for the law's corrections: raise the current limit."
         yield judged("force", found.holding_current <= _SHARE_OF_LIMIT * limit, detail, remedy)

@@ -1,5 +1,6 @@
 """Feeds the live view: reads and decimates the graph's streams, passes the page's button presses to the driver."""
 
+import os
 import queue
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,8 @@ from straightcomp_ros.view.page_server import ActionRefused, Board, Series, View
 _FETCH_S = 0.05
 _SLOT_S = 0.02
 _ANSWER_WITHIN_S = 2.0
+_ALONE_S = 5.0
+"""Time from which a view that sees no node says so: discovery takes a second or two."""
 _NODES = ("driver", "feedforward", "controller", "logger")
 _SHOWN = {
     # Deviation of the guide by the map: the negative of the reference.
@@ -60,6 +63,7 @@ class ViewNode(Runnable):
         }
         self._own, self._on = False, False
         """Whether a page switched the amplifier on, and whether it was seen on since."""
+        self._look = node.create_timer(_ALONE_S, self._say_if_alone)
         self._server = ViewServer(port, self._board, buttons)
         node.create_timer(_FETCH_S, self._fetch)
         ready(self._server.url)
@@ -74,6 +78,15 @@ class ViewNode(Runnable):
         while self._wanted:
             self._wanted.pop(0)()
         self._show()
+
+    def _say_if_alone(self) -> None:
+        self._look.cancel()
+        if self._graph.observation().alone:
+            domain, place = os.environ.get("ROS_DOMAIN_ID", "0"), self.node.get_namespace()
+            self.node.get_logger().warning(
+                f"no node of the graph is seen in ROS domain {domain}, namespace {place}: start one, or begin the view "
+                "with the ROS_DOMAIN_ID and --namespace of one that runs; `straightcomp demo` prints its domain"
+            )
 
     def _show(self) -> None:
         seen = self._graph.observation()

@@ -130,6 +130,7 @@ def making(
     Raises:
         OutputRefused: a name is there that was not made here, or is read, or another process writes there.
         OSError: the folder cannot be written.
+        BaseException: what the block raises; its attribute ``kept`` is the folder of unfinished files, if any.
     """
     folder, names = Path(folder), list(dict.fromkeys(names))
     place = folder / UNFINISHED if anew else folder
@@ -153,9 +154,11 @@ def making(
             place.mkdir()
         try:
             yield place
-        except BaseException:
+        except BaseException as error:
             with suppress(OSError):
                 _mark(folder, made | _found(folder, made))
+                if anew and any(place.iterdir()):
+                    error.kept = place  # type: ignore[attr-defined]
             raise
         if anew:
             made |= dict.fromkeys(names)

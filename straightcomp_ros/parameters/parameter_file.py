@@ -52,12 +52,16 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
         except ParameterError as error:
             raise ParameterError(f"{source}: {error}") from error
         if name != "**":
+            if twice := values[name].keys() & given.keys():
+                raise ParameterError(f"{source}: '{min(twice)}' of node '{name}' is given twice")
             values[name].update(given)
             continue
         for parameter, value in given.items():
             group, _, rest = parameter.partition(".")
             if group != STAGE or not rest:
                 raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
+            if rest in values[STAGE]:
+                raise ParameterError(f"{source}: '{parameter}' is given twice")
             values[STAGE][rest] = value
     return values
 

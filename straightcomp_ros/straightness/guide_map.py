@@ -152,8 +152,10 @@ def find_survey(name: str) -> Path:
     if not path.is_absolute():
         with suppress(FileNotFoundError):
             return share_path(name)
-    where = "" if path.is_absolute() else f" in the working directory {Path.cwd()}, nor among the package's own files"
-    raise SurveyError(f"survey {name}: there is no such file{where}")
+    where = (
+        f" in the working directory {Path.cwd()}, the folder of a stage file that names it, or the package's own files"
+    )
+    raise SurveyError(f"survey {name}: there is no such file{'' if path.is_absolute() else where}")
 
 
 def runout(value: float, slope: float, curvature: float, length: float) -> tuple[tuple[float, ...], float, float]:

@@ -123,9 +123,9 @@ def test_the_command_prints_what_was_saved_and_lost(record, tmp_path, capsys):
 
 def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, capsys):
     path = tmp_path / "run.mcap"
-    for content, reason in ((b"SQLite format 3\0", "is not an MCAP file"), (MAGIC, "no message could be saved")):
+    for content, code, reason in ((b"SQLite format 3\0", 2, "is not an MCAP file"), (MAGIC, 1, "no message could be")):
         path.write_bytes(content)
-        assert main(["recover", str(path)]) == 1
+        assert main(["recover", str(path)]) == code
         assert reason in capsys.readouterr().err
 
 

@@ -18,6 +18,7 @@ FILE, FOLDER = "file", "."
 FAST = {"cpu0__cpufreq__scaling_governor": "performance\n"}
 MIXED = {**FAST, "cpu1__cpufreq__scaling_governor": "powersave\n"}
 DOWN = {"can0__type": "280\n", "can0__operstate": "down\n"}
+IDLE = {"stat": "cpu 1 2 3 4 5 6 7 8 0 0\ncpu0 1\n", "loadavg": "0.90 0.50 0.20 1/300 4711\n"}
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -90,6 +91,21 @@ def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
 
 
+def nothing(seconds):
+    pass
+
+
+@pytest.mark.parametrize(("stolen", "state"), [(1, "ok"), (30, "warn")])
+def test_a_host_that_gives_the_cpus_to_others_is_found(tmp_path, stolen, state):
+    (tmp_path / "loadavg").write_text("0.1 0 0 1/300 4711\n")
+
+    def write(idle, steal):
+        (tmp_path / "stat").write_text(f"cpu 100 0 0 {idle} 0 0 0 {steal} 0 0\n")
+
+    write(900, 5)
+    assert computer.load(tmp_path, lambda seconds: write(1000, 5 + stolen), 4).state == state
+
+
 def given(check, *arguments, **files):
     """A check with its arguments; ``FILE`` and ``FOLDER`` become paths among ``files`` (text by name, / written __)."""
     texts = {name.replace("__", "/"): text for name, text in files.items()}
@@ -99,6 +115,8 @@ def given(check, *arguments, **files):
 @pytest.mark.parametrize(
     ("made", "state", "words"),
     [
+        (given(computer.load, FOLDER, nothing, 2, **IDLE), "ok", "load 0.9 on 2 CPUs, steal 0%"),
+        (given(computer.load, FOLDER, nothing, 1, **IDLE), "warn", "'starved'"),
         (given(computer.python, (3, 9)), "fail", "3.10 to 3.13"),
         (given(computer.python, (3, 10)), "ok", "3.10"),
         (given(computer.python, (3, 13)), "ok", "3.13"),

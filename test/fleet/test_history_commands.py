@@ -98,7 +98,7 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
         ("advise {worn} --stage none", 2, "its stages are: amplifier, bolt"),
         ("advise {worn} --since soon", 2, "allowed: a date as"),
         ("advise {worn} --since 2030-01-01", 1, "no strokes since 2030-01-01"),
-        ("advise empty", 1, "has no strokes"),
+        ("advise empty", 2, "has no strokes"),
         ("report {worn} -o file", 2, "is a file"),
         ("map {worn} sound --map none.csv", 2, "there is no such file"),
         ("map {worn} sound --map config/survey_synthetic.csv", 1, "with another map"),
@@ -209,7 +209,7 @@ def test_files_reports_and_tables_show_each_name_as_it_is(named, tmp_path, capsy
     assert len(pages) == len(NAMES) and len(list(whole.iterdir())) == 2 * len(NAMES) + len([MARK])
     assert not any("<b>bold" in page for page in pages.values())
     assert sum("Stage “&lt;b&gt;bold" in page for page in pages.values()) == 1
-    assert main(["history", "report", store, "-o", str(one), "--stage", NAMES[2]]) == 0
+    assert main(["history", "report", store, "-o", str(one), "--name", NAMES[2]]) == 0
     assert {file.name for file in one.glob("*.html")} < set(pages)
     shown = ["gantry[left]", "gantry[right]", "[/x]"]
     printed = capsys.readouterr().out

@@ -1,11 +1,13 @@
 """The live view beside a running driver, as a browser uses it."""
 
 import json
+import os
 import time
 from http.client import HTTPConnection
 from urllib.parse import urlsplit
 
 import pytest
+from waiting import wait_for_line
 
 from straightcomp_ros.cell.launcher import verb_command
 
@@ -53,3 +55,9 @@ def test_it_shows_the_graph_and_its_buttons_reach_the_driver(page):
     status, message = press(page, "enable")
     assert status == 409 and message
     assert press(page, "reset")[0] == 200 and press(page, "disable") == (200, "amplifier off")
+
+
+def test_a_view_without_a_graph_says_in_which_domain_it_looks(single):
+    single.start_program("view", verb_command("view", "--port", "0", "--namespace", "alone"))
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    wait_for_line(single, "view", f"no node of the graph is seen in ROS domain {domain}, namespace /alone")

@@ -200,7 +200,9 @@ def test_a_recording_that_a_stall_spoilt_is_starved_and_one_that_it_did_not_is_i
     assert main(["evaluate", str(spoilt), "--json", "--report", str(report)]) == 1
     captured = capsys.readouterr()
     assert json.loads(captured.out)["verdict"] == "starved" and "not in order: starved" in captured.err
-    assert '<p class="fail">Verdict: starved: stalls of the host (' in report.read_text(encoding="utf-8")
+    assert '<p class="fail">Verdict: starved: the servo works, the computer was busy: ' in report.read_text(
+        encoding="utf-8"
+    )
 
 
 def test_limits_alone_decide_the_exit_code_of_an_evaluation(spoilt, tmp_path, capsys):
@@ -249,6 +251,35 @@ def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(capsys):
     assert found["what_if"]["verdict"] == found["verdict"] == "oscillates"
     assert main(["replay", bag, "--law", "linear"]) == 0
     assert capsys.readouterr().out.count("in order: error") == 3
+
+
+def test_a_demonstration_prints_its_domain_and_fails_if_a_node_had_to_be_killed(
+    harmless, tmp_path, capsys, monkeypatch
+):
+    map_, found = load_map(MapParameters()), evaluate_bag(harmless)
+    killed = ["node 'driver' did not stop cleanly: signal SIGKILL"]
+    result = Demonstration(harmless, found, map_, evaluate(found.record, map_), {}, judged(harmless), killed)
+    domains = []
+
+    def demonstrate(*_, environment, **__):
+        domains.append(environment["ROS_DOMAIN_ID"])
+        return result
+
+    monkeypatch.setattr(demo, "demonstrate", demonstrate)
+    assert main(["demo", "-o", str(tmp_path / "out"), "--json"]) == 1
+    said = capsys.readouterr().err
+    assert f"ROS_DOMAIN_ID={domains[0]} straightcomp view" in said and said.endswith(f"{killed[0]}\n")
+
+
+def test_an_interrupted_demonstration_says_where_its_recording_is(tmp_path, capsys, monkeypatch):
+    def demonstrate(values, place, *_, **__):
+        (place / "bag").mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo, "demonstrate", demonstrate)
+    assert main(["demo", "-o", str(tmp_path)]) == 130
+    assert f"interrupted; what it had made is in {tmp_path / 'unfinished'}" in capsys.readouterr().err
+    assert (tmp_path / "unfinished" / "bag").is_dir()
 
 
 def test_a_demonstration_that_is_not_in_order_prints_its_figures_and_fails(

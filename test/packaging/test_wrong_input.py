@@ -87,6 +87,32 @@ def test_what_is_wrong_is_said_in_one_sentence(words, expected, capsys):
     assert expected in refusal(words, capsys)
 
 
+MISSING = (
+    *("simulate --stage none", "simulate --params-file none", "simulate --set stage.guide.file=none", "replay none"),
+    *(
+        "stage check none",
+        "stage show none",
+        "stage new folder --survey none",
+        "design none",
+        "robustness --stage none",
+    ),
+    *("evaluate none", "evaluate folder", "evaluate noise.mcap", f"evaluate {BAG} --compare none", "recover none"),
+    *(f"evaluate {BAG} --limits none", "map build none", "map build folder", "map convert none.cal -o x.csv"),
+    *("map export --survey none -o x.cal", "friction none", "frequency-response --stage none", "doctor --stage none"),
+    *("history add none", "history report none", "history advise none", "history query none x", "demo --stage none"),
+    *("history map none x --map none", "can replay none.log", "can firmware none -o x", "commission none -o x"),
+)
+
+
+@pytest.mark.parametrize("words", MISSING, ids=[words.replace(BAG, "BAG") for words in MISSING])
+def test_a_missing_file_is_wrong_use_in_every_verb(words, capsys):
+    try:
+        code = main(words.split())
+    except SystemExit as ended:  # argparse
+        code = ended.code
+    assert code == 2, capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", ["view", "demo", "bench graph", f"replay {BAG} --graph"])
 def test_without_rclpy_every_verb_that_needs_it_says_the_same(words, capsys, monkeypatch):
     monkeypatch.setattr("straightcomp_ros.cell.launcher.ros_available", lambda: False)

@@ -100,6 +100,11 @@ def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script
         ("a: [", "no YAML"),
         ("driver: {ros__parameters: &x {self: *x}}", "contains itself"),
         ("/**: {ros__parameters: {stage.rate: 1, stage: {rate: 2}}}", "parameter 'stage.rate' is given twice"),
+        (
+            "driver: {ros__parameters: {a: 1}}\n/**/driver: {ros__parameters: {a: 1}}",
+            "'a' of node 'driver' is given tw",
+        ),
+        ("/**: {ros__parameters: {stage.a: 1}}\n'**': {ros__parameters: {stage.a: 1}}", "'stage.a' is given twice"),
     ],
 )
 def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):

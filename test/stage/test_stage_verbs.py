@@ -93,9 +93,11 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
     answers = iter(["fast", "4000"])
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: next(answers, ""))
-    assert main(["stage", "new", str(tmp_path / "one")]) == 0
-    assert "'fast' Hz is not an integer" in capsys.readouterr().out
-    stage = from_mapping(StageParameters, read_stage_file(tmp_path / "one" / "stage.yaml")["stage"])
+    assert main(["stage", "new", str(tmp_path / "my stage"), "--set", "platform.mass=3"]) == 0
+    said = capsys.readouterr()
+    assert "'fast' Hz is not an integer" in said.out and "2 facts given" in said.out.replace("\n", " ")
+    assert said.err.endswith(f"next: straightcomp stage check '{tmp_path}/my stage/stage.yaml'\n")
+    stage = from_mapping(StageParameters, read_stage_file(tmp_path / "my stage" / "stage.yaml")["stage"])
     assert stage.rate == 4000 and stage.platform == StageParameters().platform
 
 
@@ -115,6 +117,10 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
         ("loop", "fail", {"drive.delay": 1.5}, "stable with commands up to"),
         ("force", "fail", {"friction.coulomb": 60.0, "friction.static": 90.0}, "need up to 2"),
         ("force", "warn", {"actuator.current_limit": 1.5}, "limit 1.5 A"),
+        ("force", "fail", {"drive.dac_range": 0.1}, "converter 0.01 A"),
+        ("units", "warn", {"platform.mass": 6000.0}, "stage.platform.mass 6000 (usual: 0.05 to 500)"),
+        ("units", "warn", {"encoder.y_resolution": 1e-4}, "stage.encoder.y_resolution 0.0001"),
+        ("correction", "fail", {"encoder.y_resolution": 1e-4}, "leaves 110 µm p-p at best"),
         ("quanta", "warn", {"encoder.y_resolution": 1e-8}, "21.8 nm against the bristles"),
         ("bus", "warn", {"rate": 8000}, "at 8000 Hz"),
     ],
@@ -127,6 +133,16 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, printed, na
     assert checks[name]["state"] == state and words in checks[name]["detail"]
     assert state == "ok" or checks[name]["remedy"] or name == "survey"
     assert given or {check["state"] for check in checks.values()} == {"ok"}
+
+
+def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, survey, printed):
+    text = survey(100, 700).read_text().splitlines()
+    wrong = [",".join((x, f"{float(y) * 1e-2:.9f}")) for x, y in (line.split(",") for line in text[1:])]
+    (tmp_path / "measured.csv").write_text("\n".join([text[0], *wrong]))
+    assert new(tmp_path / "one", "--survey", tmp_path / "measured.csv") == 0
+    _, found, _ = printed("stage", "check", tmp_path / "one" / "stage.yaml")
+    (check,) = (one for one in found["checks"] if one["name"] == "correction")
+    assert check["state"] == "warn" and "unit of the survey" in check["remedy"]
 
 
 def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, printed, capsys):

@@ -7,6 +7,7 @@ directory.
 from __future__ import annotations
 
 import argparse
+import shlex
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -30,7 +31,7 @@ from straightcomp_ros.cli.options import (
     output_folder,
     whole_number,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, progress_bar
 from straightcomp_ros.cli.results import figures_table, shown, titled_table
 
 if TYPE_CHECKING:
@@ -204,6 +205,9 @@ def _advise(options: argparse.Namespace) -> None:
         with making(folder, files, force=options.force, anew=False):
             for name, content in files.items():
                 write_advice(folder / name, content)
+        if files and not options.json:
+            paths = [folder / name for name in files]
+            print_written(*paths, then=f"straightcomp view --maintenance {shlex.quote(str(paths[0]))}")
     if options.json:
         print_json({"stages": contents})
 
@@ -229,9 +233,9 @@ def _report(options: argparse.Namespace) -> None:
     with making(folder, [file.name for file in files.values()], force=options.force, anew=False):
         for stage, file in files.items():
             write_whole(file, pages[stage])
-            if not options.json:
-                console.print(f"{stage}: {file}", soft_wrap=True, highlight=False)
-    if options.json:
+    if not options.json:
+        print_written(*files.values(), then="open it in a browser")
+    else:
         print_json({"reports": {stage: str(file) for stage, file in files.items()}})
 
 
@@ -277,14 +281,14 @@ def _map(options: argparse.Namespace) -> None:
         return
     console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))
     if output is not None:
-        notes.print(f"map: {output}; to use it, name it in stage.guide.file", soft_wrap=True)
+        print_written(output, then="to use it, name it in stage.guide.file")
 
 
 def _add_stages(parser: argparse.ArgumentParser) -> None:
     """Declare the store, ``--stage`` and ``--since``."""
     add = parser.add_argument
     add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
-    add_repeatable(parser, "--stage", "NAME", "only this stage")
+    add_repeatable(parser, "--name", "STAGE", "only the stage of this name")
     since = (
         "strokes from this day on, YYYY-MM-DD: that after the last maintenance, whose first four weeks are the measure"
     )
@@ -306,9 +310,10 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
     from straightcomp_ros.fleet.history.store import Store
 
     store = Store(options.store)
-    names = options.stage or store.stages()
+    names = options.name or store.stages()
     if not names:
-        raise CommandFailed(f"store {options.store} has no strokes; fill it by `straightcomp history add`")
+        fill = "fill it by `straightcomp history add`"
+        raise CommandFailed(f"store {options.store} has no strokes; {fill}", exit_code=2)
     for name in names:
         strokes = store.strokes(name)
         if options.since is not None:

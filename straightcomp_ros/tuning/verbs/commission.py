@@ -20,7 +20,7 @@ from straightcomp_ros.cli.options import (
     output_folder,
     stage_values,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, styled, working
 from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
@@ -131,7 +131,9 @@ def _commission(
             break
     if options.json:
         print_json({"output": str(folder), "failed": failed, "remaining": procedure.remaining(), "steps": done})
-    elif not done:
-        console.print("all steps have been done; --only STEP repeats one", highlight=False)
+    else:
+        left = ", ".join(procedure.remaining())
+        then = f"the same command does the steps that are left: {left}" if left else "--only STEP repeats a step"
+        print_written(folder, then=then)
     if failed:
         raise CommandFailed(f"step '{failed}' did not pass; the amplifier is off")

@@ -6,6 +6,7 @@ import argparse
 import re
 import time
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.cli.options import (
@@ -16,7 +17,7 @@ from straightcomp_ros.cli.options import (
     output_file,
     stage_values,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, progress_bar
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
@@ -75,7 +76,9 @@ def run(options: argparse.Namespace) -> int:
         print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})
     else:
         _print(design, scenario.description.name)
-        if output is None:
+        if output is not None:
+            print_written(output, then=f"straightcomp simulate --stage {quote(str(output))}")
+        else:
             console.print("Nothing is written: -o FILE writes the stage file with these gains.", highlight=False)
     return 0 if design.holds else 1
 

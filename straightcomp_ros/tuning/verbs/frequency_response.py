@@ -22,7 +22,7 @@ from straightcomp_ros.cli.options import (
     output_file,
     output_folder,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import declarations, from_mapping
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add(f"--{one.name}", type=one.kind, default=one.default, metavar=one.unit or "N", help=text)
     add_graph_option(parser)
     add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
-    add("--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF)")
+    add("--plot", "--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF; formerly -o)")
     add_force(parser)
     add_json(parser)
 
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     refuse_parameters_of_running(options, "--stage", "--law", "--params-file", "--set")
     values = chosen_parameters(options)
-    plot = output_file(options, "--output", PICTURES)
+    plot = output_file(options, "--plot", PICTURES)
     given = {one.name: getattr(options, one.name) for one in declarations(MultisineParameters)}
     excitation = from_mapping(MultisineParameters, given)
     with working("measuring") as advance:
@@ -80,6 +80,8 @@ def run(options: argparse.Namespace) -> None:
         print_json({"stage": name, "moving": options.moving, **_figures(found)})
     else:
         _print(found, name)
+        if plot is not None:
+            print_written(plot, then="compare it with what straightcomp stage show says of the margins")
     if not found.explained:
         raise CommandFailed(_verdict(found))
 
@@ -92,8 +94,8 @@ def _measure_running(
     The bag is kept next to the plot, if there is one, in a folder of its own: others may have bags and parameters.
     """
     with ExitStack() as stack:
-        if options.output:
-            plot = Path(options.output)
+        if options.plot:
+            plot = Path(options.plot)
             folder = output_folder("--output", str(plot.with_name(f"{plot.stem}_graph"))).resolve()
             names = ("bags", "logs", "parameters.yaml")
             folder = stack.enter_context(making(folder, names, force=options.force))

@@ -14,6 +14,7 @@ guide says little about mass and viscous friction; --excitation writes a map who
 import argparse
 import math
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.cli.options import (
@@ -24,7 +25,7 @@ from straightcomp_ros.cli.options import (
     chosen_parameters,
     output_file,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
@@ -65,7 +66,11 @@ def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     if options.excitation is not None:
         stroke = node_parameters("cell", values).stage.motion.stroke
-        write_survey(output_file(options, "--excitation"), excitation_survey(stroke), _EXCITATION_COMMENTS)
+        file = output_file(options, "--excitation")
+        write_survey(file, excitation_survey(stroke), _EXCITATION_COMMENTS)
+        if not options.json:
+            then = f"straightcomp simulate --set stage.guide.file={quote(str(file))} --bag BAG"
+            print_written(file, then=f"{then}, or run it on the machine")
         return
     output = output_file(options, "--output")
     start = node_parameters("driver", values).stage
@@ -77,6 +82,8 @@ def run(options: argparse.Namespace) -> None:
         print_json(_figures(estimate))
     else:
         _print(estimate)
+        if output is not None:
+            print_written(output, then=f"straightcomp simulate --stage {quote(str(output))}")
 
 
 def _figures(estimate: Estimate) -> dict[str, Any]:

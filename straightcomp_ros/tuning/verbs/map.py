@@ -6,11 +6,12 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import PICTURES, add_force, add_json, check_range, output_file
-from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, print_written
 from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
@@ -40,8 +41,8 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
         add(f"--{quantity}-column", metavar="NAME", help=own)
     add_json(parser)
     add = parser.add_argument_group("what to read from a bag").add_argument
-    stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])"
-    add("--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
+    stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}]; formerly --stage)"
+    add("--position", "--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
     sensor = "reading of the displacement sensor, e.g. /probe:range or /probe:point.y"
     sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
     add("--sensor", metavar="TOPIC[:FIELD]", default=DISPLACEMENT.topic, help=sensor)
@@ -88,8 +89,8 @@ def _build(options: argparse.Namespace) -> None:
         notes.print(f"the file has the runs as measured: set stage.guide.smooth to {options.smooth} for this map")
     if built.repeatability.short_of_the_standard:
         notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
-    if options.output:
-        notes.print(f"map: {options.output}")
+    if output is not None or plot is not None:
+        print_written(*filter(None, (output, plot)), then="name the map in stage.guide.file; straightcomp stage check")
 
 
 def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
@@ -98,7 +99,7 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     from straightcomp_ros.bags.folder import STORED
     from straightcomp_ros.parameters.declaration import ParameterError
     from straightcomp_ros.straightness.guide_map import MapParameters
-    from straightcomp_ros.straightness.survey import SurveyError, read_survey
+    from straightcomp_ros.straightness.survey import read_survey
     from straightcomp_ros.tuning.survey.recording import Sensor, build_from_series, series_of_bag, series_of_csv
 
     try:
@@ -109,13 +110,13 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
         raise CommandFailed(f"--smooth: {error}", exit_code=2) from error
     source = Path(options.source)
     if not source.exists():
-        raise SurveyError(f"survey {source} does not exist; give a bag or a CSV file")
+        raise CommandFailed(f"survey {source} does not exist; give a bag or a CSV file", exit_code=2)
     if source.is_dir() or STORED.fullmatch(source.name):
         try:
-            stage = Field.parsed(options.stage, f"position[{STAGE}]")
+            stage = Field.parsed(options.position, f"position[{STAGE}]")
             readings = Field.parsed(options.sensor, Sensor().readings.path)
         except ValueError as error:
-            raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
+            raise CommandFailed(f"--position or --sensor: {error}", exit_code=2) from error
         sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
         return build_from_series(series_of_bag(source, stage, sensor), source, choices)
     own = {"x": options.x_column, "deviation": options.deviation_column}
@@ -194,6 +195,7 @@ def _convert(options: argparse.Namespace) -> None:
             f"{output}: {len(x)} points from {x[0] * 1e3:g} to {x[-1] * 1e3:g} mm, "
             f"{figures['peak_to_peak_um']:.2f} µm peak to peak, {' and '.join(run.direction for run in survey.runs)}"
         )
+        print_written(output, then=f"straightcomp map build {quote(str(output))}")
 
 
 def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
@@ -221,9 +223,11 @@ def _chosen_conventions(options: argparse.Namespace) -> Conventions:
 
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
-    if options.stage_axis == options.platform_axis:
-        raise CommandFailed(f"--stage-axis and --platform-axis: both {options.stage_axis}; allowed: two", exit_code=2)
-    return Conventions(options.unit, options.stage_axis, options.platform_axis, options.error.upper())
+    if options.position_axis == options.platform_axis:
+        raise CommandFailed(
+            f"--stage-axis and --platform-axis: both {options.position_axis}; allowed: two", exit_code=2
+        )
+    return Conventions(options.unit, options.position_axis, options.platform_axis, options.error.upper())
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
@@ -270,6 +274,7 @@ def _export(options: argparse.Namespace) -> None:
             f"{output}: {len(points)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
             f"linearly is at most {figures['interpolation_error_um']:.3f} µm off the map"
         )
+        print_written(output, then="load it into the controller, and compare its sign with a dial gauge")
 
 
 TOOLS = {

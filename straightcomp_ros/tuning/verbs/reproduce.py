@@ -5,7 +5,7 @@ A number that does not agree is no failure of the command: the note of that numb
 import argparse
 
 from straightcomp_ros.cli.options import add_force, add_json, output_folder
-from straightcomp_ros.cli.output import console, notes, print_json, working
+from straightcomp_ros.cli.output import console, print_json, print_written, working
 from straightcomp_ros.cli.results import shown, titled_table
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -44,4 +44,6 @@ def run(options: argparse.Namespace) -> None:
     for claim in claims:
         if claim.within is False:
             console.print(f"not within tolerance: {claim.name}: {claim.note}", highlight=False)
-    notes.print(f"{len(FIGURES)} figures in {output}", highlight=False)
+    print_written(
+        *(output / name for name in FIGURES), then="compare them with the paper; docs/paper.md says what differs"
+    )

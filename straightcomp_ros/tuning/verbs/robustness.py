@@ -21,7 +21,7 @@ from straightcomp_ros.cli.options import (
     output_file,
     whole_number,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, working
 from straightcomp_ros.cli.results import (
     doubtful,
     fail_unless_in_order,
@@ -96,6 +96,8 @@ def run(options: argparse.Namespace) -> None:
                 console.print(f"{summary.law}, worse than {OUTLIER:g} times its median: machine {worst}")
                 console.print("Run one alone with --trial K.")
             print_verdict(summary.verdict, summary.law)
+        if plot is not None:
+            print_written(plot, then="run one machine alone with --trial K")
     fail_unless_in_order(verdict)
 
 

@@ -82,7 +82,7 @@ def test_a_stroke_that_the_host_disturbed_does_not_count_and_another_one_is_made
     assert not (tmp_path / LIMITS).exists()
     outcome, strokes = accepted(2)
     assert outcome.passed and strokes == 3, outcome.sentence
-    assert "(2 before it, disturbed by the host: starved: stalls of the host" in outcome.sentence
+    assert "(2 before it, disturbed by the host: starved: the " in outcome.sentence
     assert len(outcome.figures["disturbed_strokes"]) == 2
     calm, _ = accepted()
     assert calm.figures == {**outcome.figures, "disturbed_strokes": []}
