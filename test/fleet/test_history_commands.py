@@ -95,7 +95,7 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
         ("query {store} SELEC", 2, "query: Parser Error"),
         ("query {store} FROM_nowhere", 2, "query: Parser Error"),
         ("query", 2, "required: SQL"),
-        ("advise {worn} --stage none", 2, "its stages are: amplifier, bolt"),
+        ("advise {worn} --name none", 2, "its stages are: amplifier, bolt"),
         ("advise {worn} --since soon", 2, "allowed: a date as"),
         ("advise {worn} --since 2030-01-01", 1, "no strokes since 2030-01-01"),
         ("advise empty", 2, "has no strokes"),
@@ -135,14 +135,14 @@ def test_advise_writes_a_file_for_each_stage_and_since_begins_a_new_baseline(wor
     assert {file.stem for file in tmp_path.glob("[!.]*.json")} == {wear.name for wear in (SOUND, *WEARS)}
     assert "bolts" in read_advice(tmp_path / "bolt.json").text
     whole, since = (
-        answer(capsys, "advise", worn, "--stage", "latency", *words)["stages"]["latency"]["advice"]
+        answer(capsys, "advise", worn, "--name", "latency", *words)["stages"]["latency"]["advice"]
         for words in ((), ("--since", "2026-03-05"))
     )
     assert whole[0]["cause"] == "host" and "host" not in {one["cause"] for one in since}
 
 
 def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, capsys):
-    (file,) = answer(capsys, "report", worn, "--stage", "guide", "-o", tmp_path)["reports"].values()
+    (file,) = answer(capsys, "report", worn, "--name", "guide", "-o", tmp_path)["reports"].values()
     page = Path(file).read_text("utf-8")
     own = page.replace(page[page.index("<script>") : page.index("</script>")], "")
     assert not any(words in own for words in ("src=", "href=", "@import"))

@@ -233,6 +233,8 @@ def _report(options: argparse.Namespace) -> None:
     with making(folder, [file.name for file in files.values()], force=options.force, anew=False):
         for stage, file in files.items():
             write_whole(file, pages[stage])
+            if not options.json:
+                console.print(f"{stage}: {file}", soft_wrap=True, highlight=False)
     if not options.json:
         print_written(*files.values(), then="open it in a browser")
     else:
@@ -285,7 +287,7 @@ def _map(options: argparse.Namespace) -> None:
 
 
 def _add_stages(parser: argparse.ArgumentParser) -> None:
-    """Declare the store, ``--stage`` and ``--since``."""
+    """Declare the store, ``--name`` and ``--since``."""
     add = parser.add_argument
     add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
     add_repeatable(parser, "--name", "STAGE", "only the stage of this name")

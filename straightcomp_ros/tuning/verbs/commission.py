@@ -133,7 +133,11 @@ def _commission(
         print_json({"output": str(folder), "failed": failed, "remaining": procedure.remaining(), "steps": done})
     else:
         left = ", ".join(procedure.remaining())
-        then = f"the same command does the steps that are left: {left}" if left else "--only STEP repeats a step"
+        then = (
+            f"the same command does the steps that are left: {left}"
+            if left
+            else "all is done; --only STEP repeats a step"
+        )
         print_written(folder, then=then)
     if failed:
         raise CommandFailed(f"step '{failed}' did not pass; the amplifier is off")

@@ -223,11 +223,9 @@ def _chosen_conventions(options: argparse.Namespace) -> Conventions:
 
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
-    if options.position_axis == options.platform_axis:
-        raise CommandFailed(
-            f"--stage-axis and --platform-axis: both {options.position_axis}; allowed: two", exit_code=2
-        )
-    return Conventions(options.unit, options.position_axis, options.platform_axis, options.error.upper())
+    if options.stage_axis == options.platform_axis:
+        raise CommandFailed(f"--stage-axis and --platform-axis: both {options.stage_axis}; allowed: two", exit_code=2)
+    return Conventions(options.unit, options.stage_axis, options.platform_axis, options.error.upper())
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:

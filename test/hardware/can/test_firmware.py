@@ -368,7 +368,7 @@ def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_p
     folder = tmp_path / "frames"
     stage = str(FOREIGN_FILE)
     assert main(["can", "firmware", stage, "-o", str(folder)]) == 0
-    assert f"make -C firmware GENERATED={folder} BUILD={folder / 'build'}" in capsys.readouterr().out
+    assert f"make -C firmware GENERATED={folder} BUILD={folder / 'build'}" in capsys.readouterr().err
     texts = frames_in_c([FOREIGN.make_wire()])
     assert {file.name: file.read_text() for file in folder.glob("*.[ch]")} == texts
     assert main(["can", "firmware", stage, "-o", str(folder), "--json"]) == 0

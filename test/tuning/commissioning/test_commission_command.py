@@ -54,7 +54,7 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(tmp_
     learned = Outcome(True, "passed", figures, gains={"learning.learn": True})
     done_before(Path(folder), {**passed, "acceptance": learned})
     assert main(["commission", STAGE, "-o", folder, "--check-survey", str(check), "--learn", "3"]) == 0
-    assert "all steps have been done" in capsys.readouterr().out
+    assert "next: all is done" in capsys.readouterr().err
 
 
 def done_before(folder, outcomes):
