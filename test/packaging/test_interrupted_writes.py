@@ -30,6 +30,7 @@ history advise --output | history add smc -o store --jobs 1; history advise stor
 history report --output | history add smc -o store --jobs 1; history report store -o out
 map build --output --plot || map build survey -o p.yaml --plot r.png --force
 map convert --output | map export -o t.cal | map convert t.cal -o p.yaml --force
+map reverse --output --edge || map reverse s.csv s.csv -o p.yaml --edge t.cal --force
 map export --output || map export -o t.cal --force
 opcua user file | opcua user users ann | opcua user users bob
 recover --output || recover cut_off -o new

@@ -275,8 +275,52 @@ def _export(options: argparse.Namespace) -> None:
         print_written(output, then="load it into the controller, and compare its sign with a dial gauge")
 
 
+def _reverse_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("normal", metavar="SURVEY_NORMAL", help="survey with the straightedge as it was")
+    parser.add_argument("turned", metavar="SURVEY_REVERSED", help="survey with straightedge and sensor turned over")
+    parser.add_argument("--output", "-o", required=True, metavar="FILE", help="survey of the guide to write (CSV)")
+    parser.add_argument("--edge", metavar="FILE", help="also write the straightedge's own deviation, as a survey")
+    add_force(parser)
+    add_json(parser)
+
+
+def _reverse(options: argparse.Namespace) -> None:
+    """Separate guide and straightedge by reversal: two surveys, the second with the straightedge turned over about its
+    long axis and the sensor on the other side.
+
+    The readings of the second survey keep the sensor's own sign: guide = (m1 − m2) / 2, edge = (m1 + m2) / 2. If its
+    deviations have the sign of the machine's axis, turn it over before, with `map convert --negate` or `map build
+    --invert`."""
+    from straightcomp_ros.straightness.residual import least_squares_residual, minimum_zone, peak_to_peak
+    from straightcomp_ros.straightness.survey import SurveyError, read_survey, write_survey
+    from straightcomp_ros.tuning.survey.reversal import separated
+
+    output, edge = output_file(options, "--output"), output_file(options, "--edge")
+    try:
+        found = separated(read_survey(options.normal), read_survey(options.turned))
+    except SurveyError as error:
+        raise CommandFailed(str(error)) from error
+    names = f"{Path(options.normal).name} and {Path(options.turned).name}"
+    write_survey(output, found.guide, [f"Guide, by straightedge reversal from {names}"])
+    if edge is not None:
+        write_survey(edge, found.edge, [f"Straightedge, by reversal from {names}"])
+    figures: dict[str, Any] = {"points": len(found.x), "pairs": len(found.guide.runs), "left_out_runs": found.left_out}
+    for name, mean in (("guide", found.guide_mean), ("edge", found.edge_mean)):
+        figures[f"{name}_least_squares_um"] = peak_to_peak(least_squares_residual(found.x, mean)) * 1e6
+        figures[f"{name}_minimum_zone_um"] = minimum_zone(found.x, mean) * 1e6
+    figures["standard_uncertainty_um"] = None if found.noise is None else found.noise * 1e6
+    if options.json:
+        print_json({"output": str(output), **figures})
+        return
+    console.print(figures_table(f"Straightedge reversal: {names}", figures))
+    if found.noise is None:
+        notes.print("with one pair of runs the noise is not known; repeat the runs")
+    notes.print(f"survey of the guide: {output}")
+
+
 TOOLS = {
     "build": Tool("map from a bag of survey runs, or from CSV", _build_arguments, _build),
     "convert": Tool("make a survey of an instrument's or a controller's file", _convert_arguments, _convert),
     "export": Tool("write the map as a controller's error table", _export_arguments, _export),
+    "reverse": Tool("separate guide and straightedge by reversal", _reverse_arguments, _reverse),
 }
