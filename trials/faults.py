@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
+import re
 import signal
 import statistics
 import time
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 
 from rcl_interfaces.srv import SetParametersAtomically
 
-from straightcomp_ros.cell.launcher import RECORDED
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.parameters.node_parameters import STAGE
@@ -127,19 +128,9 @@ def _restarted(name: str) -> Callable[[Stand], object]:
     return lambda stand: stand.restart(name)
 
 
-def _commanded(current: float) -> Callable[[Stand], int]:
-    def make(stand: Stand) -> int:
-        at_ns = time.time_ns()
-        # Newer than the controller's, so that it is not treated as a repeated answer.
-        stand.command(at_ns, current)
-        return at_ns
-
-    return make
-
-
 def _driver_continued(stand: Stand) -> None:
     """Continue the driver, which must latch a fault of its own."""
-    stand.signal("driver", signal.SIGCONT)
+    stand.signal(stand.process_of["driver"], signal.SIGCONT)
     if not stand.until(lambda: stand.condition == "fault"):
         stand.failures.append("the driver went on with the amplifier on")
     stand.must_not_switch_on()
@@ -207,9 +198,9 @@ TRIALS = (
     Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map")),
     Trial("board reports a fault", Fault.BOARD, _injected("board")),
     Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP)),
-    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan)),
-    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf)),
-    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0)),
+    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _injected("command_nan")),
+    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _injected("command_infinite")),
+    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _injected("command_out_of_range")),
     Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS)),
     Trial(
         "two controllers on one topic",
@@ -250,6 +241,20 @@ TRIALS = (
 """All trials, in this order."""
 
 
+def _loop_missed(stand: Stand, fault: Fault) -> int | None:
+    """The heartbeats of all three nodes must be missed."""
+    return time.time_ns() if stand.until(lambda: {*IN_THE_LOOP} <= {*stand.heartbeats.silent()}) else None
+
+
+_OF_ONE_NODE = re.compile(r"(driver|feedforward|controller) SIG")
+COMPOSED_TRIALS = (
+    *(trial for trial in TRIALS if not _OF_ONE_NODE.match(trial.name)),
+    Trial("servo SIGSTOP", Fault.HEARTBEAT_LOST, _signalled(COMPOSED, _STOP), _loop_missed, _driver_continued),
+    Trial("servo SIGKILL", Fault.HEARTBEAT_LOST, _signalled(COMPOSED, _KILL), _loop_missed, _restarted(COMPOSED)),
+)
+"""Those of driver, feedforward and controller in one process."""
+
+
 class Row:
     """Result of a trial: number of injections, time of each detection in ms, and failures in words."""
 
@@ -279,26 +284,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK} injections of each instead of {_REPEATS}")
     parser.add_argument("--only", metavar="TEXT", default="", help="inject only faults with this text in their name")
+    parser.add_argument("--composed", action="store_true", help="driver, feedforward and controller in one process")
     add_output(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Exit code 1 if a row is not green."""
     require_ros()
-    chosen = [trial for trial in TRIALS if options.only in trial.name]
+    all_trials = COMPOSED_TRIALS if options.composed else TRIALS
+    chosen = [trial for trial in all_trials if options.only in trial.name]
     if not chosen:
-        names = ", ".join(trial.name for trial in TRIALS)
+        names = ", ".join(trial.name for trial in all_trials)
         raise CommandFailed(f"--only {options.only!r}: no fault has this in its name; known: {names}", exit_code=2)
     values, begin = trial_parameters(chosen_parameters(options)), time.monotonic()
     with output(options) as folder, progress() as advance:
-        rows = run_trials(values, folder, _QUICK if options.quick else _REPEATS, advance, chosen)
+        rows = run_trials(values, folder, _QUICK if options.quick else _REPEATS, advance, chosen, options.composed)
     green, seconds = all(row["green"] for row in rows), time.monotonic() - begin
     print_json({"faults": rows, "all_green": green, "seconds": seconds})
     return int(not green)
 
 
 def run_trials(
-    values: Mapping[str, Mapping[str, Any]], folder: Path, repeats: int, advance: Progress, trials: Sequence[Trial]
+    values: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    repeats: int,
+    advance: Progress,
+    trials: Sequence[Trial],
+    composed: bool = False,
 ) -> list[dict[str, Any]]:
     """Rows of ``trials``, each run ``repeats`` times; bags and logs go into ``folder``.
 
@@ -306,7 +318,7 @@ def run_trials(
         LaunchError: the graph does not start, or not again.
     """
     rows = []
-    with Stand(folder, values) as stand:
+    with Stand(folder, values, composed) as stand:
         for place, trial in enumerate(trials):
             row = Row(trial)
             stand.failures = row.failures

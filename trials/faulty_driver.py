@@ -4,13 +4,16 @@ A message on `inject` (diagnostic_msgs/DiagnosticStatus) names a fault, an empty
 says when it began. The name `new_machine` requests another simulated machine, at rest in the middle.
 
     python -m trials.faulty_driver --ros-args …
+    python -m trials.faulty_driver servo --ros-args …    # with feedforward and controller in its process
 """
 
+import math
 import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from straightcomp_ros.nodes import servo_node
 from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.loops import now_ns
@@ -20,6 +23,8 @@ from trials.faulty_machine import FaultyHardware
 
 INJECT, INJECTED = "inject", "injected"
 CLOCK_STEP, LATE_COMMANDS, NEW_MACHINE = "clock_step", "late_commands", "new_machine"
+WRONG_COMMANDS = {"command_nan": math.nan, "command_infinite": -math.inf, "command_out_of_range": 5.0}
+"""A for the next command."""
 _STEP_NS = 1_000_000_000
 
 
@@ -32,7 +37,15 @@ class FaultyDriver(DriverComponent):
         self._faulty = FaultyHardware(make_hardware(parameters), self._report)
         super().__init__(node, parameters, self._faulty, lambda: time.time_ns() + self._step_ns)
         accept = self._commands.accept
-        self._commands.accept = lambda stamp_ns, current, at_ns: accept(stamp_ns, current, at_ns + self._late_ns)
+        self._wrong: float | None = None
+
+        def accept_wrongly(stamp_ns: int, current: float, at_ns: int) -> None:
+            if self._wrong is not None:
+                self._report("", now_ns())
+                current, self._wrong = self._wrong, None
+            accept(stamp_ns, current, at_ns + self._late_ns)
+
+        self._commands.accept = accept_wrongly
         self._injected = node.create_publisher(DiagnosticStatus, INJECTED, 10)
         node.create_subscription(DiagnosticStatus, INJECT, self._on_inject, 10)
 
@@ -41,7 +54,9 @@ class FaultyDriver(DriverComponent):
         # The middleware's clock is not stepped with ours: afterwards the reception times must match again.
         self._step_ns = _STEP_NS if kind == CLOCK_STEP else 0
         self._late_ns = 2 * self._command_timeout_ns if kind == LATE_COMMANDS else 0
-        if kind in (CLOCK_STEP, LATE_COMMANDS):
+        if kind in WRONG_COMMANDS:
+            self._wrong = WRONG_COMMANDS[kind]
+        elif kind in (CLOCK_STEP, LATE_COMMANDS):
             self._report(kind, now_ns())
         elif kind == NEW_MACHINE:
             machine = make_hardware(self._parameters)
@@ -56,7 +71,8 @@ class FaultyDriver(DriverComponent):
 
 def main() -> int:
     """Run the node."""
-    return run_managed("driver", DriverNodeParameters, FaultyDriver)
+    driver = ("driver", DriverNodeParameters, FaultyDriver)
+    return servo_node.main(driver) if "servo" in sys.argv[1:2] else run_managed(*driver)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import rclpy
 from rclpy.node import Node
 
-from straightcomp_ros.contract import COMMAND
+from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.runtime.inside_rclpy import raw_publish
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.streams import stream_publisher
@@ -54,7 +54,8 @@ def main() -> None:
     publish_bytes, pack = raw_publish(publisher), COMMAND.layout.pack
     while line := sys.stdin.readline():
         rate, clock, offset_ns, current = line.split()
-        while not publisher.get_subscription_count():
+        # In a process with its controller no driver subscribes to commands, but it publishes.
+        while not (publisher.get_subscription_count() or node.count_publishers(ENCODER.topic)):
             time.sleep(_LOOK_S)
         publish(
             lambda stamp_ns, current: publish_bytes(pack(stamp_ns, current)),
@@ -63,6 +64,9 @@ def main() -> None:
             int(offset_ns),
             float(current),
         )
+    # A publisher that ends without a word is known until its lease has run out.
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

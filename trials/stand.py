@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.cell.launcher import RECORDED, Graph, LaunchError, isolated_environment
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
 from straightcomp_ros.model.motion import Waypoint, trapezoid
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -65,6 +65,7 @@ class Stand:
     Args:
         folder: gets bags, logs and the parameter file.
         values: parameters by node and dotted name.
+        composed: driver, feedforward and controller run in one process.
 
     Attributes:
         failures: what was not as it must be, in words.
@@ -76,7 +77,7 @@ class Stand:
         LaunchError: the graph does not start.
     """
 
-    def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]], composed: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder, self._file = folder, folder / "parameters.yaml"
         self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
@@ -85,6 +86,8 @@ class Stand:
         self._graph = Graph(folder)
         self.exit_code = self._graph.exit_code
         self.failures: list[str] = []
+        self.process_of = {name: COMPOSED if composed and name in IN_THE_LOOP else name for name in RECORDED}
+        self.names = tuple(dict.fromkeys(self.process_of.values()))
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
         self.condition, self.fault, self.tripped = "", None, None
@@ -103,13 +106,13 @@ class Stand:
         self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
         self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self.command = StreamPublisher(self.node, COMMAND, at_once=True)
+        self._command: StreamPublisher | None = None
         subscribe(self.node, POSITION, self._on_position)
         self._clients: dict[str, ServiceClient] = {}
         self._streams = Streams(self.node)
 
     def __enter__(self) -> Stand:
-        for name in RECORDED:
+        for name in self.names:
             self.start(name)
         # A process that communicates with nodes of real-time priority needs the same priority.
         realtime.apply(self._realtime)
@@ -127,36 +130,42 @@ class Stand:
     def start(self, name: str) -> None:
         """Start a node; start it again if it has ended."""
         parameters, command = {}, None
-        if name == "driver":
-            command = [sys.executable, "-m", FaultyDriver.__module__]
+        if name == self.process_of["driver"]:
+            command = [sys.executable, "-m", FaultyDriver.__module__, name]
             # More than once: the first may come before the driver is connected; it refuses those that it does not need.
             self._sends = _SENDS
         if name == "logger":
             self._bags += 1
             parameters["output"] = str(self.bag)
-        self.heartbeats.forget(name)
+        for node in self.nodes_of(name):
+            self.heartbeats.forget(node)
         self.started[name] = time.monotonic()
         self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
 
     def restart(self, name: str) -> None:
         """Start a killed node again once its process has ended; a new driver's amplifier must be off."""
-        if any(self.exit_code(other) is not None for other in RECORDED if other != name):
+        if any(self.exit_code(other) is not None for other in self.names if other != name):
             self.failures.append("another node has ended too")
         self.until(lambda: self.exit_code(name) is not None, _STOP_S)
-        if name == "driver":
+        drives = name == self.process_of["driver"]
+        if drives:
             self.condition = ""
         self.start(name)
-        if name == "driver" and (not self.until(lambda: self.condition != "", _NEW_DRIVER_S) or self.condition == "on"):
+        if drives and (not self.until(lambda: self.condition != "", _NEW_DRIVER_S) or self.condition == "on"):
             self.failures.append(f"the new driver's amplifier is '{self.condition}'")
 
     def stop(self) -> dict[str, int | None]:
         """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
-        for name in RECORDED:
+        for name in self.names:
             if self.exit_code(name) is None:
                 self.signal(name, signal.SIGINT)
-        self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
+        self.until(lambda: not any(self.exit_code(name) is None for name in self.names), _STOP_S)
         _leave_real_time()
-        return {name: self.exit_code(name) for name in RECORDED}
+        return {name: self.exit_code(name) for name in self.names}
+
+    def nodes_of(self, process: str) -> list[str]:
+        """The nodes that run in a process."""
+        return [node for node, own in self.process_of.items() if own == process]
 
     @property
     def bag(self) -> Path:
@@ -183,16 +192,21 @@ class Stand:
             if self._echoed is not None:
                 for stamp_ns, numbers, _ in self._echoed.fetch():
                     self.injected_ns = self.injected_ns or time.time_ns()
-                    self.command(stamp_ns, numbers[0])
+                    if self._command is not None:
+                        self._command(stamp_ns, numbers[0])
         return True
 
     def echo(self, on: bool) -> None:
         """Start or stop acting as a second controller that repeats each command."""
         if on:
             self._echoed = self._streams.queue(COMMAND)
+            self._command = StreamPublisher(self.node, COMMAND, at_once=True)
         elif self._echoed is not None:
-            self._echoed = None
+            self._echoed = self._command = None
             self._streams.close()
+            topic = self.node.resolve_topic_name(COMMAND.topic)
+            for publisher in [one for one in self.node.publishers if one.topic_name == topic]:
+                self.node.destroy_publisher(publisher)
 
     def foreign(self, words: str) -> int:
         """Let a process of its own publish commands as ``words`` say, see :mod:`trials.foreign_publisher`; returns when
@@ -204,7 +218,12 @@ class Stand:
             self.farthest = 0.0
         assert self._foreign.stdin is not None and self._foreign.stdout is not None
         print(words, file=self._foreign.stdin, flush=True)
-        return int(self._foreign.stdout.readline())
+        answer = int(self._foreign.stdout.readline())
+        if not words and COMPOSED in self.names:
+            # There another publisher is a second controller, whatever it sends.
+            self._foreign.communicate()
+            self._foreign = None
+        return answer
 
     def inject(self, kind: str) -> None:
         """Request a fault from the driver; an empty text ends it."""
@@ -235,7 +254,7 @@ class Stand:
         while time.monotonic() < deadline:
             self.inject("")
             if not self.until(lambda: self.heartbeats.in_state("active"), _ANSWER_S):
-                self._graph.check(RECORDED)
+                self._graph.check(self.names)
                 continue
             self.spin(0.03)
             self.call(Trigger, "driver/reset_fault", Trigger.Request())
@@ -265,7 +284,8 @@ class Stand:
             client = self._clients[service] = ServiceClient(self.node, kind, service)
             self.until(lambda: client.ready, _ANSWER_S)
         future = self._clients[service].call(request)
-        self.until(lambda: future.done() or self.exit_code(service.split("/")[0]) is not None, _REPLY_S)
+        process = self.process_of[service.split("/")[0]]
+        self.until(lambda: future.done() or self.exit_code(process) is not None, _REPLY_S)
         return future.result() if future.done() else None
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:

@@ -119,14 +119,18 @@ def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: 
     return run(name, ManagedNode.begun, arguments, lambda: (ManagedNode(name, parameter_set, make),))
 
 
+Managed = tuple[str, type, MakeComponent]
+"""A lifecycle node: name, parameter set and component."""
+
+
 def run_composed(
     name: str,
-    parts: Sequence[tuple[str, type, MakeComponent]],
+    parts: Sequence[Managed],
     shared: IntraProcess,
     arguments: Sequence[str] | None = None,
 ) -> int:
-    """Like :func:`run_managed`, for several nodes in a process called ``name``, with the loop of the first one; each is
-    given by its name, parameter set and component. Streams of ``shared`` are handed over in memory."""
+    """Like :func:`run_managed`, for several nodes in a process called ``name``, with the loop of the first one. Streams
+    of ``shared`` are handed over in memory."""
 
     def made() -> Sequence[ManagedNode]:
         return [ManagedNode(*part, shared, place) for place, part in enumerate(parts)]
