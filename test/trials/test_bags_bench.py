@@ -54,7 +54,7 @@ def test_one_other_bit_is_not_equal(bag):
 def test_a_bad_bag_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bags, "ros_available", lambda: False)
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
-    assert run_rig(["bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 1
+    assert run_rig(["bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 2
     assert "is not an MCAP file" in capsys.readouterr().err
 
 
