@@ -27,7 +27,7 @@ KINDS = {page: kind for section in NAVIGATION for kind, below in section.items()
 
 
 def test_the_navigation_has_each_page_once_in_four_kinds_after_the_overview():
-    assert sorted(pages(NAVIGATION)) == sorted(page.name for page in DOCS.glob("*.md"))
+    assert sorted(pages(NAVIGATION)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
     assert list(dict.fromkeys(KINDS.values())) == ["Overview", "Tutorial", "How-to", "Reference", "Explanation"]
 
 

@@ -18,8 +18,10 @@ from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = SOURCE.parent
-PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
-LINKING = sorted(path for folder in ("docs", ".", "bags") for path in (REPOSITORY / folder).glob("*.md"))
+PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+LINKING = sorted(
+    path for folder in ("docs", "docs/evidence", ".", "bags") for path in (REPOSITORY / folder).glob("*.md")
+)
 DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
 SETS = {STAGE: StageParameters, **NODE_PARAMETERS}
 PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in SETS.items()}
@@ -111,8 +113,9 @@ def _anchors(page):
 
 
 def test_the_overview_leads_to_every_page():
-    linked = set(re.findall(r"\]\((\w+\.md)", (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")))
-    assert linked == {page.name for page in (REPOSITORY / "docs").glob("*.md")} - {"index.md"}
+    linked = set(re.findall(r"\]\(([\w/]+\.md)", (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")))
+    docs = REPOSITORY / "docs"
+    assert linked == {str(page.relative_to(docs)) for page in docs.rglob("*.md")} - {"index.md"}
 
 
 def test_the_pages_build_without_a_warning_and_a_link_that_leads_nowhere_fails_the_build(tmp_path):
