@@ -290,7 +290,7 @@ def _add_stages(parser: argparse.ArgumentParser) -> None:
     """Declare the store, ``--name`` and ``--since``."""
     add = parser.add_argument
     add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
-    add_repeatable(parser, "--name", "STAGE", "only the stage of this name")
+    add_repeatable(parser, "--name", "NAME", "only the stage of this name")
     since = (
         "strokes from this day on, YYYY-MM-DD: that after the last maintenance, whose first four weeks are the measure"
     )
