@@ -1,6 +1,5 @@
 """Demonstrates the whole graph: five nodes as processes, one cycle of the stage, a bag, and its evaluation."""
 
-import os
 import secrets
 import socket
 import tempfile
@@ -22,6 +21,7 @@ from straightcomp_ros.cell.launcher import (
     LaunchError,
     executable_command,
     in_namespace,
+    isolated_environment,
     run_cycle,
     verb_command,
 )
@@ -108,7 +108,7 @@ def demonstrate(
     straightness = load_map(cell.stage.guide)
     output.mkdir(parents=True, exist_ok=True)
     try:
-        with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client):
+        with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client, secret):
             write_whole(parameter_file, as_parameter_file(values))
             programs = {**emulated_machine(values, parameter_file), **gateway}
             unclean = run_cycle(
@@ -120,7 +120,8 @@ def demonstrate(
                 programs=programs,
                 in_place_of_cell=client,
                 namespace=namespace,
-                environment=environment,
+                # On a command line every user could read the password.
+                environment={**(environment or isolated_environment()), **secret},
                 composed=composed,
             )
     except LaunchError as error:
@@ -147,11 +148,11 @@ def demonstrate(
 @contextmanager
 def _driven_by_opcua(
     values: Values, parameter_file: Path, strokes: int, namespace: str
-) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None]]:
-    """Parameters with a gateway for this run alone, the gateway's command by name, and the command of a client that
-    runs ``strokes``; with 0 strokes neither gateway nor client."""
+) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None, Mapping[str, str]]]:
+    """Parameters with a gateway for this run alone, the gateway's command by name, the command of a client that runs
+    ``strokes``, and what the environment gets for it; with 0 strokes neither gateway nor client."""
     if not strokes:
-        yield values, {}, None
+        yield values, {}, None, {}
         return
     with tempfile.TemporaryDirectory(prefix="straightcomp_opcua_") as folder:
         users, password, port = Path(folder) / "users", secrets.token_urlsafe(16), free_port()
@@ -161,12 +162,7 @@ def _driven_by_opcua(
         command += ["--params-file", str(parameter_file)]
         url = OpcuaParameters(port=port).endpoint
         client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
-        # Programs inherit the environment; on a command line every user could read the password.
-        os.environ[_PASSWORD] = password
-        try:
-            yield {**values, "opcua": gateway}, {"opcua": command}, client
-        finally:
-            del os.environ[_PASSWORD]
+        yield {**values, "opcua": gateway}, {"opcua": command}, client, {_PASSWORD: password}
 
 
 def free_port() -> int:

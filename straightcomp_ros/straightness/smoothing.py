@@ -133,7 +133,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     """The smoothing spline through ``mean`` (n,) at ``x`` (n,) of ``values`` (runs, n), all in m, and its noise.
 
     ``how`` is ``none``; ``auto``, by the noise; or the number by which that λ is multiplied. The spline is None where
-    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little.
+    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little or no run
+    was repeated.
     """
     own, runs = measured(survey, x), len(values)
     if not own.all():
@@ -180,7 +181,9 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     clean = noise <= _ROUNDING or freedom[best] > _CLEAN * len(x)
     typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
     clean |= fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
-    if factor == 0.0 or (how == "auto" and clean):
+    # Without repeated runs nothing shows how much of the residual is noise: a reference that excites the plant is a
+    # survey too.
+    if factor == 0.0 or (how == "auto" and (clean or not repeated)):
         return None, _as_measured(noise, runs, repeated, x)
 
     shapes = at_knots @ modes

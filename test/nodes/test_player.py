@@ -23,7 +23,7 @@ from straightcomp_ros.runtime.streams import stream_qos, subscribe
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 SHORT = ["--set", "stage.motion.stroke=0.02", "--lockstep", "--json"]
-TEXTS = {"stage.name", "stage.guide.file", "realtime.cpus", "learning.file"}
+TEXTS = {"stage.name", "stage.guide.file", "stage.guide.smooth", "realtime.cpus", "learning.file"}
 """Parameters of the played nodes that are free texts: of them only learning.file names a file that a node writes."""
 
 
