@@ -155,6 +155,7 @@ class DriverComponent:
         self._publish_sample.publish_batch()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
+        self._node.streams.publish_records()
         if self._hardware.fault_kind is not None and self._safety.fault is None:
             self._trip(self._hardware.fault_kind, self._hardware.fault)
         return len(samples)

@@ -23,12 +23,12 @@ class IntraProcess:
 
     Attributes:
         queues: by topic, those that get a stream's messages.
-        publishers: those of these nodes, by place of the node and topic.
+        publishers: those of these nodes: place of the node, topic, and what publishes the new messages for others.
     """
 
     def __init__(self, streams: Iterable[Stream]) -> None:
         self.queues: dict[str, list[MemoryQueue]] = {stream.topic: [] for stream in streams}
-        self.publishers: list[tuple[int, str]] = []
+        self.publishers: list[tuple[int, str, Callable[[], object]]] = []
         self._cycles: dict[int, Callable[[], object]] = {}
 
     def follow(self, place: int, cycle: Callable[[], object]) -> None:
@@ -43,10 +43,19 @@ class IntraProcess:
         for waiting in self.queues.values():
             waiting[:] = [queue for queue in waiting if id(queue) not in gone]
 
+    def publish(self, place: int, topic: str, publish_new: Callable[[], object]) -> None:
+        """Add a publisher of the node at this place."""
+        self.publishers.append((place, topic, publish_new))
+
     def deliver(self) -> None:
         """Let each node do its cycle with what was handed over to it."""
         for cycle in self._cycles.values():
             cycle()
+
+    def publish_records(self) -> None:
+        """Publish what the nodes have made since the last call."""
+        for _, _, publish_new in self.publishers:
+            publish_new()
 
 
 class MemoryQueue:
@@ -57,9 +66,9 @@ class MemoryQueue:
         self._messages: deque[tuple[int, Sequence[float], int]] = deque(maxlen=_DEPTH)
         self.sent_ns: list[int] = []
 
-    def put(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        """Hand a message over."""
-        self._messages.append((stamp_ns, numbers, time.time_ns()))
+    def put(self, stamp_ns: int, numbers: Sequence[float], made_ns: int) -> None:
+        """Hand a message over that was made at ``made_ns`` since the epoch."""
+        self._messages.append((stamp_ns, numbers, made_ns))
 
     def fetch(self) -> list[tuple[int, Sequence[float], int]]:
         """Messages since the last call: (stamp in ns, numbers, when it was handed over in ns since the epoch)."""
@@ -72,4 +81,5 @@ class MemoryQueue:
         """Let the other nodes do their cycles, and pause if none of them sends a message. Only a driver in lockstep
         waits for another node of its process."""
         self._shared.deliver()
+        self._shared.publish_records()
         time.sleep(_LOCKSTEP_S if self._messages else _PAUSE_S)

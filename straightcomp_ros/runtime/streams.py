@@ -43,8 +43,9 @@ _LONGEST = 64
 _first_batches = itertools.cycle((0.125, 0.5, 0.875, 0.25, 0.625, 1.0, 0.375, 0.75))
 """Lengths of the first batches of a process's streams, relative to the later ones: its batches must not all be
 published in the same cycle."""
-_HANDED_OVER = 8
-"""Messages in a batch of a stream that its readers in this process have already."""
+_RECORDED_ONLY = 32
+"""Messages in a batch that no control loop waits for, since its readers there are in this process: a datagram of 4 kB.
+Sending takes most of such a process's time, and long batches a quarter of what short ones do."""
 _KEPT = 5000
 """Batches that a publisher keeps for a recorder that is behind: those of 20 s."""
 _TURNS_OF_OTHERS = 3
@@ -102,8 +103,7 @@ class StreamPublisher:
     A control loop waits for what is published ``at_once``; the batch follows when the caller has time for it. ``rate``
     is in messages per second, ``seconds`` the length of a batch. With ``rate`` None the caller's cycles end the
     batches; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
-    batch would never fill. ``queues`` are those of this process that get the numbers at once; its loop does not wait
-    for messages, so each batch fills.
+    batch would never fill.
     """
 
     def __init__(
@@ -114,31 +114,23 @@ class StreamPublisher:
         seconds: float = BATCH_S,
         *,
         at_once: bool = False,
-        queues: Sequence[MemoryQueue] | None = None,
     ) -> None:
-        self._pack, self._queues = stream.layout.pack, () if queues is None else queues
+        self._pack = stream.layout.pack
         self._publisher = stream_publisher(node, stream)
         self._publish = raw_publish(self._publisher)
-        batched = rate is not None or not at_once or queues is not None
-        self._at_once = at_once and queues is None
-        self._by_cycle = at_once or rate is None
+        self._at_once, self._by_cycle = at_once, at_once or rate is None
         self._waiting: list[tuple[int, bytes]] = []
         """Serialised messages with the time each was made."""
-        if rate is not None:
-            self._length = max(1, round(rate * seconds))
-        else:
-            self._length = 1 if queues is None else _HANDED_OVER
+        self._length = max(1, round(rate * seconds)) if rate is not None else 1
         self._room = 1 if rate is None else max(1, round(self._length * next(_first_batches)))
         self._batches: Publisher | None = None
-        if batched:
+        if rate is not None or not at_once:
             self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(_KEPT, reliable=True))
             self._publish_batch = raw_publish(self._batches)
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or in a batch with later ones."""
-        for queue in self._queues:
-            queue.put(stamp_ns, numbers)
         data = self._pack(stamp_ns, *numbers)
         if self._at_once:
             self._publish(data)
@@ -170,6 +162,40 @@ class StreamPublisher:
         self.flush()
         if self._batches is not None:
             self._batches.wait_for_all_acked(_DELIVERY)
+
+
+class RecordPublisher(StreamPublisher):
+    """Publisher of a node whose readers in the loop are in its own process: ``queues`` get the numbers at once, and all
+    others batches, which are packed and sent when the command has been written: see :meth:`publish_new`."""
+
+    def __init__(self, node: Node, stream: Stream, queues: Sequence[MemoryQueue]) -> None:
+        super().__init__(node, stream, _RECORDED_ONLY, 1.0)
+        self._queues = queues
+        self._new: list[tuple[int, int, tuple[float, ...]]] = []
+
+    def __call__(self, stamp_ns: int, *numbers: float) -> None:
+        """Hand the message over; it waits for the next :meth:`publish_new`."""
+        made_ns = time.time_ns()
+        for queue in self._queues:
+            queue.put(stamp_ns, numbers, made_ns)
+        self._new.append((made_ns, stamp_ns, numbers))
+
+    def publish_batch(self) -> None:
+        """Do nothing: the command comes first."""
+
+    def publish_new(self) -> None:
+        """Pack what is new, and publish the batch if it is complete."""
+        new, self._new = self._new, []
+        pack = self._pack
+        self._waiting += [(made_ns, pack(stamp_ns, *numbers)) for made_ns, stamp_ns, numbers in new]
+        self._room -= len(new)
+        super().publish_batch()
+
+    def flush(self) -> None:
+        """Publish the incomplete batch, with what is new."""
+        if self._new:
+            self.publish_new()
+        super().flush()
 
 
 class RawQueue:
@@ -348,10 +374,11 @@ class Streams:
         self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
     ) -> StreamPublisher:
         """See :class:`StreamPublisher`."""
-        queues = self._shared.queues.get(stream.topic) if self._shared else None
-        publisher = StreamPublisher(self._node, stream, rate, seconds, at_once=at_once, queues=queues)
-        if self._shared:
-            self._shared.publishers.append((self._place, stream.topic))
+        # What is published at once without being handed over is what others wait for.
+        if not self._shared or (at_once and stream.topic not in self._shared.queues):
+            return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once)
+        publisher = RecordPublisher(self._node, stream, self._shared.queues.get(stream.topic, ()))
+        self._shared.publish(self._place, stream.topic, publisher.publish_new)
         return publisher
 
     def follow(self, cycle: Callable[[], object]) -> None:
@@ -371,11 +398,16 @@ class Streams:
             os.sched_yield()
         return True
 
+    def publish_records(self) -> None:
+        """In a process of several nodes: pack and publish what is only watched and recorded, after the command."""
+        if self._shared:
+            self._shared.publish_records()
+
     def others_publish(self, stream: Stream) -> bool:
         """Whether another process publishes a stream that is handed over in memory: its messages are not taken."""
         if not self._shared:
             return False
-        own = sum(topic == stream.topic for _, topic in self._shared.publishers)
+        own = sum(topic == stream.topic for _, topic, _ in self._shared.publishers)
         return bool(self._node.count_publishers(stream.topic) > own)
 
     def _in_memory(self, stream: Stream) -> MemoryQueue | None:

@@ -8,6 +8,7 @@ from participant import Participant
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
+from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.streams import StreamPublisher, Streams, SubscriptionQueue
 
 pytestmark = pytest.mark.live
@@ -126,3 +127,21 @@ def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_
     for (_, times), at in zip(messages, made, strict=True):
         assert at <= times["source_timestamp"] < at + 50_000_000
         assert times["received_timestamp"] >= flushed
+
+
+def test_what_is_handed_over_in_memory_is_published_for_others_after_the_turn_of_the_loop(pair):
+    shared = IntraProcess((ENCODER,))
+    sender, receiver = (Streams(pair.writer, shared, place) for place in (0, 1))
+    queue, publish = receiver.queue(ENCODER), sender.publisher(ENCODER, 2000, at_once=True)
+    pair.wait(lambda: pair.queue.connected)
+    time.sleep(0.2)
+    stamps = [k * PERIOD for k in range(100)]
+    for stamp in stamps:
+        publish(stamp, 0.0, 0.0, 0.0, 0.0)
+        publish.publish_batch()
+    assert [stamp for stamp, _, _ in queue.fetch()] == stamps
+    pair.fetch()
+    assert pair.stamps == []
+    sender.publish_records()
+    pair.wait(lambda: len(pair.stamps) >= len(stamps))
+    assert pair.stamps == stamps
