@@ -89,7 +89,7 @@ class SimulatedHardware(Hardware):
         """Commands at the beginning of these two arrays that are yet to take effect."""
         self._advance: Callable[..., int] = partial(advance_to_sample.dispatcher, *self._plant)  # type: ignore[attr-defined]
         # The first call compiles, which must not happen inside the loop; at time 0 it changes nothing.
-        self._advance(self._effective_ns, self._asked, 0, 0, 0.0)
+        self._advance(self._effective_ns, self._asked, 0, 0, 0.0, x)
         self._reading = plant.encoder.x_reading
         self._delay_ns = round(stage.drive.delay * self.period_ns)
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
@@ -168,8 +168,8 @@ class SimulatedHardware(Hardware):
         self._plant.currents_off()
 
     def _sample(self, time_ns: int) -> tuple[Sample, Truth]:
-        count = self._waiting
-        taken = self._advance(self._effective_ns, self._asked, count, time_ns, 0.0)
+        count, x = self._waiting, self._stage_position(time_ns)
+        taken = self._advance(self._effective_ns, self._asked, count, time_ns, 0.0, x)
         if taken:
             self._waiting = left = count - taken
             self._effective_ns[:left] = self._effective_ns[taken:count]
@@ -181,8 +181,7 @@ class SimulatedHardware(Hardware):
             limit_ms = self.command_timeout_ns * 1e-6
             self.fault = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {limit_ms:g} ms)"
             self._currents_off()
-        y, velocity, _, control, _, friction, magnetic, *_, reading = self._plant.state.tolist()
-        x = self._stage_position(time_ns)
+        _, velocity, _, control, _, friction, magnetic, *_, y, reading = self._plant.state.tolist()
         measured = control if self.state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
         return Sample(time_ns, self._reading(x), reading, measured), truth

@@ -145,13 +145,14 @@ class ContactParameters:
     rest: RestParameters = group(RestParameters, "Simulated friction after rest")
     step: StepParameters = group(StepParameters, "Simulated step of friction")
 
-    def extension(self, bristle_stiffness: float) -> tuple[float, ...]:
+    def extension(self, bristle_stiffness: float, extended: bool = False) -> tuple[float, ...]:
         """The constants beyond LuGre's, (28,), which follow it in the plant's constants from :data:`KIND` on.
 
-        ``bristle_stiffness`` is σ0 in N/m, which the Maxwell-slip blocks share out.
+        ``bristle_stiffness`` is σ0 in N/m, which the Maxwell-slip blocks share out. A plant that is ``extended`` by
+        something else has them for plain LuGre too.
         """
         changes = self.bands.fraction > 0.0 or self.rest.growth > 0.0 or self.step.factor != 1.0
-        if self.model == "lugre" and not changes:
+        if self.model == "lugre" and not changes and not extended:
             return NO_EXTENSION
         # Stiffnesses k_i and shares α_i, geometric from the first block to the last.
         blocks, slip = np.zeros((2, MOST_BLOCKS)), self.maxwell_slip

@@ -20,6 +20,15 @@ from numpy.typing import NDArray
 from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, magnetic_force
 from straightcomp_ros.model.compiled import compilable, compiled
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters, nearest_count, nearest_step
+from straightcomp_ros.model.disturbances import (
+    FORCE,
+    FORCE_RATE,
+    OFFSET,
+    Disturbances,
+    aim,
+    disturbing_force,
+    interpolated,
+)
 from straightcomp_ros.model.friction import (
     KIND,
     NO_EXTENSION,
@@ -33,7 +42,8 @@ from straightcomp_ros.model.friction import (
     lugre_now,
     step_friction,
 )
-from straightcomp_ros.parameters.declaration import parameter
+from straightcomp_ros.model.modes import ModesParameters, at_coil, at_encoder, push, swing, turn
+from straightcomp_ros.parameters.declaration import group, parameter
 
 Array = NDArray[np.float64]
 
@@ -46,8 +56,9 @@ _NEVER = 2**62
 class PlantState(NamedTuple):
     """Position m, velocity m/s, bristle deflection m, control and bias current A, and the two forces in N.
 
-    Only friction beyond plain LuGre uses the others: time s, age of the contact s, the blocks that slip (bit i of an
-    integer is block i), and the forces of the Maxwell-slip blocks in N.
+    Only friction beyond plain LuGre, modes and disturbances use the others: time s, age of the contact s, the blocks
+    that slip (bit i of an integer is block i), and the forces of the Maxwell-slip blocks in N; two modes, q in m and
+    its rate in m/s (`modes.py`); and what disturbs, in the order of `disturbances.py`.
     """
 
     y: float = 0.0
@@ -68,6 +79,17 @@ class PlantState(NamedTuple):
     block_5: float = 0.0
     block_6: float = 0.0
     block_7: float = 0.0
+    mode_0: float = 0.0
+    mode_0_rate: float = 0.0
+    mode_1: float = 0.0
+    mode_1_rate: float = 0.0
+    x: float = 0.0
+    force: float = 0.0
+    force_rate: float = 0.0
+    offset: float = 0.0
+    vibration: float = 0.0
+    quadrature: float = 0.0
+    drawn: float = 0.0
 
 
 class Plant(NamedTuple):
@@ -81,8 +103,8 @@ class Plant(NamedTuple):
     lugre: LuGre
 
     def as_array(self, extension: tuple[float, ...] = NO_EXTENSION) -> Array:
-        """The constants, (40,), with the friction's ``extension``: an array is passed to compiled code 20 times faster
-        than nested tuples."""
+        """The constants, with the ``extension`` of friction, modes and disturbances: an array is passed to compiled
+        code 20 times faster than nested tuples."""
         return np.array([self.mass, self.stop, self.amplifier_rate, *self.actuator, *self.lugre, *extension])
 
 
@@ -92,6 +114,7 @@ class PlatformParameters:
 
     mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
     stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", "(0, inf) m")
+    modes: ModesParameters = group(ModesParameters)
 
 
 @dataclass(frozen=True)
@@ -104,13 +127,16 @@ class PlantParameters:
     contact: ContactParameters = ContactParameters()
     drive: DriveParameters = DriveParameters()
     encoder: EncoderParameters = EncoderParameters()
+    disturbances: Disturbances = Disturbances()
 
     def constants(self) -> Array:
-        """The constants of the equations, (40,), for :func:`advance`."""
+        """The constants of the equations, for :func:`advance`: (72,), and a table of force over x behind them."""
         rate = 2.0 * math.pi * self.drive.bandwidth
         lugre, actuator = self.friction.constants(), self.actuator.constants()
         plant = Plant(self.platform.mass, self.platform.stop, rate, actuator, lugre)
-        return plant.as_array(self.contact.extension(self.friction.bristle_stiffness))
+        modes, more = self.platform.modes, self.disturbances.any
+        friction = self.contact.extension(self.friction.bristle_stiffness, extended=more or bool(modes.present))
+        return plant.as_array((*friction, *modes.constants(), *self.disturbances.constants()))
 
 
 @compilable
@@ -146,27 +172,36 @@ def _hold(plant: Plant, state: Array, command: float, bias_command: float, durat
 
 
 @compilable
+def _kick(k: Array, plant: Plant, lugre: LuGre, state: Array, duration: float) -> None:
+    """Let all forces act for ``duration`` s on the platform where the coils are."""
+    force = magnetic_force(plant.actuator, at_coil(k, state, 0), state[4], state[3] + state[OFFSET])
+    force -= extended_force(k, lugre, state, at_coil(k, state, 1))
+    gained = duration * (force + disturbing_force(k, state)) / plant.mass
+    state[1] += gained
+    push(k, state, gained)
+
+
+@compilable
 def _hold_extended(k: Array, plant: Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
-    """As :func:`_hold`, with friction beyond plain LuGre."""
+    """As :func:`_hold`, with friction beyond plain LuGre, modes and disturbances."""
     substeps = -(-duration_ns // SUBSTEP_NS)
     h = duration_ns * 1e-9 / substeps
     settle = 1.0 - math.exp(-h * plant.amplifier_rate)
-    y, v, control, bias = state[0], state[1], state[3], state[4]
-    lugre = lugre_now(k, plant.lugre, state, y)
+    first, second = turn(k, 0, h), turn(k, 1, h)
+    lugre = lugre_now(k, plant.lugre, state, at_coil(k, state, 0))
     for _ in range(substeps):
-        force = magnetic_force(plant.actuator, y, bias, control) - extended_force(k, lugre, state, v)
-        v += 0.5 * h * force / plant.mass
-        y += h * v
-        lugre = lugre_now(k, plant.lugre, state, y)
-        step_friction(k, lugre, state, v, h)
-        control += settle * (command - control)
-        bias += settle * (bias_command - bias)
-        if abs(y) > plant.stop:
-            y = math.copysign(plant.stop, y)
-            v = 0.0
-        force = magnetic_force(plant.actuator, y, bias, control) - extended_force(k, lugre, state, v)
-        v += 0.5 * h * force / plant.mass
-    state[0], state[1], state[3], state[4] = y, v, control, bias
+        _kick(k, plant, lugre, state, 0.5 * h)
+        state[0] += h * state[1]
+        swing(state, 0, first)
+        swing(state, 1, second)
+        state[FORCE] += h * state[FORCE_RATE]
+        lugre = lugre_now(k, plant.lugre, state, at_coil(k, state, 0))
+        step_friction(k, lugre, state, at_coil(k, state, 1), h)
+        state[3] += settle * (command - state[3])
+        state[4] += settle * (bias_command - state[4])
+        if abs(state[0]) > plant.stop:
+            state[0], state[1] = math.copysign(plant.stop, state[0]), 0.0
+        _kick(k, plant, lugre, state, 0.5 * h)
 
 
 @compiled
@@ -182,7 +217,7 @@ def advance(
     """Advance ``state`` by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with the
     next, so that a control cycle in which a command takes effect is one call.
 
-    ``constants`` are those of :class:`PlantParameters`; ``state``, (18,) in the order of :class:`PlantState`, is
+    ``constants`` are those of :class:`PlantParameters`; ``state``, (29,) in the order of :class:`PlantState`, is
     changed in place. Currents are those commanded of the amplifier in A, durations in ns, zero or more.
     """
     plant = _from_array(constants)
@@ -197,16 +232,17 @@ def advance(
             _hold_extended(constants, plant, state, command, bias_command, duration_ns)
         if next_duration_ns > 0:
             _hold_extended(constants, plant, state, next_command, bias_command, next_duration_ns)
-        state[5] = extended_force(constants, lugre_now(constants, plant.lugre, state, state[0]), state, state[1])
+        lugre = lugre_now(constants, plant.lugre, state, at_coil(constants, state, 0))
+        state[5] = extended_force(constants, lugre, state, at_coil(constants, state, 1))
     state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
 
 
 _FIELDS = len(PlantState._fields)
-BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, READING = range(_FIELDS, _FIELDS + 6)
+BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, PLACE, READING = range(_FIELDS, _FIELDS + 7)
 """Indices in :attr:`CommandedPlant.state`, after the plant's own."""
 _NOW, _HOLD_AT, _HOLDING = range(3)
-_AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION = range(40, 48)
-"""Indices in :attr:`CommandedPlant.constants`, after the plant's own."""
+_AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION = range(-8, 0)
+"""Indices in :attr:`CommandedPlant.constants`, after the plant's own, from their end."""
 
 
 class Hold(NamedTuple):
@@ -228,12 +264,12 @@ class CommandedPlant(NamedTuple):
     """Constants and state as :func:`advance_to_sample` takes them.
 
     Attributes:
-        constants: (48,) those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes
+        constants: those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes
             below zero, resolution of the encoder in m.
-        state: (24,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
+        state: (36,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
             current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
-            position that is held and newest reading of y, in m. While the bias current asked for is zero, the amplifier
-            is off and commands have no effect.
+            position that is held, position where the encoder of y looks and its newest reading, in m. While the bias
+            current asked for is zero, the amplifier is off and commands have no effect.
         times: (3,) int64: the present and the time at which the board begins to hold in ns, and whether it holds.
     """
 
@@ -256,7 +292,7 @@ def commanded_plant(plant: PlantParameters, hold: Hold, initial: PlantState) -> 
     drive, encoder = plant.drive, plant.encoder
     return CommandedPlant(
         np.array([*plant.constants(), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
-        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, encoder.y_reading(initial.y)]),
+        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, initial.y, encoder.y_reading(initial.y)]),
         np.array([0, _NEVER, False]),
     )
 
@@ -289,15 +325,19 @@ def advance_to_sample(
     count: int,
     until: int,
     noise: float,
+    x: float,
 ) -> int:
     """Integrate up to ``until`` (ns), which is not in the past, and read the encoder of y there, whose ``noise`` in m
-    is added before it rounds. Returns how many of the waiting commands took effect.
+    is added before it rounds. The stage is at ``x`` (m) then. Returns how many of the waiting commands took effect.
 
     ``state`` and ``times`` of the :class:`CommandedPlant` are changed in place. ``count`` commands wait: they take
     effect at the times ``effective`` (ns, rising), and ask for the control current ``asked`` (A, before the D/A
     converter).
     """
     taken = 0
+    extended = constants[KIND] != PLAIN
+    if extended:
+        aim(constants, state, constants[0], x, (until - times[_NOW]) * 1e-9)
     while True:
         # Each call of advance() spans one command, up to what comes next.
         if taken < count and effective[taken] <= until and effective[taken] <= times[_HOLD_AT]:
@@ -324,7 +364,11 @@ def advance_to_sample(
     if times[_NOW] < until:
         advance(constants, state, state[BIAS], state[COMMAND], until - times[_NOW], 0.0, 0)
         times[_NOW] = until
-    state[READING] = nearest_count(constants[_RESOLUTION], state[0] + noise)
+    state[PLACE] = seen = state[0]
+    if extended:
+        state[PLACE] = at_encoder(constants, state)
+        seen = interpolated(constants, state[PLACE])
+    state[READING] = nearest_count(constants[_RESOLUTION], seen + noise)
     _count_impulse(constants, state)
     if times[_HOLDING]:
         state[COMMAND] = _holding_current(constants, state, state[READING] - state[_ANCHOR])

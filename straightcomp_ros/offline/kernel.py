@@ -18,6 +18,7 @@ from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.plant import (
     BIAS,
+    PLACE,
     READING,
     Hold,
     PlantParameters,
@@ -43,12 +44,14 @@ class Conditions:
             overtakes the one before: it then takes effect together with it, and replaces it.
         references: (n, 3) r in m, ṙ in m/s, r̈ in m/s² for the law.
         noise: added to the position y before the encoder rounds, m.
+        x: true position of the stage in m, which only disturbances ask for; by default it stays at 0.
     """
 
     stamps: NDArray[np.int64]
     delays: NDArray[np.int64]
     references: NDArray[np.float64]
     noise: NDArray[np.float64]
+    x: NDArray[np.float64] | None = None
 
 
 class Cycle(NamedTuple):
@@ -79,15 +82,19 @@ def run_cycle(
     """
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
-    first = plant.encoder.y_reading(initial.y + float(conditions.noise[0]))
     machine = commanded_plant(plant, hold, initial)
     machine.state[BIAS] = plant.actuator.bias_current
+    x = np.zeros(count) if conditions.x is None else conditions.x
+    # At the first sample nothing has moved yet: this reading is the one that the loop takes again.
+    advance_to_sample(*machine, conditions.stamps[:0], current[:0], 0, 0, conditions.noise[0], x[0])
+    first = float(machine.state[READING])
     done = kernel(law.function)(
         *machine,
         conditions.stamps,
         np.maximum.accumulate(conditions.stamps + conditions.delays),
         conditions.references,
         conditions.noise,
+        x,
         law.gains,
         law.start(first),
         true_y,
@@ -107,16 +114,16 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
 
 def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
     def loop(  # type: ignore[no-untyped-def]
-        constants, state, times, stamps, effective, references, noise, gains, law_state, true_y, y, current
+        constants, state, times, stamps, effective, references, noise, x, gains, law_state, true_y, y, current
     ):
         """Samples done."""
         taken = 0
         for k in range(stamps.size):
             waiting, asked = effective[taken:], current[taken:]
-            taken += advance_to_sample(constants, state, times, waiting, asked, k - taken, stamps[k], noise[k])
+            taken += advance_to_sample(constants, state, times, waiting, asked, k - taken, stamps[k], noise[k], x[k])
             if not math.isfinite(state[0]):
                 return k
-            true_y[k], y[k] = state[0], state[READING]
+            true_y[k], y[k] = state[PLACE], state[READING]
             law_state, answer = step(
                 gains, law_state, y[k], references[k, 0], references[k, 1], references[k, 2], state[3]
             )

@@ -170,7 +170,11 @@ class Scenario:
         if isinstance(delays, np.ndarray):
             late[: delays.size] = delays[: late.size]
         conditions = Conditions(
-            stroke.stamps, late, stroke.given, np.zeros(stroke.stamps.size) if noise is None else noise
+            stroke.stamps,
+            late,
+            stroke.given,
+            np.zeros(stroke.stamps.size) if noise is None else noise,
+            stroke.true_x,
         )
         initial = PlantState(y=self.driver.simulated.initial_y)
         return run_cycle(law, plant or self.driver.plant, conditions, initial, self.driver.hold)

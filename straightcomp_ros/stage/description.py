@@ -14,7 +14,9 @@ from typing import NamedTuple, TypeVar
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
+from straightcomp_ros.model.disturbances import DisturbanceParameters
 from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
+from straightcomp_ros.model.modes import ModesParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
@@ -159,6 +161,8 @@ class TruthParameters:
     amplifier: float = parameter(1.0, "Bandwidth of the amplifier relative to it", "[0.01, 100]")
     guide: str = parameter("", "Survey file of the true guide; empty: that of the description")
     contact: ContactParameters = group(ContactParameters)
+    modes: ModesParameters = group(ModesParameters, "Simulated machine, in place of the modes described")
+    disturbances: DisturbanceParameters = group(DisturbanceParameters, "Simulated disturbance")
 
     @property
     def factors(self) -> Factors:
@@ -167,8 +171,12 @@ class TruthParameters:
 
 
 def true_plant(stage: StageParameters, truth: TruthParameters) -> PlantParameters:
-    """The simulated machine; ParameterError if its air gap does not hold the mechanical stop."""
-    return dataclasses.replace(deviating(stage.plant, truth.factors), contact=truth.contact)
+    """The simulated machine; ParameterError if its air gap does not hold the mechanical stop, or if its table of force
+    over x is refused."""
+    plant = deviating(stage.plant, truth.factors)
+    if truth.modes.present:
+        plant = dataclasses.replace(plant, platform=dataclasses.replace(plant.platform, modes=truth.modes))
+    return dataclasses.replace(plant, contact=truth.contact, disturbances=truth.disturbances.machine())
 
 
 def true_guide(stage: StageParameters, truth: TruthParameters) -> StraightnessMap:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.model import friction
+from straightcomp_ros.model.modes import MODE_STATE
 from straightcomp_ros.model.plant import (
     BIAS,
     Hold,
@@ -198,7 +199,7 @@ def test_break_away_grows_with_rest_and_a_step_multiplies_the_sliding_force_from
 
 def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fields_only():
     constants = PlantParameters().constants()
-    assert constants[friction.KIND] == friction.PLAIN and not constants[friction.KIND :].any()
+    assert constants[friction.KIND] == friction.PLAIN and not constants[friction.KIND : 40].any()
     state = run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1]
     short = np.array(PlantState(velocity=1e-4, bias=1.0))[:7].copy()
     advance(constants, short, 1.0, 0.02, 5_000_000)
@@ -311,9 +312,9 @@ def test_the_board_moves_the_same_plant(values):
     board.state[BIAS] = 1.0
     current = round(0.1 / plant.drive.current_step) * plant.drive.current_step
     for begin in range(0, 50_000_000, 500_000):
-        advance_to_sample(*board, np.array([begin]), np.array([0.1]), 1, begin + 500_000, 0.0)
+        advance_to_sample(*board, np.array([begin]), np.array([0.1]), 1, begin + 500_000, 0.0, 0.0)
         advance(plant.constants(), alone, 1.0, 0.0, 0, current, 500_000)
-    np.testing.assert_array_equal(board.state[: alone.size], alone)
+    np.testing.assert_array_equal(board.state[:MODE_STATE], alone[:MODE_STATE])
     assert board.state[friction.TIME] == pytest.approx(0.05) and board.state[friction.AGE] > 0.0
 
 

@@ -127,7 +127,7 @@ def machine(hold=HOLD, bias=COUNTED.actuator.bias_current, y=2e-6):
 def sample(plant, until, commands=(), noise=0.0):
     effective = np.array([at for at, _ in commands], np.int64)
     asked = np.array([current for _, current in commands], np.float64)
-    return advance_to_sample(*plant, effective, asked, len(commands), until, noise)
+    return advance_to_sample(*plant, effective, asked, len(commands), until, noise, 0.0)
 
 
 def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice_and_noise_moves_the_reading_alone():

@@ -48,9 +48,27 @@ CONTACTS = {
     model: {f"simulated.truth.contact.{name}": value for name, value in {"model": model, **BEYOND_LUGRE}.items()}
     for model in ("lugre", "maxwell_slip")
 }
+DISTURBED = {
+    "simulated.truth.modes.first.frequency": 400.0,
+    "simulated.truth.modes.first.coil": 0.2,
+    "simulated.truth.modes.second.frequency": 700.0,
+    "simulated.truth.modes.second.encoder": -0.1,
+    **{
+        f"simulated.truth.disturbances.{name}": value
+        for name, value in {
+            "mains.force": 0.1,
+            "cogging.force": 0.2,
+            "cable.drag": 0.1,
+            "drift.current": 0.005,
+            "vibration.acceleration": 0.01,
+            "interpolation.amplitude": 4e-8,
+        }.items()
+    },
+}
 CASES = {
     **{f"{law}, {delay}": case(law, {"drive.delay": delay}, driver=AWAY) for law in LAWS for delay in DELAYS},
     **{f"friction {model}": case(driver=contact) for model, contact in CONTACTS.items()},
+    "disturbed": case("smc_observer", {"motion.start": 0.1}, driver=DISTURBED),
     "begins elsewhere": case(stage={"motion.start": 0.4}, feedforward={"stage.motion.speed": 0.01}),
 }
 

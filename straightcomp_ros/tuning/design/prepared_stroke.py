@@ -41,6 +41,7 @@ class PreparedStroke:
     """One motion of the stage, ready to run under any law."""
 
     stamps: NDArray[np.int64]  # of the samples, ns
+    x: NDArray[np.float64]  # (n,) true position of the stage, m
     given: NDArray[np.float64]  # (n, 3) references as the law is given them, m, m/s, m/s²
     target: NDArray[np.float64]  # (n,) r at the true x, m
     motion: slice  # samples of the motion
@@ -55,7 +56,7 @@ class PreparedStroke:
         Each command is ``delay`` s late; ``start`` counts as in :func:`~straightcomp_ros.offline.starts.offset`.
         """
         late, count = np.full(self.stamps.size, round(delay * 1e9)), self.plant.encoder.y_resolution
-        conditions = Conditions(self.stamps, late, self.given, np.zeros(self.stamps.size))
+        conditions = Conditions(self.stamps, late, self.given, np.zeros(self.stamps.size), self.x)
         # The stroke's own count, so that an ideal encoder gets the same starts.
         initial = PlantState(y=self.initial_y + offset(start, _PITCH * count))
         cycle = run_cycle(law, plant or self.plant, conditions, initial, self.hold)
@@ -106,7 +107,15 @@ def prepared_stroke(
         rest = slice(begin, max(begin, motion.strokes[1].start))
     driver = scenario.driver
     return PreparedStroke(
-        stroke.stamps, given, r, motion.window, rest, driver.plant, driver.hold, driver.simulated.initial_y
+        stroke.stamps,
+        stroke.true_x,
+        given,
+        r,
+        motion.window,
+        rest,
+        driver.plant,
+        driver.hold,
+        driver.simulated.initial_y,
     )
 
 

@@ -1,0 +1,129 @@
+"""What pushes a simulated platform, and how it rings."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.model.converters import EncoderParameters
+from straightcomp_ros.model.disturbances import (
+    FORCE,
+    FORCE_RATE,
+    OFFSET,
+    TIME,
+    DisturbanceParameters,
+    aim,
+    disturbing_force,
+    interpolated,
+    locked_force,
+)
+from straightcomp_ros.model.friction import LuGreParameters
+from straightcomp_ros.model.modes import ModeParameters, at_encoder, modes_of
+from straightcomp_ros.model.plant import PlantParameters, PlantState, PlatformParameters, advance
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+
+MASS = 3.0
+
+
+def constants(**values):
+    given = from_mapping(DisturbanceParameters, {name.replace("__", "."): value for name, value in values.items()})
+    return PlantParameters(disturbances=given.machine()).constants()
+
+
+def test_mains_are_sines_of_the_frequency_and_its_multiples():
+    k, state = constants(mains__force=0.3, mains__second=0.2, mains__third=0.1), np.array(PlantState())
+    state[TIME] = 0.0123
+    a = 2.0 * math.pi * 50.0 * 0.0123
+    expected = 0.3 * math.sin(a) + 0.2 * math.sin(2 * a) + 0.1 * math.sin(3 * a)
+    assert disturbing_force(k, state) == pytest.approx(expected)
+
+
+def test_forces_over_x_are_cogging_cable_and_table(tmp_path):
+    k = constants(cogging__force=0.5, cogging__pitch=0.02, cable__slope=2.0, cable__drag=0.3)
+    there, back = locked_force(k, 0.113, 0.1), locked_force(k, 0.113, -0.1)
+    assert there - back == pytest.approx(0.6)
+    assert 0.5 * (there + back) == pytest.approx(0.5 * math.sin(2.0 * math.pi * 0.113 / 0.02) + 0.226)
+    file = tmp_path / "force.csv"
+    file.write_text("# measured\nx_m,force_n\n0.1,1\n0.2,3\n0.5,-1\n")
+    table = constants(force_file=str(file))
+    assert [locked_force(table, x, 0.0) for x in (0.0, 0.15, 0.35, 0.9)] == pytest.approx([1.0, 2.0, 1.0, -1.0])
+
+
+@pytest.mark.parametrize("text", ["", "x_m,force_n\n0,1\n", "x_m,force_n\n0,1\n0,2\n", "x_m,force_n\n0,1\n1,nan\n"])
+def test_a_table_of_force_that_does_not_serve_is_refused_by_name(text, tmp_path):
+    file = tmp_path / "force.csv"
+    file.write_text(text)
+    with pytest.raises(ParameterError, match=r"force\.csv.*allowed"):
+        constants(force_file=str(file))
+
+
+def test_drift_and_vibration_have_their_rms_frequency_and_seed():
+    def drawn(seed):
+        k = constants(seed=seed, drift__current=5e-3, drift__time=0.05, vibration__acceleration=0.2)
+        state, rows = np.array(PlantState()), []
+        for n in range(40_000):
+            aim(k, state, MASS, 0.0, 5e-4 if n else 0.0)
+            state[FORCE] += 5e-4 * state[FORCE_RATE]
+            rows.append((state[OFFSET], state[FORCE] / MASS))
+        return np.array(rows).T
+
+    offset, vibration = drawn(1)
+    assert np.std(offset) == pytest.approx(5e-3, rel=0.1)
+    assert np.std(vibration) == pytest.approx(0.2, rel=0.1)
+    assert np.corrcoef(offset[:-100], offset[100:])[0, 1] == pytest.approx(math.exp(-1.0), abs=0.1)
+    spectrum = np.abs(np.fft.rfft(vibration))
+    assert spectrum.argmax() / 20.0 == pytest.approx(30.0, abs=3.0)
+    np.testing.assert_array_equal(drawn(1)[0], offset)
+    assert not np.array_equal(drawn(2)[0], offset)
+
+
+def test_gravity_pulls_a_tilted_platform():
+    k, state = constants(tilt=0.01), np.array(PlantState())
+    aim(k, state, MASS, 0.0, 0.0)
+    assert disturbing_force(k, state) == pytest.approx(MASS * 9.80665 * math.sin(0.01))
+
+
+def test_the_encoder_interpolates_with_an_error_over_its_signal_period():
+    k = constants(interpolation__amplitude=40e-9)
+    assert interpolated(k, 5e-6) == pytest.approx(5e-6 + 40e-9)
+    assert interpolated(k, 15e-6) == pytest.approx(15e-6 - 40e-9)
+
+
+def test_a_platform_rings_as_its_modes_say():
+    free = LuGreParameters(coulomb=1e-12, static=1e-12, bristle_stiffness=1e-3, bristle_damping=0.0, viscous=0.0)
+    modes = (ModeParameters(180.0, 0.01, 0.5, -2.0), ModeParameters(600.0, 0.02, 0.3, 0.3))
+    plant = PlantParameters(
+        PlatformParameters(modes=modes_of(*modes)), friction=free, encoder=EncoderParameters(y_resolution=1e-12)
+    )
+    k, impulse = plant.constants(), 1e-5
+    start = replace_rates(PlantState(velocity=impulse), [impulse * mode.coil for mode in modes])
+    state = np.array(start)
+    for n in range(1, 41):
+        advance(k, state, 0.0, 0.0, 500_000)
+        t = 5e-4 * n
+        expected = t + sum(
+            mode.residue
+            * math.exp(-mode.damping * w * t)
+            * math.sin(w * math.sqrt(1.0 - mode.damping**2) * t)
+            / (w * math.sqrt(1.0 - mode.damping**2))
+            for mode, w in ((mode, 2.0 * math.pi * mode.frequency) for mode in modes)
+        )
+        assert at_encoder(k, state) == pytest.approx(impulse * expected, abs=1e-3 * impulse * t)
+
+
+def replace_rates(state, rates):
+    return state._replace(mode_0_rate=rates[0], mode_1_rate=rates[1])
+
+
+def test_a_force_bends_a_mode_by_its_participation():
+    mode = ModeParameters(200.0, 0.5, 0.5, -2.0)
+    tilted = replace(DisturbanceParameters(), tilt=0.01).machine()
+    plant = PlantParameters(PlatformParameters(modes=modes_of(mode)), disturbances=tilted)
+    k, state = plant.constants(), np.array(PlantState())
+    aim(k, state, MASS, 0.0, 0.0)
+    advance(k, state, 0.0, 0.0, 100_000_000)
+    # Friction holds the coils: what gravity bends is what it pushes there beyond friction.
+    pushed = (disturbing_force(k, state) - state[5]) / MASS
+    assert state[18] == pytest.approx(0.5 * pushed / (2.0 * math.pi * 200.0) ** 2, rel=1e-3, abs=1e-12)
+    assert at_encoder(k, state) == pytest.approx(state[0] - 2.0 * state[18])
