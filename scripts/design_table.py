@@ -2,10 +2,11 @@
 
     python -m scripts.design_table [stage …]            # two to three minutes a stage on one core
     python -m scripts.design_table --search [stage …]   # twice as long
+    python -m scripts.design_table shipped slow_amplifier --delays 0.1 0.25 0.5 1   # what less delay is worth
 
 Columns: the gains that are shipped, the closed form, the design, its worst of 200 uncertain machines, and the gains
 with the least error that any search or design found, which are kept in test/stages/found_gains.json. Figures are
-medians of five starts.
+medians of five starts; with --delays of nine, with the range of p-p and the margins of the designed loop.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from typing import NamedTuple
 
 from scripts.stage_files import STAGES, stage_names, stage_scenario
 from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import spread
 from straightcomp_ros.parameters.output_files import write_whole
@@ -30,6 +32,10 @@ from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"
 COUNTS = ("not in order", "rounds")
+DELAY_HEADS = (
+    *("stage", "delay [samples]", "closed form: p-p [µm] / step [mA]", "designed"),
+    *("gain", "phase [°]", "longest delay [samples]", "not in order"),
+)
 SEEDS = (11, 12)
 """Of the searches from which the best is kept."""
 
@@ -86,6 +92,29 @@ def figures_of(scenario: Scenario, control: ControlParameters) -> Figures:
     return Figures(pp.median, work.median)
 
 
+def row_of_delay(name: str, delay: float, quiet: float, law: str, evaluations: int, machines: int) -> str:
+    """One line of the table of delays: one stage whose commands are ``delay`` samples late."""
+    scenario = stage_scenario(name, law, delay)
+    stage, control, stroke = scenario.description, scenario.controls[law], prepared_stroke(scenario)
+
+    def figures(gains: Mapping[str, float]) -> str:
+        made = make_law(with_gains(control, law, gains), stage)
+        runs = [stroke.run(made, delay * stage.period, start) for start in range(9)]
+        work = spread(run.work for run in runs).scaled(1e3)
+        return f"{spread(run.pp for run in runs).scaled(1e6).text(3)} / {work.median:.2f}"
+
+    ours, head = f"| `{name}` | {delay:g}", figures(closed_form(scenario, law))
+    try:
+        design = design_gains(scenario, law, quiet=quiet, evaluations=evaluations, machines=machines, jobs=1)
+    except DesignError as error:
+        return f"{ours} | {head} | refused: {error} |"
+    margins = loop_margins(make_law(with_gains(control, law, design.values), stage), stage, with_current=True)
+    gain = f"{margins.gain_low:.2f} to {margins.gain_high:.2f}"
+    late = f"{margins.longest_delay / stage.period:.2f}"
+    failed = len(design.verification.not_in_order)
+    return f"{ours} | {head} | {figures(design.values)} | {gain} | {margins.phase:.0f} | {late} | {failed} |"
+
+
 def row(name: str, quiet: float, law: str, evaluations: int, machines: int) -> str:
     """One line of the table."""
     scenario = stage_scenario(name)
@@ -118,6 +147,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--machines", type=int, default=200, help="uncertain machines of the verification")
     parser.add_argument("--quiet", type=float, default=0.0, help="0 for the least error, 1 for the quietest coils")
     parser.add_argument("--law", default=LAW, help="law to design")
+    parser.add_argument("--delays", type=float, nargs="+", metavar="D", help="each stage with each delay, in samples")
     options = parser.parse_args(arguments)
     names = options.stages or stage_names()
     if unknown := sorted(set(names) - set(stage_names())):
@@ -127,11 +157,18 @@ def main(arguments: list[str] | None = None) -> int:
         for name in names:
             search_long(name, options.evaluations)
         return 0
+    made = (options.quiet, options.law, options.evaluations, options.machines)
+    if options.delays:
+        print(f"| {' | '.join(DELAY_HEADS)} |\n{'|---' * len(DELAY_HEADS)}|")
+        for name in names:
+            for delay in options.delays:
+                print(row_of_delay(name, delay, *made), flush=True)
+        return 0
     heads = ("stage", "shipped gains", "closed form", "design", "p50 / p95 / worst", *COUNTS, "found", "CPU / wall s")
     print(f"| {' | '.join(heads)} |")
     print("|---" * len(heads) + "|")
     for name in names:
-        print(row(name, options.quiet, options.law, options.evaluations, options.machines), flush=True)
+        print(row(name, *made), flush=True)
     return 0
 
 

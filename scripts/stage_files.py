@@ -13,6 +13,9 @@ def stage_names() -> list[str]:
     return sorted(path.stem for path in STAGES.glob("*.yaml"))
 
 
-def stage_scenario(name: str, law: str = "smc_observer") -> Scenario:
-    """The scenario of a stage of test/stages."""
-    return make_scenario(read_stage_file(STAGES / f"{name}.yaml"), [law])
+def stage_scenario(name: str, law: str = "smc_observer", delay: float | None = None) -> Scenario:
+    """The scenario of a stage of test/stages, with commands ``delay`` samples late in place of the described."""
+    values = read_stage_file(STAGES / f"{name}.yaml")
+    if delay is not None:
+        values["stage"]["drive.delay"] = delay
+    return make_scenario(values, [law])

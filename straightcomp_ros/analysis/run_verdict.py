@@ -119,6 +119,7 @@ class JudgedMotion:
     current_limit: float = math.inf  # largest |i_c| that the law may command and the D/A converter can
     stop: float = math.inf  # the platform's mechanical stop at ± this position
     span: tuple[float, float] = (-math.inf, math.inf)  # of x in which the map's reference follows the guide or runs out
+    late: str = ""  # that commands came later than described, as of `late_commands`
 
     @cached_property
     def period(self) -> float:
@@ -182,10 +183,11 @@ def judged_run(
     parameters: Mapping[str, Mapping[str, Any]],
     straightness: StraightnessMap | None = None,
     stalls: Sequence[Stall] = (),
+    latency: Array | None = None,
 ) -> Verdict:
     """The verdict on ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if that
-    is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock. MetricsError if the stage does
-    not move."""
+    is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
+    :func:`late_commands`. MetricsError if the stage does not move."""
     run = record.moving
     truth, first, last = run.true_error(reference), run.time[0], run.time[-1]
     return verdict_of(
@@ -200,7 +202,33 @@ def judged_run(
             fit=_guide_fit(record, reference),
             stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
             **bounds_of(parameters, straightness),
+            late="" if latency is None else late_commands(latency, parameters.get("driver", {})),
         )
+    )
+
+
+def late_commands(latency: Array, driver: Mapping[str, Any]) -> str:
+    """That commands came later than the stage's description allows, with the remedy; empty if they did not.
+
+    ``latency`` is the time in s from each sample until its command arrived, ``driver`` the driver's parameters by
+    dotted name, with defaults for what they do not name. A command that arrives after ``stage.drive.delay`` acts on
+    arrival. Gains are designed for delays up to ``stage.uncertainty.longest_delay`` times as long.
+    """
+    shipped, delay = StageParameters(), recorded_drive(driver).delay
+    rate = float(driver.get("stage.rate", shipped.rate))
+    longest = float(driver.get("stage.uncertainty.longest_delay", shipped.uncertainty.longest_delay))
+    allowed = delay * max(1.0, longest)
+    if not latency.size:
+        return ""
+    median, rare = np.quantile(latency, (0.5, 1.0 - _RARE)) * rate
+    if rare <= allowed + 1e-9 * rate:
+        return ""
+    share = np.mean(latency * rate > allowed)
+    return (
+        f"commands came {median:.2g} samples after theirs, {rare:.2g} at p99, and acted on arrival: {share:.0%} of "
+        f"them later than the {allowed:.3g} that 'stage.drive.delay' {delay:g} and 'stage.uncertainty.longest_delay' allow; "
+        "describe the delay that is measured, and design the gains for it, or make the loop faster (composed, "
+        "realtime.priority)"
     )
 
 
@@ -224,7 +252,8 @@ def verdict_of(motion: JudgedMotion) -> Verdict:
     later = next((Verdict(word, reason) for word, why in _REASONS.items() if (reason := why(motion))), None)
     if motion.stalls and (reason := _starved(motion, later)):
         return Verdict(words.STARVED, reason)
-    return later or Verdict(words.IN_ORDER, _in_order(motion))
+    word, reason = later or Verdict(words.IN_ORDER, _in_order(motion))
+    return Verdict(word, f"{reason}; {motion.late}" if motion.late else reason)
 
 
 def _starved(motion: JudgedMotion, later: Verdict | None) -> str:

@@ -141,7 +141,8 @@ def demonstrate(
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
     partial = evaluation.partial()
-    verdict = partial or judged_run(record, straightness, by_node(values), straightness, evaluation.stalls)
+    late = evaluation.stalls, evaluation.latency
+    verdict = partial or judged_run(record, straightness, by_node(values), straightness, *late)
     return Demonstration(bag, evaluation, straightness, metrics, timing, verdict, unclean)
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from straightcomp_ros.doctor import Finding, judged
 from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.cpus import left_behind
 
 _OLDEST, _NEWEST = (3, 10), (3, 13)
@@ -243,14 +244,26 @@ def load(folder: Path = Path("/proc"), wait: Callable[[float], None] = time.slee
     return judged("load", waiting <= _BUSY * usable and steal <= _STOLEN, detail, remedy)
 
 
-def timer(sleep: Callable[[float], None] = time.sleep, clock_now: Callable[[], float] = time.perf_counter) -> Finding:
-    """How late a thread of normal priority wakes up now."""
+def timer(
+    sleep: Callable[[float], None] = time.sleep,
+    clock_now: Callable[[], float] = time.perf_counter,
+    stage: StageParameters | None = None,
+) -> Finding:
+    """How late a thread of normal priority wakes up now; with a ``stage``, whether its loop could command within the
+    described delay."""
     late = []
     for _ in range(_SLEEPS):
         start = clock_now()
         sleep(_SLEEP_S)
         late.append(clock_now() - start - _SLEEP_S)
     p99, worst = float(np.percentile(late, 99.0)), max(late)
+    if stage is not None:
+        longest = stage.drive.delay * stage.period * max(1.0, stage.uncertainty.longest_delay)
+        detail = (
+            f"wake-ups late by {p99 * 1e6:.0f} µs (p99); commands may act up to {longest * 1e6:.0f} µs after samples"
+        )
+        remedy = "Set realtime.priority, or describe the delay that a run's verdict reports (stage.drive.delay)."
+        return judged("command delay", p99 <= longest, detail, remedy)
     detail = f"late by {p99 * 1e6:.0f} µs (p99), {worst * 1e6:.0f} µs at most, of {_SLEEPS}"
     return judged(
         "timer", p99 <= _LATE_S, detail, "End other programs, or set realtime.priority as docs/realtime.md says."

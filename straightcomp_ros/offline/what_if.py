@@ -60,7 +60,8 @@ def what_if(
     record = evaluation.record
     parameters = parameters_of(bag, attachments, given)
     partial = evaluation.partial()
-    verdict = partial or judged_run(record, record.reference, parameters, evaluation.map, evaluation.stalls)
+    late = evaluation.stalls, evaluation.latency
+    verdict = partial or judged_run(record, record.reference, parameters, evaluation.map, *late)
     runs = [Run(record.law, evaluate(record, record.reference), verdict)]
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))

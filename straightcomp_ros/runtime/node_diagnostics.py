@@ -12,15 +12,20 @@ from rclpy.node import Node
 from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import (
+    CPU_CORES,
     CPU_WAIT,
+    CPUS,
     DESCRIPTION,
     NORMAL,
+    PROCESS,
     RATE,
+    REALTIME_LIMIT,
     REFUSED,
     SAMPLES,
     SCHEDULING,
     Levels,
 )
+from straightcomp_ros.timing.realtime import realtime_limit
 
 _TICK_S, _TICKS = 0.25, 4
 """Values are collected at every fourth tick and published at the next one."""
@@ -48,7 +53,8 @@ class Diagnostics:
         self._node = node
         self._values = values
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self._before = (time.monotonic(), 0)
+        self._before = (time.monotonic(), 0, time.process_time())
+        self._limit = realtime_limit()
         self._collected: tuple[Time, Mapping[str, object]] | None = None
         self._ticks = 0
         self._cpu_wait = CpuWait()
@@ -65,10 +71,15 @@ class Diagnostics:
 
     def _collect(self) -> None:
         values = self._values()
+        rate_hz, cores = self._rates(int(str(values[SAMPLES])))
         values = {
             **values,
             **self._description,
-            RATE: self._rate(int(str(values[SAMPLES]))),
+            RATE: f"{rate_hz:.1f}",
+            CPU_CORES: f"{cores:.2f}",
+            CPUS: ",".join(map(str, sorted(os.sched_getaffinity(0)))),
+            PROCESS: os.getpid(),
+            REALTIME_LIMIT: self._limit,
             CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
             SCHEDULING: self._scheduling(),
         }
@@ -96,8 +107,8 @@ class Diagnostics:
         asked = self._node.has_parameter(_PRIORITY) and self._node.get_parameter(_PRIORITY).value
         return REFUSED if asked else NORMAL
 
-    def _rate(self, samples: int) -> str:
-        now = time.monotonic()
-        before, samples_before = self._before
-        self._before = (now, samples)
-        return f"{(samples - samples_before) / (now - before):.1f}"
+    def _rates(self, samples: int) -> tuple[float, float]:
+        """Samples a second since the last call, and CPU cores that this process kept busy."""
+        now = time.monotonic(), samples, time.process_time()
+        (seconds, *counts), self._before = (b - a for a, b in zip(self._before, now, strict=True)), now
+        return counts[0] / seconds, counts[1] / seconds

@@ -8,6 +8,8 @@ so the percentiles of a long time follow from the histograms of its seconds; per
 from __future__ import annotations
 
 import os
+import time
+import weakref
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -125,22 +127,30 @@ class StampGaps:
             self.lost += round(step / self._period_ns) - 1
 
 
-class CpuWait:
-    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
+_LOOK_NS = 40_000_000
+"""Shortest time between two looks that several nodes of a process share; each wants 20 a second."""
+
+
+class ThreadWaits:
+    """How long the threads of this process wait for a CPU; several :class:`CpuWait` share its looks.
 
     Linux's scheduler counts it for each thread (the second number in ``/proc/PID/task/TID/schedstat``), without the
-    time that a hypervisor takes from the whole machine. Short waits between two looks add up: look often to distinguish
-    one long wait from many short ones. A system without these counts reports no wait.
+    time that a hypervisor takes from the whole machine. A system without these counts reports no wait.
     """
 
     def __init__(self, threads: Path = Path("/proc/self/task")) -> None:
         self._threads = threads
         self._files: dict[str, BinaryIO] = {}
         self._waited_ns: dict[str, int] = {}
-        self._longest_ns = 0
+        self._looked_ns = 0
+        self.readers: weakref.WeakSet[CpuWait] = weakref.WeakSet()
 
-    def look(self) -> None:
-        """Read how long each thread has waited since the last look."""
+    def look(self, apart_ns: int = 0) -> None:
+        """Read how long each thread has waited since the last look, if that is ``apart_ns`` ago."""
+        now_ns = time.monotonic_ns()
+        if now_ns - self._looked_ns < apart_ns:
+            return
+        self._looked_ns, longest_ns = now_ns, 0
         for thread, file in list(self._files.items()):
             try:
                 waited_ns = int(os.pread(file.fileno(), 100, 0).split()[1])
@@ -149,15 +159,40 @@ class CpuWait:
                 self._files.pop(thread).close()
                 self._waited_ns.pop(thread, None)
                 continue
-            self._longest_ns = max(self._longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
+            longest_ns = max(longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
             self._waited_ns[thread] = waited_ns
+        for reader in self.readers:
+            reader.longest_ns = max(reader.longest_ns, longest_ns)
 
-    def take_us(self) -> float:
-        """The longest wait since the last call, in µs; threads started since then are included from now on."""
+    def find(self) -> None:
+        """Include the threads that have started since the last call."""
         with suppress(OSError):
             for thread in set(os.listdir(self._threads)) - set(self._files):
                 with suppress(OSError):
                     self._files[thread] = (self._threads / thread / "schedstat").open("rb")
-        self.look()
-        longest_ns, self._longest_ns = self._longest_ns, 0
+
+
+_OWN = ThreadWaits()
+
+
+class CpuWait:
+    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
+
+    Short waits between two looks add up: look often to distinguish one long wait from many short ones.
+    """
+
+    def __init__(self, waits: ThreadWaits = _OWN) -> None:
+        self._waits = waits
+        self.longest_ns = 0
+        waits.readers.add(self)
+
+    def look(self) -> None:
+        """Look, unless another node of this process has looked just now."""
+        self._waits.look(_LOOK_NS)
+
+    def take_us(self) -> float:
+        """The longest wait since the last call, in µs; threads started since then are included from now on."""
+        self._waits.find()
+        self._waits.look()
+        longest_ns, self.longest_ns = self.longest_ns, 0
         return longest_ns * 1e-3

@@ -30,6 +30,14 @@ CPU_WAIT = "cpu_wait_max_us"
 SCHEDULING = "scheduling"
 NORMAL, REFUSED = "normal", "normal, real-time priority refused"
 """Scheduling of a node without real-time priority: not requested, or not permitted."""
+PROCESS, CPUS, CPU_CORES = "process_id", "cpus", "cpu_cores"
+"""The node's process, the CPUs that it may use, and how many it kept busy since the previous report."""
+REALTIME_LIMIT = "realtime_limit"
+"""Time in µs that the kernel leaves to real-time tasks on each CPU, and of which period: '950000/1000000'."""
+_NEARLY = 0.85
+"""Of that limit: a report's second is not the kernel's period, and other real-time threads count there too."""
+_LONGER = 1.2
+"""A stop by the limit lasts for the rest of the period at most; the loop's next cycle may begin a little later."""
 _NOTED_US = 5_000.0
 """Shorter delays (ten samples at 2 kHz) happen on every desktop."""
 _STALL_NS = 2_000_000
@@ -158,6 +166,10 @@ class HeldUp(NamedTuple):
     no_cpu_us: float = 0.0  # longest time for which a thread of the node was ready to run but got no CPU
     late_us: float = 0.0  # largest lateness of its loop, whatever the cause
     scheduling: str = ""  # "FIFO 40", NORMAL or REFUSED; empty if unknown
+    process: str = ""  # its id; empty if unknown
+    cpus: str = ""  # that it may use: "0,1"
+    cores: float = 0.0  # that its process kept busy, in the second with most
+    limit: tuple[float, float] = (0.0, 0.0)  # µs of real-time tasks on a CPU, of each period in µs; zeros: none known
 
 
 @dataclass(frozen=True)
@@ -189,11 +201,45 @@ def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
     """What delayed a node over some of its reports, given by their values."""
     late = [number(values, f"{TIMER_ERROR}_max_us") for values in reports]
     waits = [number(values, CPU_WAIT) for values in reports]
-    scheduling = next((values[SCHEDULING] for values in reversed(reports) if SCHEDULING in values), "")
+    last = next((values for values in reversed(reports) if SCHEDULING in values), {})
+    cores = [number(values, CPU_CORES) for values in reports]
+    runtime, _, period = last.get(REALTIME_LIMIT, "").partition("/")
+    limit = number({"": runtime}, ""), number({"": period}, "")
     # Many short waits add up to a long one, but none was longer than the lateness of the loop. If the scheduler counted
     # less than half of that lateness, something else delayed the loop.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
-    return HeldUp(max(no_cpu, default=0.0), max((one for one in late if one >= 0.0), default=0.0), scheduling)
+    return HeldUp(
+        max(no_cpu, default=0.0),
+        max((one for one in late if one >= 0.0), default=0.0),
+        last.get(SCHEDULING, ""),
+        last.get(PROCESS, ""),
+        last.get(CPUS, ""),
+        cores=max((one for one in cores if one >= 0.0), default=0.0),
+        limit=limit if 0.0 < limit[0] <= limit[1] else (0.0, 0.0),
+    )
+
+
+def throttled(nodes: Mapping[str, HeldUp]) -> str:
+    """That the kernel's limit for real-time tasks stopped one of the named nodes, and the remedy; empty if none.
+
+    Such a node was ready to run, its loop stood still for the rest of the limit's period at most, and the real-time
+    processes on its CPUs used nearly all that the limit leaves them.
+    """
+    for name, node in sorted(nodes.items(), key=lambda one: -one[1].no_cpu_us):
+        runtime, period = node.limit
+        if not (node.scheduling.startswith("FIFO") and node.no_cpu_us >= _NOTED_US and runtime < period):
+            continue
+        sharing = {who: one for who, one in nodes.items() if one.scheduling[:4] == "FIFO" and one.cpus == node.cpus}
+        of_processes = {one.process: one.cores for one in sharing.values()}.values()
+        used = max(*of_processes, sum(of_processes) / (node.cpus.count(",") + 1))
+        if node.late_us <= _LONGER * (period - runtime) and used >= _NEARLY * runtime / period:
+            return (
+                f"the {name} was stopped for {node.no_cpu_us * 1e-3:.0f} ms by the kernel's limit for real-time tasks: "
+                f"{', '.join(sharing)} used {used:.2f} of CPU {node.cpus}, allowed {runtime / period:.2f} "
+                "(kernel.sched_rt_runtime_us); remedy: one process for the loop (composed), a lower stage.rate, a CPU "
+                "of its own for each node, or no limit (docs/realtime.md, Throttling)"
+            )
+    return ""
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:
@@ -209,6 +255,8 @@ def blamed(nodes: Mapping[str, HeldUp]) -> str:
         if any(nodes[name].scheduling == REFUSED for name in waiting):
             return f"{words}; real-time priority is not permitted; remedy: straightcomp doctor"
         return f"{words}; real-time priority was not requested; remedy: the parameter realtime.priority"
+    if words := throttled(nodes):
+        return words
     name, latest = max(nodes.items(), key=lambda node: node[1].late_us, default=("", HeldUp()))
     if latest.late_us < _NOTED_US:
         return ""

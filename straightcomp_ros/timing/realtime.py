@@ -5,6 +5,7 @@ If the system refuses one of these, the node runs without it, and reports it wit
 
 import ctypes
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable
@@ -25,6 +26,10 @@ _POLLING = "dds.asyn"
 """Fast DDS's thread for asynchronous sending. It polls a lock that another thread holds (ros2/rmw_fastrtps issue 666):
 at the same priority on the same CPU it would keep that thread, and all others there, from running for ever. It takes
 turns (SCHED_RR), since there is no priority below 1."""
+
+_FAIR_SERVER = "950000/1000000"
+"""Default of /sys/kernel/debug/sched/fair_server, which replaces the limit from Linux 6.12 on, and which only root can
+read: the same as the limit's."""
 
 LOOP, REST = "loop", "rest"
 """Values of ``realtime.cpus``."""
@@ -86,6 +91,19 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
         what = "keeping other programs off the node's CPUs"
         attempt(what, lambda: inform(keep_others_off(os.sched_getaffinity(0))), "leave a CPU to them (realtime.cpus)")
     return refusals
+
+
+def realtime_limit(folder: Path = Path("/proc/sys/kernel"), release: str | None = None) -> str:
+    """Time in µs that the kernel leaves to real-time tasks on each CPU, and of which period: '950000/1000000'; empty if
+    it has no limit. Linux 6.12 and later leave the rest to others even where the limit is switched off."""
+    files = [folder / f"sched_rt_{name}_us" for name in ("runtime", "period")]
+    with suppress(OSError, ValueError):
+        runtime, period = (int(file.read_text()) for file in files)
+        if runtime >= 0:
+            return f"{runtime}/{period}"
+        version = [int(number) for number in re.findall(r"\d+", release or os.uname().release)[:2]]
+        return _FAIR_SERVER if version >= [6, 12] else ""
+    return ""
 
 
 def _set_cpus(names: str, graph: str) -> None:

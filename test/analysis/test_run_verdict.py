@@ -7,7 +7,14 @@ import pytest
 
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
-from straightcomp_ros.analysis.run_verdict import GuideFit, JudgedMotion, bounds_of, encoder_count, verdict_of
+from straightcomp_ros.analysis.run_verdict import (
+    GuideFit,
+    JudgedMotion,
+    bounds_of,
+    encoder_count,
+    late_commands,
+    verdict_of,
+)
 
 T = 5e-4
 TIME = np.arange(16_000) * T
@@ -180,3 +187,15 @@ def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_kno
 def test_the_count_of_the_encoder_is_the_smallest_step_of_its_readings():
     assert encoder_count(np.array([3.0, 1.0, 2.0, 1.0]) * 1e-7) == pytest.approx(1e-7)
     assert encoder_count(np.array([1e-7, 1e-7 + 1e-20])) == 0.0
+
+
+def test_a_verdict_says_that_commands_came_later_than_the_stage_describes():
+    driver = {"stage.rate": 2000, "stage.drive.delay": 0.1, "stage.uncertainty.longest_delay": 1.5}
+    soon, rarely, often = (np.where(np.arange(1000) < late, 0.4, 0.14) * T for late in (0, 5, 300))
+    assert late_commands(soon, driver) == late_commands(rarely, driver) == late_commands(np.empty(0), driver) == ""
+    words = late_commands(often, driver)
+    assert "0.4 at p99" in words and "30% of them later than the 0.15" in words
+    assert late_commands(often, {**driver, "stage.drive.delay": 0.3}) == ""
+    for error, word in ((SMALL, "in_order"), (R, "inaccurate")):
+        found = verdict_of(motion(error, late=words))
+        assert found.verdict == word and found.reason.endswith(words)

@@ -11,7 +11,9 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor import Finding, computer
+from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.stage.description import StageParameters
 
 MIB = 1 << 20
 FILE, FOLDER = "file", "."
@@ -193,6 +195,14 @@ def test_a_late_timer_is_a_warning(late, state):
     sleeps = []
     found = computer.timer(sleeps.append, lambda: sum(sleeps) + late * len(sleeps))
     assert found.state == state
+
+
+@pytest.mark.parametrize(("delay", "state"), [(1.0, "ok"), (0.1, "warn")])
+def test_a_timer_that_is_later_than_the_described_delay_is_a_warning(delay, state):
+    sleeps, stage = [], StageParameters(drive=DriveParameters(delay=delay))
+    found = computer.timer(sleeps.append, lambda: sum(sleeps) + 100e-6 * len(sleeps), stage)
+    assert found.name == "command delay" and found.state == state
+    assert f"up to {750 * delay:.0f} µs" in found.detail
 
 
 def test_python_can_without_our_interface_is_a_warning(monkeypatch):

@@ -94,6 +94,10 @@ def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
     # Later than that it acts when it comes; without a sample named, always.
     assert applied(1.0, 3 * PERIOD // 2, START) == applied(0.0, 3 * PERIOD // 2, START)
     assert applied(1.0, PERIOD // 8, None) == applied(0.0, PERIOD // 8, START) != early
+    for delay in (0.1, 0.25, 0.5):
+        due = round(delay * PERIOD)
+        assert applied(delay, due // 2, START) == applied(0.0, due, START)
+        assert applied(delay, due + PERIOD // 20, START) == applied(0.0, due + PERIOD // 20, START)
     # A sample that is yet to come is taken for the newest.
     assert applied(1.0, PERIOD // 8, START + 10**12) == early
 

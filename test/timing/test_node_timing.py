@@ -2,14 +2,19 @@
 
 import math
 import random
+import re
 
 import numpy as np
 import pytest
 
 from straightcomp_ros.timing.delays import NOTHING, Histogram
 from straightcomp_ros.timing.node_timing import (
+    CPU_CORES,
     CPU_WAIT,
+    CPUS,
     NORMAL,
+    PROCESS,
+    REALTIME_LIMIT,
     REFUSED,
     SCHEDULING,
     HeldUp,
@@ -23,6 +28,7 @@ from straightcomp_ros.timing.node_timing import (
     summarise,
     written,
 )
+from straightcomp_ros.timing.realtime import realtime_limit
 
 
 def levels_of(*reports):
@@ -164,6 +170,52 @@ def test_what_delayed_the_nodes_for_long_is_named_with_the_remedy(scheduling, no
 
 def report(wait_us, late_us, scheduling=NORMAL):
     return {CPU_WAIT: str(wait_us), "timer_error_max_us": str(late_us), SCHEDULING: scheduling}
+
+
+LIMIT = (950e3, 1e6)
+STOPPED = HeldUp(45e3, 46e3, "FIFO 40", "7", "1", 0.93, LIMIT)
+KERNEL = "the kernel, the disk or the hypervisor"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "driver was stopped for 45 ms by the kernel's limit.*driver used 0.93 of CPU 1, allowed 0.95"),
+        ({"limit": (0.0, 0.0)}, KERNEL),
+        ({"cores": 0.6}, KERNEL),
+        ({"no_cpu_us": 0.0}, KERNEL),  # the hypervisor stopped the whole machine
+        ({"late_us": 300e3}, KERNEL),  # longer than the limit can
+        ({"scheduling": NORMAL}, "got no CPU for 45 ms; real-time priority was not requested"),
+    ],
+)
+def test_a_stop_by_the_limit_for_real_time_tasks_is_named_with_what_used_it_up(changes, words):
+    assert re.search(words, blamed({"driver": STOPPED._replace(**changes)}))
+
+
+def test_nodes_on_one_cpu_use_up_its_limit_together_and_nodes_of_one_process_count_once():
+    half = STOPPED._replace(cores=0.45)
+    together = blamed({"driver": half, "controller": half._replace(process="8", no_cpu_us=0.0, cores=0.47)})
+    assert "driver, controller used 0.92 of CPU 1" in together
+    assert KERNEL in blamed({"driver": half, "controller": half})
+    assert KERNEL in blamed({"driver": half, "controller": half._replace(process="8", cpus="0")})
+
+
+def test_the_limit_is_read_from_reports_and_anything_else_in_its_place_is_none():
+    values = {PROCESS: "7", CPUS: "1", CPU_CORES: "0.93", REALTIME_LIMIT: "950000/1000000"}
+    assert held_up([report(45e3, 46e3, "FIFO 40") | values]) == STOPPED
+    for text in ("", "-1", "950000", "x/y", "2/1", "/"):
+        assert held_up([report(45e3, 46e3) | values | {REALTIME_LIMIT: text}]).limit == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("runtime", "release", "limit"),
+    [("950000", "6.1.0-9", "950000/1000000"), ("-1", "6.1.0-9", ""), ("-1", "6.12.3", "950000/1000000")],
+)
+def test_what_the_kernel_leaves_to_real_time_tasks_is_read_from_its_settings(tmp_path, runtime, release, limit):
+    assert realtime_limit(tmp_path) == ""
+    for name, text in (("runtime", runtime), ("period", "1000000")):
+        (tmp_path / f"sched_rt_{name}_us").write_text(f"{text}\n")
+    assert realtime_limit(tmp_path, release) == limit
 
 
 def test_a_node_got_no_cpu_for_as_long_as_both_its_lateness_and_the_scheduler_say():
