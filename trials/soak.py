@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
@@ -37,7 +36,6 @@ from trials.stand import Stand
 SUMMARY = "run the graph for a long time under random actions and check it after each"
 WARM_UP_S = 10.0
 """Age from which a process is checked for growth: until then it allocates what it keeps."""
-_NEXT_DIAGNOSTICS_S = 1.5
 _PAUSE_S = (0.2, 2.0)
 _NEW_GRAPHS = 3
 """How often all nodes are restarted if the graph does not recover, before the run is given up."""
@@ -167,12 +165,7 @@ def _look(scene: Scene, lives: Lives) -> None:
     now, stand = time.monotonic(), scene.stand
     warm = {name: pid for name, pid in stand.processes.items() if now - stand.started[name] >= WARM_UP_S}
     # A node that has ended by itself, or does not answer, is found by the next action.
-    with suppress(OSError, LaunchError):
-        if "feedforward" in warm and warm["feedforward"] not in lives:
-            # The node's thread for maps starts with its first job and stays. So does the file that counts this
-            # thread's waits for a CPU, which the node opens with its next diagnostics.
-            scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
-            stand.spin(_NEXT_DIAGNOSTICS_S)
+    with suppress(OSError):
         lives.see(warm)
 
 

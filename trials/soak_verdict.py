@@ -4,6 +4,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -32,8 +33,14 @@ def gaps(stamps: NDArray[np.int64], recorded: Sequence[tuple[int, int]]) -> list
     return found
 
 
+_OF_A_THREAD = "/schedstat"
+"""A node's file that counts a thread's waits for a CPU: open from the report after the thread's start until the look
+after its end, so that there may be one more or less of them than threads for a while."""
+
+
 class Look(NamedTuple):
-    """One process at one time: ns since the epoch, open descriptors, threads, resident memory in MB (10⁶ bytes)."""
+    """One process at one time: ns since the epoch, open descriptors without those of :data:`_OF_A_THREAD`, threads,
+    resident memory in MB (10⁶ bytes)."""
 
     time_ns: int
     descriptors: int
@@ -43,8 +50,13 @@ class Look(NamedTuple):
 
 def look(process_id: int) -> Look:
     """Look now; OSError if the process has ended."""
-    counts = (len(os.listdir(f"/proc/{process_id}/{what}")) for what in ("fd", "task"))
-    return Look(time.time_ns(), *counts, usage({"": process_id}).rss_mb[""])
+    folder, files = f"/proc/{process_id}/fd", []
+    for one in os.listdir(folder):
+        with suppress(FileNotFoundError):  # closed since
+            files.append(os.readlink(f"{folder}/{one}"))
+    descriptors = sum(not file.endswith(_OF_A_THREAD) for file in files)
+    threads = len(os.listdir(f"/proc/{process_id}/task"))
+    return Look(time.time_ns(), descriptors, threads, usage({"": process_id}).rss_mb[""])
 
 
 @dataclass

@@ -226,7 +226,7 @@ def late_commands(latency: Array, driver: Mapping[str, Any]) -> str:
     share = np.mean(latency * rate > allowed)
     return (
         f"commands came {median:.2g} samples after theirs, {rare:.2g} at p99, and acted on arrival: {share:.0%} of "
-        f"them later than the {allowed:.3g} that 'stage.drive.delay' {delay:g} and 'stage.uncertainty.longest_delay' allow; "
+        f"them later than 'stage.drive.delay' {delay:g} and 'stage.uncertainty.longest_delay' allow: {allowed:.3g}; "
         "describe the delay that is measured, and design the gains for it, or make the loop faster (composed, "
         "realtime.priority)"
     )

@@ -42,6 +42,8 @@ _ANSWER_SAMPLES = 4
 """The driver stops polling after so many samples without a command: no controller is running."""
 _SLOW_WATCH_S = 0.05
 _ANOTHER_PUBLISHES = "another node publishes commands"
+_FORGOTTEN_S = 20
+"""Lease of Fast DDS's participants, that of Cyclone DDS is shorter: so long a killed node stays known."""
 
 
 class DriverComponent:
@@ -233,7 +235,7 @@ class DriverComponent:
         if self._lockstep:
             return ""
         if self._node.streams.others_publish(COMMAND):
-            return _ANOTHER_PUBLISHES
+            return f"{_ANOTHER_PUBLISHES}; end it; one that was killed is forgotten after {_FORGOTTEN_S} s"
         age_ns = now_ns() - self._commands.stamp_ns
         if age_ns > self._command_timeout_ns:
             return "no fresh command from the controller; is it running, and is its map loaded?"

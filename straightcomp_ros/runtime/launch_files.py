@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
@@ -102,9 +103,11 @@ def launched_composed() -> LaunchDescription:
             file.write(as_parameter_file(given))
         parameters = [LaunchConfiguration("params_file"), LaunchConfiguration("stage"), file.name]
         namespace = LaunchConfiguration("namespace")
-        return [
-            Node(package=PACKAGE, executable="servo_node", namespace=namespace, parameters=parameters, output="screen")
-        ]
+        node = Node(
+            package=PACKAGE, executable="servo_node", namespace=namespace, parameters=parameters, output="screen"
+        )
+        remove = OpaqueFunction(function=lambda _: Path(file.name).unlink(missing_ok=True))
+        return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[remove])), node]
 
     return described({}, dict.fromkeys(sum(IN_THE_LOOP.values(), ())), [OpaqueFunction(function=actions)])
 

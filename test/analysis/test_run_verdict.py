@@ -194,7 +194,7 @@ def test_a_verdict_says_that_commands_came_later_than_the_stage_describes():
     soon, rarely, often = (np.where(np.arange(1000) < late, 0.4, 0.14) * T for late in (0, 5, 300))
     assert late_commands(soon, driver) == late_commands(rarely, driver) == late_commands(np.empty(0), driver) == ""
     words = late_commands(often, driver)
-    assert "0.4 at p99" in words and "30% of them later than the 0.15" in words
+    assert "0.4 at p99" in words and "30% of them later" in words and "allow: 0.15;" in words
     assert late_commands(often, {**driver, "stage.drive.delay": 0.3}) == ""
     for error, word in ((SMALL, "in_order"), (R, "inaccurate")):
         found = verdict_of(motion(error, late=words))

@@ -193,11 +193,16 @@ def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_n
     (tmp_path / "guide.csv").touch()
     stage = tmp_path / "stage.yaml"
     stage.write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")
-    found = of_kind("Node", CELL, composed="true", hardware="can", law="smc", rt_priority="30", stage=str(stage))
+    given = {"composed": "true", "hardware": "can", "law": "smc", "rt_priority": "30", "stage": str(stage)}
+    started = entities(CELL, given)
+    found = [entity for entity in started if kind(entity) == "Node"]
     assert named(found) == ["servo", "logger", "cell"]
     file = found[0].kwargs["parameters"][-1]
     given = {node: values for node, values in read_parameter_file(file).items() if values}
-    Path(file).unlink()
+    at_exit = [entity.args[0].kwargs for entity in started if kind(entity) == "RegisterEventHandler"]
+    [remove] = next(one["on_exit"] for one in at_exit if one["target_action"] is found[0])
+    remove.kwargs["function"](None)
+    assert not Path(file).exists()
     survey = {"stage.guide.file": str(tmp_path / "guide.csv"), "realtime.priority": 30}
     assert given == {
         "driver": {**survey, "hardware": "can"},

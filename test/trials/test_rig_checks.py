@@ -329,6 +329,7 @@ def test_a_run_has_passed_only_if_something_was_done_and_nothing_failed():
 
 def test_a_look_sees_descriptors_that_are_opened_and_threads_that_are_started():
     code = "import threading\nprint(flush=True)\ninput()\nkept = [open('/dev/null') for _ in range(5)]\n"
+    code += "kept.append(open('/proc/thread-self/schedstat'))\n"  # it comes and goes with a thread
     code += "for _ in range(3): threading.Thread(target=threading.Event().wait, daemon=True).start()\n"
     code += "print(flush=True)\ninput()\n"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
