@@ -87,7 +87,22 @@ def demonstrate(
     environment: Mapping[str, str] | None = None,
     composed: bool = False,
 ) -> Demonstration:
-    """Run the graph for one cycle and evaluate the bag.
+    """Run the graph for one cycle and evaluate the bag: :func:`recorded`, then :func:`judged`."""
+    unclean = recorded(values, output, progress, opcua_strokes, namespace, environment=environment, composed=composed)
+    return judged(values, output, opcua_strokes, unclean)
+
+
+def recorded(
+    values: Values,
+    output: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+    opcua_strokes: int = 0,
+    namespace: str = "",
+    *,
+    environment: Mapping[str, str] | None = None,
+    composed: bool = False,
+) -> list[str]:
+    """Run the graph for one cycle; returns a sentence for each node that did not stop by itself.
 
     Args:
         values: parameters of all nodes.
@@ -98,20 +113,17 @@ def demonstrate(
         composed: run driver, feedforward and controller in one process.
 
     Raises:
-        DemonstrationFailed: a node died, the cycle failed, or the bag is short.
+        DemonstrationFailed: a node died, or the cycle failed.
         ParameterError, SurveyError: a parameter, or the map's survey file, is refused.
     """
     bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
-    cell = node_parameters("cell", values)
-    motion = cell.stage.motion
-    duration = cycles(motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
-    straightness = load_map(cell.stage.guide)
+    duration, _ = _cycle(values, opcua_strokes)
     output.mkdir(parents=True, exist_ok=True)
     try:
         with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client, secret):
             write_whole(parameter_file, as_parameter_file(values))
             programs = {**emulated_machine(values, parameter_file), **gateway}
-            unclean = run_cycle(
+            return run_cycle(
                 bag,
                 parameter_file,
                 logs,
@@ -126,6 +138,16 @@ def demonstrate(
             )
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
+
+
+def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequence[str] = ()) -> Demonstration:
+    """Evaluate what :func:`recorded` recorded in the folder ``output``.
+
+    Raises:
+        DemonstrationFailed: the bag cannot be read, or is short.
+    """
+    bag, motion = output / "bag", node_parameters("cell", values).stage.motion
+    duration, straightness = _cycle(values, opcua_strokes)
     try:
         evaluation = evaluate_bag(bag)
         record = evaluation.record
@@ -144,6 +166,13 @@ def demonstrate(
     late = evaluation.stalls, evaluation.latency
     verdict = partial or judged_run(record, straightness, by_node(values), straightness, *late)
     return Demonstration(bag, evaluation, straightness, metrics, timing, verdict, unclean)
+
+
+def _cycle(values: Values, opcua_strokes: int) -> tuple[float, StraightnessMap]:
+    """Duration of the cycle in s, and the map."""
+    cell = node_parameters("cell", values)
+    duration = cycles(cell.stage.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
+    return duration, load_map(cell.stage.guide)
 
 
 @contextmanager

@@ -1,0 +1,48 @@
+"""What the rig of live strokes makes of its strokes; the strokes themselves are made up."""
+
+import json
+
+import pytest
+
+from straightcomp_ros.cell.demonstration import DemonstrationFailed
+from straightcomp_ros.parameters.share import share_path
+from trials import strokes
+from trials.__main__ import run
+
+pytestmark = pytest.mark.nightly
+PAIR = ["strokes", "--json", "--runs", "3", "--loads", "quiet", "--priorities", "0"]
+PAIR += ["--pair", str(share_path("config/stage_synthetic.yaml"))]
+
+
+@pytest.fixture
+def rig(monkeypatch, capsys):
+    """``rig(beside)``: exit code and output of a run whose strokes leave 0.1 µm, beside another stage ``beside`` µm."""
+
+    def rows(beside):
+        def made(condition, stages, folder):
+            if beside is None and len(condition.stages) > 1:
+                raise DemonstrationFailed("the driver died")
+            pp = 0.1 if len(condition.stages) == 1 else beside
+            return {stage: strokes.Stroke(pp, 3.0, 20.0, 75.0, 0, "in_order", "", "") for stage in condition.stages}
+
+        monkeypatch.setattr(strokes, "run_together", made)
+        code = run(PAIR)
+        return code, json.loads(capsys.readouterr().out)
+
+    return rows
+
+
+@pytest.mark.parametrize(("beside", "code"), [(0.12, 0), (0.13, 1)])
+def test_a_pair_passes_where_neither_stage_has_much_more_error_beside_the_other_than_alone(rig, beside, code):
+    found, printed = rig(beside)
+    assert found == code and printed["passed"] is not bool(code)
+    pairs = [one for one in printed["rows"] if len(one["stages"]) == 2]
+    assert [(one["graph"], one["stage"]) for one in pairs] == [(g, s) for g in strokes.GRAPHS for s in "ab"]
+    assert all(one["ratio_to_alone"] == pytest.approx(beside / 0.1) and one["strokes"] == 3 for one in pairs)
+    assert len(strokes.table(printed["rows"]).splitlines()) == 2 + len(printed["rows"])
+
+
+def test_a_stroke_that_failed_is_named_with_its_condition(rig):
+    code, printed = rig(None)
+    assert code == 1 and len(printed["failures"]) == 6
+    assert printed["failures"][0] == "separate_quiet_0_a_b/1: the driver died"

@@ -1,0 +1,235 @@
+"""Run many strokes of the whole graph in real time, in turns, and say what each condition costs in accuracy.
+
+The conditions are all combinations of --graphs (separate processes, or driver, feedforward and controller in one),
+--loads (quiet, or beside four busy processes and one that writes to the disk without a pause) and --priorities. With
+--pair the machine of a second stage file runs too: each stage alone, then both at once, in two namespaces. Exit code 1
+if a stroke failed, or if a stage has more than 1.2 times its error alone beside the other. Run it on a computer at
+rest; a stroke takes half a minute. Its bags are in --output, by condition."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import statistics
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from straightcomp_ros.cell.demonstration import DemonstrationFailed, judged, recorded
+from straightcomp_ros.cell.launcher import isolated_environment
+from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.output import print_json, require_ros
+from straightcomp_ros.offline.starts import Spread, spread
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from trials.rig import add_output, output, progress
+
+SUMMARY = "accuracy of live strokes: composed or separate, loaded or quiet, one stage or two"
+GRAPHS, LOADS = ("separate", "composed"), ("quiet", "busy")
+BUSY = 4
+LARGEST_RATIO = 1.2
+"""Of a stage's median error beside another stage to that alone."""
+_WRITE = """
+import os, sys
+while True:
+    with open(sys.argv[1], "wb") as file:
+        for _ in range(64):
+            file.write(bytes(1 << 20))
+        os.fsync(file.fileno())
+"""
+
+
+class Condition(NamedTuple):
+    """What a stroke runs under: ``stages`` are those that move at once, by name."""
+
+    graph: str
+    load: str
+    priority: int
+    stages: tuple[str, ...]
+
+
+class Stroke(NamedTuple):
+    """One stroke; in µm, mA and µs."""
+
+    pp_um: float
+    step_mA: float
+    latency_p50_us: float
+    latency_p99_us: float
+    lost_samples: int
+    verdict: str
+    reason: str
+    held_up: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_parameter_options(parser)
+    add = parser.add_argument
+    add("--runs", type=int, default=10, metavar="N", help="strokes of each condition (default: %(default)s)")
+    add("--graphs", nargs="+", choices=GRAPHS, default=GRAPHS, help="default: both")
+    add("--loads", nargs="+", choices=LOADS, default=LOADS, help="default: both")
+    priorities = "SCHED_FIFO priorities, 0 for none (default: 40 0)"
+    add("--priorities", nargs="+", type=int, default=(40, 0), metavar="P", help=priorities)
+    add("--pair", metavar="STAGE", help="stage file of a second machine: each alone, and both at once")
+    add_output(parser)
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exit code 1 if a stroke failed or a pair disturbs each other."""
+    require_ros()
+    check_range("--runs", options.runs, 1)
+    for priority in options.priorities:
+        check_range("--priorities", priority, 0, 98)
+    stages = {"a": chosen_parameters(options)}
+    if options.pair:
+        stages["b"] = shipped_parameters(stage=options.pair)
+    moving = [("a",), ("b",), ("a", "b")] if options.pair else [("a",)]
+    # Those that are compared come one right after the other.
+    conditions = [
+        Condition(graph, load, priority, together)
+        for load, priority, graph, together in itertools.product(
+            options.loads, options.priorities, options.graphs, moving
+        )
+    ]
+    strokes: dict[tuple[Condition, str], list[Stroke]] = {}
+    failures: list[str] = []
+    with output(options) as folder, progress() as advance:
+        for number, (turn, condition) in enumerate(itertools.product(range(options.runs), conditions)):
+            graph, load, priority, together = condition
+            advance(f"{graph}, {load}, priority {priority}", number / (options.runs * len(conditions)))
+            place = folder / f"{graph}_{load}_{priority}_{'_'.join(together)}" / str(turn + 1)
+            try:
+                for stage, stroke in run_together(condition, stages, place).items():
+                    strokes.setdefault((condition, stage), []).append(stroke)
+            except DemonstrationFailed as error:
+                failures.append(f"{place.relative_to(folder)}: {error}")
+    rows = [row(condition, stage, found) for (condition, stage), found in strokes.items()]
+    with_ratios(rows)
+    good = not failures and all(one.get("ratio_to_alone", 0.0) <= LARGEST_RATIO for one in rows)
+    if options.json:
+        print_json({"rows": rows, "failures": failures, "passed": good})
+    else:
+        print(table(rows))
+        print(*failures, sep="\n", end="\n" if failures else "")
+    return int(not good)
+
+
+def run_together(condition: Condition, stages: Mapping[str, Values], folder: Path) -> dict[str, Stroke]:
+    """One stroke of each stage of ``condition``, all at once; they are evaluated when all have ended.
+
+    Raises:
+        DemonstrationFailed: a graph failed.
+    """
+    chosen = {stage: at_priority(stages[stage], condition.priority) for stage in condition.stages}
+    environment, composed = isolated_environment(), condition.graph == "composed"
+    folders = {stage: folder / stage for stage in chosen}
+    for one in folders.values():
+        one.mkdir(parents=True)
+    # A process for each: a graph's nodes end with the thread that has started them.
+    with loaded(condition.load == "busy", folder), ProcessPoolExecutor(len(chosen), get_context("spawn")) as pool:
+        make = partial(recorded, environment=environment, composed=composed)
+        graphs = [pool.submit(make, values, folders[stage], namespace=stage) for stage, values in chosen.items()]
+        for graph in graphs:
+            graph.exception()
+    for graph in graphs:
+        graph.result()
+    return {stage: stroke_of(values, folders[stage]) for stage, values in chosen.items()}
+
+
+def at_priority(values: Values, priority: int) -> dict[str, dict[str, Any]]:
+    """``values`` with this SCHED_FIFO priority for all nodes; 0: no real-time scheduling, nor CPUs that stay awake."""
+    chosen = {node: dict(values.get(node, {})) for node in (*values, *NODE_PARAMETERS)}
+    for node in NODE_PARAMETERS:
+        chosen[node]["realtime.priority"] = priority
+    if not priority:
+        chosen["driver"]["realtime.keep_awake"] = False
+    return chosen
+
+
+def stroke_of(values: Values, folder: Path) -> Stroke:
+    """The figures of a recorded stroke."""
+    found = judged(values, folder)
+    figures = found.figures()
+    return Stroke(
+        figures["true_pp_um"],
+        figures["control_rms_step_A"] * 1e3,
+        *(figures[name] for name in ("latency_p50_us", "latency_p99_us", "lost_samples", "verdict", "reason")),
+        found.held_up,
+    )
+
+
+@contextmanager
+def loaded(busy: bool, folder: Path) -> Iterator[None]:
+    """Busy processes and one that writes to the disk, in sessions of their own like another user's programs."""
+    commands = [[sys.executable, "-c", "while True: pass"]] * BUSY
+    commands.append([sys.executable, "-c", _WRITE, str(folder / "written")])
+    with ExitStack() as stack:
+        for command in commands if busy else ():
+            process = stack.enter_context(subprocess.Popen(command, start_new_session=True))
+            stack.callback(process.kill)
+        yield
+    (folder / "written").unlink(missing_ok=True)
+
+
+def row(condition: Condition, stage: str, strokes: Sequence[Stroke]) -> dict[str, Any]:
+    """What the strokes of one stage under one condition left; the reasons are those of strokes not in order."""
+
+    def over(name: str) -> Spread:
+        return spread(getattr(one, name) for one in strokes)
+
+    return {
+        **condition._asdict(),
+        "stages": list(condition.stages),
+        "stage": stage,
+        "strokes": len(strokes),
+        "pp_um": over("pp_um")._asdict(),
+        "step_mA": over("step_mA")._asdict(),
+        **{name: statistics.median(getattr(one, name) for one in strokes) for name in Stroke._fields[2:4]},
+        "lost_samples": sum(one.lost_samples for one in strokes),
+        "not_in_order": [f"{one.verdict}: {one.reason}" for one in strokes if one.verdict != "in_order"],
+        "held_up": [one.held_up for one in strokes if one.held_up],
+    }
+
+
+def with_ratios(rows: Sequence[dict[str, Any]]) -> None:
+    """Add to each row of a stage beside another one the ratio of its median error to that alone."""
+    alone = {
+        (one["graph"], one["load"], one["priority"], one["stage"]): one["pp_um"]["median"]
+        for one in rows
+        if len(one["stages"]) == 1
+    }
+    for one in rows:
+        key = one["graph"], one["load"], one["priority"], one["stage"]
+        if len(one["stages"]) > 1 and key in alone:
+            one["ratio_to_alone"] = one["pp_um"]["median"] / alone[key]
+
+
+_HEADS = (
+    *("graph", "load", "priority", "stage", "p-p [µm]", "step [mA]", "latency p50, p99 [µs]"),
+    *("lost", "not in order", "held up", "strokes"),
+)
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown."""
+    lines = [_HEADS, ("---",) * len(_HEADS)]
+    for one in rows:
+        beside = f", both: × {one['ratio_to_alone']:.2f}" if "ratio_to_alone" in one else ""
+        lines.append(
+            (
+                *(str(one[name]) for name in ("graph", "load", "priority")),
+                f"{one['stage']}{beside}",
+                Spread(**one["pp_um"]).text(3),
+                Spread(**one["step_mA"]).text(2),
+                f"{one['latency_p50_us']:.0f}, {one['latency_p99_us']:.0f}",
+                *(str(number) for number in (one["lost_samples"], len(one["not_in_order"]), len(one["held_up"]))),
+                str(one["strokes"]),
+            )
+        )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
