@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
-from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.cell.launcher import COMPOSED, verb_command
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import RecordedBus
@@ -90,8 +90,9 @@ class Watch:
         raise AssertionError("the board never did what was waited for")
 
 
-def test_a_stroke_through_hub_and_board_is_recorded(tmp_path, values):
-    result = demonstrate(values, tmp_path)
+@pytest.mark.parametrize("composed", [False, pytest.param(True, marks=pytest.mark.nightly)])
+def test_a_stroke_through_hub_and_board_is_recorded(tmp_path, values, composed):
+    result = demonstrate(values, tmp_path, composed=composed)
     figures = result.figures()
     assert figures["expected_samples"] >= RATE * 3
     assert figures["lost_samples"] < 0.05 * figures["expected_samples"]
@@ -103,8 +104,9 @@ def test_a_stroke_through_hub_and_board_is_recorded(tmp_path, values):
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize("driving", ["driver", COMPOSED])
 def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_switch_off(
-    graph, operator, values, tmp_path
+    graph, operator, values, tmp_path, driving
 ):
     frame_log = values["driver"]["can.log"] = str(tmp_path / "frames.log")
     file = tmp_path / "parameters.yaml"
@@ -113,7 +115,8 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     hub = graph.start_program("hub", verb_command("can", "hub", "--socket", channel))
     board = graph.start_program("board", verb_command("dsp", "--params-file", str(file)))
     bag = tmp_path / "bag"
-    processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in NODES}
+    names = NODES if driving == "driver" else (COMPOSED, "logger")
+    processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in names}
     operator.switch_on()
     waypoints = forward_and_back(MotionParameters(stroke=0.3, settle=0.0))
     operator.trajectory.publish(message_from_waypoints(waypoints))
@@ -121,7 +124,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     moved_ns = time.time_ns()
 
     board.send_signal(signal.SIGKILL)
-    log = graph.log("driver")
+    log = graph.log(driving)
     operator.until(lambda: "no good sample" in log.read_text() or "no heartbeat" in log.read_text())
     assert not operator.enable().success
     assert all(process.poll() is None for process in [hub, *processes.values()])
@@ -143,7 +146,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
         watch = Watch(bus, wire)
         # On, and commanded, before the kill: what follows is an answer to it.
         watch.until(Amplifier.ON)
-        processes["driver"].send_signal(signal.SIGKILL)
+        processes[driving].send_signal(signal.SIGKILL)
         frame = watch.until(Amplifier.FAULT)
     assert frame.fault == wire.fault_codes[BoardFault.COMMAND_TIMEOUT]
     # By the board's own count, so that a busy computer takes no part. No command acts before the sample it answers.
