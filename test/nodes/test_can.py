@@ -67,6 +67,7 @@ def values(request, short_cycle, tmp_path):
         short_cycle["driver"]["can.firmware"] = str(request.getfixturevalue("firmware") / request.param)
     for node in NODE_PARAMETERS:
         short_cycle[node]["realtime.priority"] = 0
+    short_cycle["driver"]["realtime.exclusive"] = False
     return short_cycle
 
 
