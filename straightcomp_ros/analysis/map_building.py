@@ -114,19 +114,19 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     come from, ``inputs`` are words for the provenance. SurveyError if the runs do not fit together, too few are left,
     or the correction exceeds the platform's travel.
     """
-    grid = MAP.min_points, MAP.max_gap
-    kept, lost_runs, lost_points = _agreeing(survey, *on_common_grid(survey, *grid), choices.limit)
+    kept, lost_runs, lost_points = agreeing(survey, choices.limit)
     if not kept:
         raise SurveyError(f"survey {survey.source}: no run is left after the rejection of outliers")
-    survey = Survey(tuple(kept), survey.source)
-    x, values = on_common_grid(survey, *grid)
+    survey = replace(survey, runs=tuple(kept))
+    x, values = on_common_grid(survey, MAP.min_points, MAP.max_gap)
     mean = repeatability(survey, x, values).mean
     slope, height = np.polyfit(x, mean, 1) if choices.level else (0.0, float(mean.mean()))
     zeroed = [replace(run, deviation=run.deviation - (height + slope * run.x)) for run in kept]
-    survey = Survey(tuple(zeroed), survey.source)
+    survey = replace(survey, runs=tuple(zeroed))
     straightness = StraightnessMap(survey, replace(MAP, smooth=choices.smooth))
     by, spread = origin(), straightness.report.bidirectional
     provenance = {
+        **survey.facts,
         "made by": f"straightcomp map build, {by['package']} {by['version']} ({by['revision']}), "
         f"{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC",
         "source": f"{source.absolute().name}, sha256 {_digest(source)}",
@@ -141,10 +141,10 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     return BuiltMap(survey, straightness, lost_points, lost_runs, provenance)
 
 
-def _agreeing(
-    survey: Survey, x: NDArray[np.float64], values: NDArray[np.float64], limit: float
-) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
-    """The runs without outliers, in their order; names of rejected runs; rejected points."""
+def agreeing(survey: Survey, limit: float) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
+    """The runs without outliers, in their order; names of rejected runs; rejected points. SurveyError if the runs do
+    not fit together."""
+    x, values = on_common_grid(survey, MAP.min_points, MAP.max_gap)
     outlier = np.zeros(values.shape, np.bool_)
     rejected = np.zeros(len(values), np.bool_)
     for direction in ("forward", "backward"):

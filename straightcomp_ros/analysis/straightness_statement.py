@@ -210,14 +210,19 @@ def _finite(*columns: Array) -> Samples:
 
 
 def _map_input(straightness: StraightnessMap | None, seen: bool) -> Input:
-    """By the standard deviation of the map, RMS over x. Where smoothing made it smaller by the factor f than that of a
-    point of the survey, the map has 1/f² times fewer independent points."""
+    """By the standard deviation of the map, RMS over x."""
     if straightness is None:
         return Input("map", None, np.empty(0), seen)
+    deviation = float(np.sqrt(np.mean(straightness.noise.deviation**2)))
+    return Input("map", deviation, independent_points(straightness), seen)
+
+
+def independent_points(straightness: StraightnessMap) -> Array:
+    """The x in m at which errors of the map are independent, with a spline between: where smoothing made its standard
+    deviation smaller by the factor f than that of a point of the survey, 1/f² times fewer than the survey's points."""
     noise, points = straightness.noise, straightness.report.x
-    deviation = float(np.sqrt(np.mean(noise.deviation**2)))
-    left = min(1.0, deviation / noise.point) ** 2 if noise.point else 1.0
-    return Input("map", deviation, np.linspace(*straightness.span, max(4, round(left * points.size))), seen)
+    left = min(1.0, float(np.sqrt(np.mean(noise.deviation**2))) / noise.point) ** 2 if noise.point else 1.0
+    return np.linspace(*straightness.span, max(4, round(left * points.size)))
 
 
 def _of_stroke(time: Array, x: Array, curve: Array) -> tuple[float, ...]:

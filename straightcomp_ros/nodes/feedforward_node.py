@@ -43,7 +43,7 @@ class FeedforwardComponent:
     def __init__(self, node: ManagedNode, parameters: FeedforwardNodeParameters) -> None:
         self._node, self._parameters = node, parameters
         self._map = load_map(parameters.stage.guide)
-        node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map}")
+        self._report_map()
         self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
         self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
@@ -77,11 +77,16 @@ class FeedforwardComponent:
 
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
-            self._node.get_logger().info(f"map {parameters.stage.guide.file}: {straightness}")
+            self._report_map()
             if not self._centred:
                 self._feedforward.change(straightness.reference)
 
         return take_over
+
+    def _report_map(self) -> None:
+        self._node.get_logger().info(f"map {self._parameters.stage.guide.file}: {self._map}")
+        if wrong := self._map.mismatch():
+            self._node.get_logger().error(wrong)
 
     def _loaded(self, parameters: MapParameters) -> StraightnessMap:
         """Read a map in the worker thread and answer samples meanwhile: it takes longer than the controller waits."""

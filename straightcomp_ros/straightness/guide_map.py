@@ -42,6 +42,12 @@ class MapParameters:
         "a number >= 0 multiplies the amount of auto",
     )
 
+    reference: str = parameter(
+        "",
+        "Encoder's reference that x of the machine is counted from, in the words of the survey's line `# encoder "
+        "reference: …`; empty: not known",
+    )
+
     def __post_init__(self) -> None:
         if self.smooth not in ("auto", "none"):
             with suppress(ValueError):
@@ -61,6 +67,7 @@ class StraightnessMap:
     moves straight along the line that the survey was measured against.
 
     Attributes:
+        source, mark: of the survey.
         report: agreement of the runs.
         noise: what the survey's noise leaves in the map.
         span: first and last x of the survey in m.
@@ -72,6 +79,7 @@ class StraightnessMap:
 
     def __init__(self, survey: Survey, parameters: MapParameters = MapParameters()) -> None:
         x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
+        self.source, self.mark, self._reported = survey.source, survey.mark, parameters.reference
         self.report = repeatability(survey, x, values)
         first, last = self.span = (float(x[0]), float(x[-1]))
         spline, self.noise = smoothed(survey, x, values, self.report.mean, parameters.smooth)
@@ -110,7 +118,18 @@ class StraightnessMap:
         self._tables = (np.array(breaks), np.array(pieces).T)
 
     def __str__(self) -> str:
-        return f"{self.report}; {self.noise}"
+        return "; ".join(filter(None, (str(self.report), str(self.noise), self.mismatch())))
+
+    def mismatch(self, reported: str | None = None) -> str:
+        """What is wrong where the machine's x is counted from another reference of the encoder than the survey's:
+        ``reported`` by the machine, or by its description. Empty where they agree, or one is not known."""
+        reported = self._reported if reported is None else reported
+        if not (self.mark and reported) or self.mark == reported:
+            return ""
+        return (
+            f"survey {self.source}: x is counted from {self.mark!r}, the machine's from {reported!r}: the map is "
+            "shifted; straightcomp map align finds by how much"
+        )
 
     def reference(self, x: float) -> tuple[float, float, float]:
         """r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN."""

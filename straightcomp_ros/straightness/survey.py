@@ -18,7 +18,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
 
@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from straightcomp_ros.parameters.output_files import write_whole
 
 Direction = Literal["forward", "backward"]
+MARK = "encoder reference"
+"""Name of the fact that says which reference of the encoder x was counted from."""
 Groups = dict[tuple[str, Direction | None], list[tuple[int, float, float]]]
 """Points (line, x in m, deviation in m) by the name and the direction of their run."""
 
@@ -101,10 +103,17 @@ class Run:
 
 @dataclass(frozen=True)
 class Survey:
-    """All runs of a survey, in the order of the file; ``source`` is the file's name for messages."""
+    """All runs of a survey, in the order of the file; ``source`` is the file's name for messages. ``facts`` are what
+    the comments at the file's head say as ``name: text``, by name."""
 
     runs: tuple[Run, ...]
     source: str = "survey"
+    facts: Mapping[str, str] = field(default_factory=dict, compare=False)
+
+    @property
+    def mark(self) -> str:
+        """The encoder's reference that x was counted from; empty if the file does not name it."""
+        return self.facts.get(MARK, "")
 
     def in_direction(self, direction: Direction) -> tuple[Run, ...]:
         """The runs of one direction."""
@@ -138,11 +147,12 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A CSV file of a survey: its normalised header, the columns of x and deviation, and its rows."""
+    """A CSV file of a survey: its normalised header, the columns of x and deviation, its rows, and its facts."""
 
     header: list[str]
     columns: tuple[str, str]
     rows: list[Row]
+    facts: dict[str, str]
 
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
@@ -176,7 +186,8 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
         SurveyError: the file cannot be read or is empty, lacks a column or has it twice, has a row of another length,
             a cell that is no finite number, or numbers with points and commas in one another's place.
     """
-    lines = list(numbered_lines(path, r"^\s*#.*"))
+    every = list(numbered_lines(path))
+    lines = [(line, text) for line, text in every if not text.lstrip().startswith("#")]
     if not lines:
         raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
     own = {}
@@ -211,7 +222,8 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
         # Division keeps a decimal number the nearest float.
         at = number(where, x, cells[x]) / X.columns[x]
         found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
-    return Table(header, (x, deviation), found)
+    comments = (text.strip(" \t#").partition(": ") for _, text in every if text.lstrip().startswith("#"))
+    return Table(header, (x, deviation), found, {name: text.strip() for name, colon, text in comments if colon})
 
 
 def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str]:
@@ -323,7 +335,7 @@ def read_survey(
             raise SurveyError(f"{where}: {len(points)} points; allowed: >= {min_points} (min_points)")
         runs.append(orient(where, name, way, points))
         check_run(where, runs[-1], max_gap, table.columns)
-    return Survey(tuple(runs), str(path))
+    return Survey(tuple(runs), str(path), table.facts)
 
 
 def _passages(groups: Groups, min_points: int) -> Groups:

@@ -28,6 +28,7 @@ friction --excitation || friction --excitation p.yaml --force
 history add --store | history add smc -o store --jobs 1 | history add uncompensated smc -o store --jobs 1 --again
 history advise --output | history add smc -o store --jobs 1; history advise store -o out
 history report --output | history add smc -o store --jobs 1; history report store -o out
+map align --output || map align s.csv survey --invert -o p.yaml --force
 map build --output --plot || map build survey -o p.yaml --plot r.png --force
 map convert --output | map export -o t.cal | map convert t.cal -o p.yaml --force
 map reverse --output --edge || map reverse s.csv s.csv -o p.yaml --edge t.cal --force
@@ -50,7 +51,7 @@ EMPTY = {"bench graph --output"}
 """It writes into a new or empty folder."""
 READ = re.compile(
     "--(bag|board|certificates|check-survey|compare|firmware|limits|maintenance|map|params-file|server-certificate|"
-    "socket|stage|survey)|bag|bags|file|log|source|stage|store"
+    "socket|stage|survey)|bag|bags|file|log|sources?|stage|store|survey"
 )
 PATHS = {"BAG", "BAG2", "CSV", "DIR", "FILE", "FOLDER", "LOG", "PATH", "SOURCE", "STAGE", "STORE"}
 LONG = {"reproduce --output": 5}

@@ -208,8 +208,11 @@ def _middles(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[n
     return np.array([np.median(values[group == one]) for one in range(group.max() + 1)])[group]
 
 
-def build_from_series(series: Series, source: Path, choices: Choices) -> tuple[BuiltMap, tuple[Passage, ...]]:
-    """Recognise the runs of a recording, and :func:`build` the map; SurveyError also if there is no run."""
+def build_from_series(
+    series: Series, source: Path, choices: Choices, facts: Mapping[str, str]
+) -> tuple[BuiltMap, tuple[Passage, ...]]:
+    """Recognise the runs of a recording, and :func:`build` the map with these ``facts``; SurveyError also if there is
+    no run."""
     passages, partial = recognise(series, choices.step, choices.limit)
     for run in (passage.run for passage in passages):
         where = f"survey {series.source}, run '{run.name}' {run.direction}"
@@ -219,7 +222,7 @@ def build_from_series(series: Series, source: Path, choices: Choices) -> tuple[B
                 f"a smaller step than {choices.step * 1e3:g} mm gives more"
             )
         check_run(where, run, MAP.max_gap)
-    built = build(Survey(tuple(p.run for p in passages), series.source), source, choices, series.inputs)
+    built = build(Survey(tuple(p.run for p in passages), series.source, facts), source, choices, series.inputs)
     counts = {
         "partial_runs": partial,
         "samples": sum(passage.samples for passage in passages),

@@ -10,18 +10,22 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import PICTURES, add_force, add_json, check_range, output_file
+from straightcomp_ros.cli.options import PICTURES, add_force, add_json, add_repeatable, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, print_written
 from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
+from straightcomp_ros.straightness.survey import MARK
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.map_building import BuiltMap
+    from straightcomp_ros.straightness.survey import Survey
     from straightcomp_ros.tuning.survey.error_table import Conventions
-    from straightcomp_ros.tuning.survey.recording import Passage
+    from straightcomp_ros.tuning.survey.recording import Passage, Series
 
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 PURPOSE = "set up"
+_OUTLIERS = 6.0
+"""Robust standard deviations beyond which a reading is a spike."""
 _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
 
 
@@ -31,7 +35,13 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
     add_force(parser)
     add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
-    add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
+    add(
+        "--outliers",
+        type=float,
+        default=_OUTLIERS,
+        metavar="K",
+        help="robust standard deviations (default: %(default)g)",
+    )
     add("--level", action="store_true", help="take the least squares line out, not only the mean")
     smooth = "auto, none or a factor of auto: how much noise the map leaves out (default: %(default)s)"
     add("--smooth", default="auto", metavar="HOW", help=smooth)
@@ -39,7 +49,28 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     for quantity in ("x", "deviation"):
         own = f"the CSV file's own name for the column of {quantity}, which ends with its unit"
         add(f"--{quantity}-column", metavar="NAME", help=own)
+    _add_notes(parser)
     add_json(parser)
+    _add_sensor(parser)
+
+
+def _add_notes(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--note``."""
+    text = f"a line for the head of the file: instrument, machine, operator, {MARK!r} …"
+    add_repeatable(parser, "--note", "NAME=TEXT", text)
+
+
+def _noted(options: argparse.Namespace) -> dict[str, str]:
+    """The ``--note``s by name."""
+    notes = [note.partition("=") for note in options.note]
+    for name, equals, text in notes:
+        if not (equals and name.strip() and text.strip()) or ": " in name or not (name + text).isprintable():
+            raise CommandFailed(f"--note {name + equals + text!r}; allowed: NAME=TEXT on one line", exit_code=2)
+    return {name.strip(): text.strip() for name, _, text in notes}
+
+
+def _add_sensor(parser: argparse.ArgumentParser) -> None:
+    """Declare how the stage's x and the sensor are read from a bag."""
     add = parser.add_argument_group("what to read from a bag").add_argument
     stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}]; formerly --stage)"
     add("--position", "--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
@@ -95,12 +126,9 @@ def _build(options: argparse.Namespace) -> None:
 
 def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     from straightcomp_ros.analysis.map_building import Choices, build
-    from straightcomp_ros.bags.fields import Field
-    from straightcomp_ros.bags.folder import STORED
     from straightcomp_ros.parameters.declaration import ParameterError
     from straightcomp_ros.straightness.guide_map import MapParameters
-    from straightcomp_ros.straightness.survey import read_survey
-    from straightcomp_ros.tuning.survey.recording import Sensor, build_from_series, series_of_bag, series_of_csv
+    from straightcomp_ros.tuning.survey.recording import Series, build_from_series
 
     try:
         choices = Choices(
@@ -108,7 +136,20 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
         )
     except ParameterError as error:
         raise CommandFailed(f"--smooth: {error}", exit_code=2) from error
-    source = Path(options.source)
+    source, noted = Path(options.source), _noted(options)
+    read = _read(source, options)
+    if isinstance(read, Series):
+        return build_from_series(read, source, choices, noted)
+    return build(replace(read, facts={**read.facts, **noted}), source, choices), ()
+
+
+def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
+    """What a bag or a CSV file has recorded over time, or the survey in a file."""
+    from straightcomp_ros.bags.fields import Field
+    from straightcomp_ros.bags.folder import STORED
+    from straightcomp_ros.straightness.survey import read_survey
+    from straightcomp_ros.tuning.survey.recording import Sensor, series_of_bag, series_of_csv
+
     if not source.exists():
         raise CommandFailed(f"survey {source} does not exist; give a bag or a CSV file", exit_code=2)
     if source.is_dir() or STORED.fullmatch(source.name):
@@ -118,13 +159,10 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
         except ValueError as error:
             raise CommandFailed(f"--position or --sensor: {error}", exit_code=2) from error
         sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
-        return build_from_series(series_of_bag(source, stage, sensor), source, choices)
-    own = {"x": options.x_column, "deviation": options.deviation_column}
+        return series_of_bag(source, stage, sensor)
+    own = {quantity: getattr(options, f"{quantity}_column", None) for quantity in ("x", "deviation")}
     names = {quantity: name for quantity, name in own.items() if name is not None}
-    series = series_of_csv(source, names)
-    if series is not None:
-        return build_from_series(series, source, choices)
-    return build(read_survey(source, names=names), source, choices), ()
+    return series_of_csv(source, names) or read_survey(source, names=names)
 
 
 def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
@@ -318,7 +356,93 @@ def _reverse(options: argparse.Namespace) -> None:
     notes.print(f"survey of the guide: {output}")
 
 
+def _align_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("survey", metavar="SURVEY", help="survey of the map (CSV)")
+    add("sources", metavar="SOURCE", nargs="+", help="bag, or CSV file, of strokes with a displacement sensor")
+    add("--output", "-o", metavar="FILE", help="write the survey corrected; without it nothing is written")
+    add("--reach", type=float, default=20.0, metavar="MM", help="largest shift to each side (default: %(default)g)")
+    add("--step", type=float, default=1.0, metavar="MM", help="length that makes one point (default: %(default)g)")
+    add("--residual", action="store_true", help="the readings are what is left with this map, not the guide itself")
+    add("--tilt", action="store_true", help="correct the tilt too: the sensor's line becomes the map's")
+    _add_notes(parser)
+    add_force(parser)
+    add_json(parser)
+    _add_sensor(parser)
+
+
+def _align(options: argparse.Namespace) -> None:
+    """Find zero and scale of a survey's x, its sign and its tilt, from a few strokes over the same guide with a
+    displacement sensor, and write a corrected survey if asked to.
+
+    The strokes cover most of the survey, best in both directions. A sensor that rides on the platform needs
+    --on-platform, which takes the platform's own y off."""
+    from straightcomp_ros.analysis.map_building import agreeing
+    from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
+    from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
+    from straightcomp_ros.tuning.survey.alignment import align
+    from straightcomp_ros.tuning.survey.recording import Series, recognise
+
+    for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0), ("delay", -1000.0, 1000.0)):
+        check_range(f"--{name}", getattr(options, name), low, high)
+    output, noted = output_file(options, "--output"), _noted(options)
+    try:
+        survey = read_survey(options.survey)
+        straightness, strokes = StraightnessMap(survey, MapParameters(travel=0.01)), []
+        for source in map(Path, options.sources):
+            read = _read(source, options)
+            if isinstance(read, Series):
+                passages = recognise(read, options.step * 1e-3, _OUTLIERS)[0]
+                read = Survey(tuple(one.run for one in passages), str(source))
+            kept, rejected, _ = agreeing(read, _OUTLIERS)
+            strokes += kept
+            for name in rejected:
+                notes.print(f"{source}: run {name} is rejected: it differs from the others")
+        if options.residual:
+            strokes = [replace(run, deviation=run.deviation + straightness.deviations(run.x)) for run in strokes]
+        found = align(straightness, strokes, options.reach * 1e-3)
+    except SurveyError as error:
+        raise CommandFailed(str(error)) from error
+    units = {"shift": ("mm", 1e3), "scale": ("1e-6", 1e6), "gain": ("", 1.0), "tilt": ("um_per_m", 1e6)}
+    figures: dict[str, Any] = {"strokes": len(strokes), "told": found.found, "sign": found.sign}
+    for name, (unit, factor) in {**units, "lag": ("mm", 1e3)}.items():
+        one = getattr(found, name)
+        column = f"{name}_{unit}".rstrip("_")
+        figures[column] = one and one.value * factor
+        figures[f"{column}_95"] = one and one.half_width * factor
+    figures |= {"middle_mm": found.middle * 1e3}
+    figures |= {"unexplained_before_rms_um": found.before * 1e6, "unexplained_after_rms_um": found.after * 1e6}
+    told = found.found and (found.differs or (options.tilt and found.tilt.seen))
+    if told and output is not None:
+        taken = f"shift {found.shift.value * 1e3:.4g} mm, scale {found.scale.value:.3g}, sign {found.sign}"
+        by = f"straightcomp map align, from {', '.join(Path(source).name for source in options.sources)}: {taken}"
+        facts = {name: text for name, text in survey.facts.items() if name != MARK} | {"aligned by": by} | noted
+        write_survey(output, found.applied(survey, options.tilt), [f"{name}: {text}" for name, text in facts.items()])
+    if options.json:
+        print_json({**figures, "output": options.output if told else None})
+    else:
+        console.print(figures_table(f"Survey {options.survey} in the machine", figures))
+    if found.changed:
+        notes.print("more is left than the noise of sensor and survey: the guide has changed, or the sensor drifts")
+    if found.ambiguous is not None:
+        raise CommandFailed(
+            f"a shift of {found.ambiguous * 1e3:.4g} mm explains the strokes as well as one of "
+            f"{found.shift.value * 1e3:.4g} mm: nothing can be told; record longer strokes, or give a shorter --reach"
+        )
+    if not found.found:
+        raise CommandFailed("the guide is too flat for this sensor: its strokes tell neither zero nor sign")
+    if options.json:
+        return
+    if not told:
+        notes.print("the survey fits: no difference exceeds its 95 % interval; nothing to correct")
+    elif output is not None:
+        print_written(output, then=f"straightcomp map build {quote(str(output))}, and name it in stage.guide.file")
+    else:
+        notes.print("nothing is written: -o FILE writes the survey with what exceeds its 95 % interval corrected")
+
+
 TOOLS = {
+    "align": Tool("find zero, scale, sign and tilt of a survey by strokes with a sensor", _align_arguments, _align),
     "build": Tool("map from a bag of survey runs, or from CSV", _build_arguments, _build),
     "convert": Tool("make a survey of an instrument's or a controller's file", _convert_arguments, _convert),
     "export": Tool("write the map as a controller's error table", _export_arguments, _export),

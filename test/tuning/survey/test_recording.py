@@ -289,7 +289,7 @@ def test_a_recording_as_csv_that_is_none_is_refused(tmp_path, rows, words):
     path = tmp_path / "series.csv"
     path.write_text("time_s,x_mm,deviation_um\n" + rows)
     with pytest.raises(SurveyError, match=words):
-        build_from_series(series_of_csv(path), path, CHOICES)
+        build_from_series(series_of_csv(path), path, CHOICES, {})
 
 
 def test_a_spike_is_further_out_than_so_many_robust_standard_deviations():

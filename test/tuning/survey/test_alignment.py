@@ -1,0 +1,139 @@
+"""Alignment finds zero, scale, sign and tilt of a survey from three strokes, and how well it knows them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey, write_survey
+from straightcomp_ros.tuning.survey.alignment import align
+
+U = np.linspace(0.0, 1.76, 177)
+MIDDLE, REACH, TILT, LAG = 0.88, 20e-3, 5e-6, 0.2e-3
+GUIDE = load_map().deviations
+SENSOR = 0.05e-6
+
+
+def surveyed(random, noise=0.0, shift=0.0, scale=0.0, sign=1, guide=GUIDE, runs=6):
+    """A survey of ``guide`` whose own x lies in the machine by ``shift`` and ``scale``."""
+    true = sign * guide(U + shift + scale * (U - MIDDLE))
+    ways = ("forward", "backward") * 3
+    return Survey(tuple(Run(str(k), ways[k], U, true + random.normal(0.0, noise, U.size)) for k in range(runs)))
+
+
+def stroked(random, guide=GUIDE, sensor=SENSOR, a_mm=6, span=(0.0, 1.76)):
+    """Forward, backward and forward at 0.3 m/s: of the readings ``a_mm`` make a point every millimetre."""
+    strokes = []
+    for name, way in enumerate((1.0, -1.0, 1.0)):
+        x = np.arange(*span, 1e-3) + random.uniform(0.0, 1e-3)
+        line = TILT * (x - MIDDLE) + random.normal(0.0, 1e-6)
+        noise = random.normal(0.0, sensor / np.sqrt(a_mm), x.size)
+        strokes.append(Run(str(name), "forward" if way > 0 else "backward", x, guide(x - LAG * way) + line + noise))
+    return strokes
+
+
+def aligned(survey, strokes, reach=REACH):
+    return align(StraightnessMap(survey, MapParameters(travel=0.01)), strokes, reach)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_three_strokes_find_a_shift_of_1_mm_within_a_tenth_a_scale_of_1e_4_within_2e_5_and_the_sign(sign):
+    random = np.random.default_rng(0)
+    survey = surveyed(random, shift=1e-3, scale=1e-4, sign=sign)
+    found = aligned(survey, stroked(random))
+    assert found.found and found.sign == sign
+    assert found.shift.value == pytest.approx(1e-3, abs=0.1e-3)
+    assert found.scale.value == pytest.approx(1e-4, abs=2e-5)
+    corrected = StraightnessMap(found.applied(survey), MapParameters(smooth="none"))
+    x = np.linspace(0.01, 1.75, 500)
+    assert corrected.deviations(x) == pytest.approx(GUIDE(x), abs=4e-9)
+    tilted = found.applied(survey, tilt=True).runs[0].deviation - found.applied(survey).runs[0].deviation
+    assert np.ptp(tilted) == pytest.approx(TILT * 1.76, rel=1e-3)
+
+
+@pytest.mark.parametrize("draws", [40, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_each_interval_holds_the_truth_in_95_percent_of_draws_and_the_sign_is_never_wrong(draws):
+    held = []
+    for seed in range(draws):
+        random = np.random.default_rng(seed)
+        shift, scale, sign = random.uniform(-5e-3, 5e-3), random.uniform(-3e-4, 3e-4), random.choice([-1, 1])
+        found = aligned(surveyed(random, 2e-8, shift, scale, sign), stroked(random))
+        assert found.found and found.sign == sign
+        true = (shift, scale, sign, TILT, LAG)
+        held.append([abs(e.value - v) <= e.half_width for e, v in zip(found[1:6], true, strict=True)])
+    few = 0.93 - 1.0 / np.sqrt(draws) * (draws < 1000)
+    assert np.all(np.mean(held, axis=0) >= few)
+    assert np.all(np.mean(held, axis=0) <= 0.97) or draws < 1000
+
+
+def test_a_guide_that_is_too_flat_or_the_same_again_and_again_tells_nothing():
+    random = np.random.default_rng(3)
+    flat = [replace(run, deviation=random.normal(0.0, SENSOR, run.x.size)) for run in stroked(random)]
+    assert not aligned(surveyed(random, 2e-8, guide=lambda x: 0.01 * GUIDE(x)), flat).found
+
+    def wave(x):
+        return 1e-6 * np.sin(2.0 * np.pi * x / 0.03)
+
+    found = aligned(surveyed(random, 1e-8, guide=wave), stroked(random, wave))
+    # Half a wave further the other sign fits.
+    halves = (found.ambiguous - found.shift.value) / 0.015
+    assert halves == pytest.approx(round(halves), abs=0.05) and round(halves) and not found.found
+
+
+def test_a_shift_beyond_the_reach_and_strokes_over_less_than_half_of_the_survey_are_refused():
+    random = np.random.default_rng(4)
+    with pytest.raises(SurveyError, match="beyond a shift of 2 mm"):
+        aligned(surveyed(random, shift=3e-3), stroked(random), 2e-3)
+    with pytest.raises(SurveyError, match="less than half"):
+        aligned(surveyed(random), stroked(random, span=(0.2, 1.0)))
+
+
+def test_what_the_guide_has_become_since_the_survey_widens_the_intervals():
+    def worn(x):
+        return GUIDE(x) + 0.3e-6 * np.sin(2.0 * np.pi * x / 0.4)
+
+    random = np.random.default_rng(5)
+    survey = surveyed(random, 1e-8)
+    sound, changed = (aligned(survey, stroked(random, guide)) for guide in (GUIDE, worn))
+    assert (sound.changed, changed.changed) == (False, True)
+    assert changed.shift.uncertainty > 5.0 * sound.shift.uncertainty
+    assert abs(changed.shift.value) < changed.shift.half_width
+
+
+def test_the_verb_writes_the_corrected_survey_only_when_asked_and_stage_check_names_another_reference(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(6)
+    survey = surveyed(random, 1e-8, shift=1e-3, sign=-1)
+    write_survey("survey.csv", survey, ["encoder reference: index 3", "instrument: probe 7"])
+    write_survey("strokes.csv", Survey(tuple(stroked(random))))
+    line = ["map", "align", "survey.csv", "strokes.csv"]
+    assert main([*line, "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert (figures["sign"], figures["output"]) == (-1, None) and len(list(tmp_path.iterdir())) == 2
+    assert figures["shift_mm"] == pytest.approx(1.0, abs=figures["shift_mm_95"])
+    assert main([*line, "-o", "new.csv", "--note", "encoder reference=index 4"]) == 0
+    written = read_survey("new.csv")
+    assert written.mark == "index 4" and written.facts["instrument"] == "probe 7"
+    assert "straightcomp map align" in written.facts["aligned by"]
+    assert main(["map", "align", "new.csv", "strokes.csv", "-o", "again.csv"]) == 0
+    assert "nothing to correct" in capsys.readouterr().err and not (tmp_path / "again.csv").exists()
+    # What is left with the map as it is, as a sensor on the workpiece sees it.
+    left = [replace(run, deviation=run.deviation - load(survey).deviations(run.x)) for run in stroked(random)]
+    write_survey("left.csv", Survey(tuple(left)))
+    assert main(["map", "align", "survey.csv", "left.csv", "--residual", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["shift_mm"] == pytest.approx(1.0, abs=0.1)
+    named = ["stage", "new", "mine", "--yes", "--survey", "new.csv", "--set", "stage.guide.reference='index 4'"]
+    assert main(named) == 0 and main(["stage", "check", "mine/stage.yaml"]) == 0
+    (tmp_path / "mine" / "survey.csv").write_bytes((tmp_path / "survey.csv").read_bytes())
+    capsys.readouterr()
+    assert main(["stage", "check", "mine/stage.yaml"]) == 1
+    assert "'index 3'" in (out := capsys.readouterr().out) and "'index 4'" in out
+
+
+def load(survey):
+    return StraightnessMap(survey, MapParameters())
