@@ -314,46 +314,62 @@ def _export(options: argparse.Namespace) -> None:
 
 
 def _reverse_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("normal", metavar="SURVEY_NORMAL", help="survey with the straightedge as it was")
-    parser.add_argument("turned", metavar="SURVEY_REVERSED", help="survey with straightedge and sensor turned over")
-    parser.add_argument("--output", "-o", required=True, metavar="FILE", help="survey of the guide to write (CSV)")
-    parser.add_argument("--edge", metavar="FILE", help="also write the straightedge's own deviation, as a survey")
+    add = parser.add_argument
+    add("normal", metavar="SURVEY_NORMAL", help="survey with the straightedge as it was")
+    add("second", metavar="SURVEY_2", help="survey with straightedge and sensor turned over, or with one of them moved")
+    add("--output", "-o", required=True, metavar="FILE", help="survey of the guide to write (CSV)")
+    add("--edge", metavar="FILE", help="also write the straightedge's own deviation, as a survey")
+    add("--shift", type=float, metavar="MM", help="SURVEY_2 is not turned over, but moved by this towards larger x")
+    moved = "what was moved by --shift (default: %(default)s)"
+    add("--moved", choices=("straightedge", "sensor"), default="straightedge", help=moved)
     add_force(parser)
     add_json(parser)
 
 
 def _reverse(options: argparse.Namespace) -> None:
-    """Separate guide and straightedge by reversal: two surveys, the second with the straightedge turned over about its
-    long axis and the sensor on the other side.
+    """Separate guide and straightedge by two surveys, the second with the straightedge turned over about its long axis
+    and the sensor on the other side; or, with --shift, with the straightedge or the sensor moved along x.
 
-    The readings of the second survey keep the sensor's own sign: guide = (m1 − m2) / 2, edge = (m1 + m2) / 2. If its
-    deviations have the sign of the machine's axis, turn it over before, with `map convert --negate` or `map build
-    --invert`."""
+    Turned over, the readings of the second survey keep the sensor's own sign: guide = (m1 − m2) / 2, edge =
+    (m1 + m2) / 2. If its deviations have the sign of the machine's axis, turn it over before, with `map convert
+    --negate` or `map build --invert`."""
+    import numpy as np
+
     from straightcomp_ros.straightness.residual import least_squares_residual, minimum_zone, peak_to_peak
     from straightcomp_ros.straightness.survey import SurveyError, read_survey, write_survey
-    from straightcomp_ros.tuning.survey.reversal import separated
+    from straightcomp_ros.tuning.survey.separation import separated
 
-    output, edge = output_file(options, "--output"), output_file(options, "--edge")
+    output, edge, shift = output_file(options, "--output"), output_file(options, "--edge"), options.shift
+    if shift is not None:
+        check_range("--shift", abs(shift), 0.01, 10_000.0, "mm")
     try:
-        found = separated(read_survey(options.normal), read_survey(options.turned))
+        normal, second = read_survey(options.normal), read_survey(options.second)
+        found = separated(normal, second, (shift or 0.0) * 1e-3, options.moved)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error
-    names = f"{Path(options.normal).name} and {Path(options.turned).name}"
-    write_survey(output, found.guide, [f"Guide, by straightedge reversal from {names}"])
-    if edge is not None:
-        write_survey(edge, found.edge, [f"Straightedge, by reversal from {names}"])
+    names = f"{Path(options.normal).name} and {Path(options.second).name}"
+    how = "straightedge reversal" if shift is None else f"a shift of the {options.moved} by {shift:g} mm"
     figures: dict[str, Any] = {"points": len(found.x), "pairs": len(found.guide.runs), "left_out_runs": found.left_out}
-    for name, mean in (("guide", found.guide_mean), ("edge", found.edge_mean)):
+    parts = (("guide", found.guide_mean, found.guide_s), ("edge", found.edge_mean, found.edge_s))
+    for name, mean, s in parts:
         figures[f"{name}_least_squares_um"] = peak_to_peak(least_squares_residual(found.x, mean)) * 1e6
         figures[f"{name}_minimum_zone_um"] = minimum_zone(found.x, mean) * 1e6
-    figures["standard_uncertainty_um"] = None if found.noise is None else found.noise * 1e6
+        figures[f"{name}_standard_uncertainty_um"] = None if s is None else float(np.sqrt(np.mean(s**2))) * 1e6
+    kept = [f"{name}: {text}" for name, text in normal.facts.items()]
+    write_survey(output, found.guide, [*kept, f"separated by: {how}, guide of {names}"])
+    if edge is not None:
+        write_survey(edge, found.edge, [*kept, f"separated by: {how}, straightedge of {names}"])
     if options.json:
         print_json({"output": str(output), **figures})
         return
-    console.print(figures_table(f"Straightedge reversal: {names}", figures))
-    if found.noise is None:
-        notes.print("with one pair of runs the noise is not known; repeat the runs")
-    notes.print(f"survey of the guide: {output}")
+    console.print(figures_table(f"Guide and straightedge, by {how}: {names}", figures))
+    if found.guide_s is None:
+        notes.print("without repeated runs the noise is not known; repeat the runs of both surveys")
+    if shift is not None:
+        blind = f"waves of {abs(shift):g} mm and of a half, a third … of it"
+        also = "" if options.moved == "sensor" else ", and its parabola"
+        notes.print(f"not seen, and left in the guide: the straightedge's {blind}{also}")
+    print_written(*filter(None, (output, edge)), then=f"straightcomp map build {quote(str(output))}")
 
 
 def _align_arguments(parser: argparse.ArgumentParser) -> None:
@@ -446,5 +462,5 @@ TOOLS = {
     "build": Tool("map from a bag of survey runs, or from CSV", _build_arguments, _build),
     "convert": Tool("make a survey of an instrument's or a controller's file", _convert_arguments, _convert),
     "export": Tool("write the map as a controller's error table", _export_arguments, _export),
-    "reverse": Tool("separate guide and straightedge by reversal", _reverse_arguments, _reverse),
+    "reverse": Tool("separate guide and straightedge by reversal or by a shift", _reverse_arguments, _reverse),
 }

@@ -1,0 +1,133 @@
+"""The guide without the errors of the straightedge, from two surveys of it: by reversal, or by a shift.
+
+The sensor on the slider reads m1 = guide + edge along the straightedge. **Reversal**: for the second survey the
+straightedge is turned over about its long axis, at the same place along x, and the sensor with it, so that it reads
+from the other side: the edge has the same sign again, the guide the other one, m2 = edge − guide. Therefore
+
+    guide = (m1 − m2) / 2        edge = (m1 + m2) / 2
+
+**Shift**: the straightedge, or the sensor on the slider, is moved by d along x. The guide is at the same x again and
+the edge is not, m1 − m2 = edge(x) − edge(x ∓ d): least squares give the edge, as a spline, and m − edge the guide. What
+has the period d, waves of d, d/2, d/3 …, leaves no difference. Of the edges that explain the readings the smoothest is
+taken (least third difference), so that such waves of the edge stay in the guide. So does the parabola of a straightedge
+that was moved, since it is aligned anew; a sensor that was moved sees it, if the slider does not yaw.
+
+Both are in C. J. Evans, R. J. Hocken and W. T. Estler, Self-calibration: reversal, redundancy, error separation, and
+'absolute testing', CIRP Annals 45, 1996. A line is removed from each result. The runs of both surveys are taken in
+pairs, so that the separated runs have the noise of the measurement; its standard deviation at each point follows from
+that between the runs of both surveys, since all results are linear in the readings.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.map_building import MAP
+from straightcomp_ros.straightness.smoothing import measured, point_noise
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
+
+Array = NDArray[np.float64]
+
+_LOUDEST = 10.0
+"""A form of the edge counts as unseen where its noise, RMS over x, would be so many times that of a difference."""
+
+
+_LONGEST = 0.1
+"""Of the length: over fewer than ten periods, waves of the shift's length are hardly told from others."""
+_SMOOTH = 1e-12
+"""Third difference of a form of unit length that is a parabola but for rounding; a cubic over 2000 points has 1e-8."""
+
+
+class Separated(NamedTuple):
+    """Runs of the ``guide`` and of the ``edge``, one for each pair of runs; at ``x`` (n,) in m the mean deviations in m
+    of both, and their standard uncertainties (n,) by the noise (None if no run was repeated). ``left_out`` is the
+    number of runs without a partner."""
+
+    guide: Survey
+    edge: Survey
+    x: Array
+    guide_mean: Array
+    edge_mean: Array
+    guide_s: Array | None
+    edge_s: Array | None
+    left_out: int
+
+
+def separated(
+    normal: Survey, second: Survey, shift: float = 0.0, moved: Literal["straightedge", "sensor"] = "straightedge"
+) -> Separated:
+    """Guide and edge from the survey with the straightedge as it was and a ``second`` one: with it turned over, or
+    where ``shift`` is not 0, with straightedge or sensor ``moved`` by so much in m towards larger x.
+
+    Raises:
+        SurveyError: the surveys do not cover the same x, or have no direction in common; a shift that is less than the
+            spacing or more than a tenth of the length.
+    """
+    every = (*normal.runs, *second.runs)
+    x, values = on_common_grid(Survey(every, f"{normal.source} and {second.source}"), MAP.min_points, MAP.max_gap)
+    spacing, length = float(np.median(np.diff(x))), float(np.ptp(x))
+    if shift and not spacing - 1e-9 <= abs(shift) <= _LONGEST * length + 1e-9:
+        raise SurveyError(
+            f"survey {second.source}: shifted by {shift * 1e3:g} mm; allowed: from the spacing of the points, "
+            f"{spacing * 1e3:g} mm, to a tenth of their length, {_LONGEST * length * 1e3:g} mm"
+        )
+    of_edge, of_guide = _shifted(x, shift, moved) if shift else _reversed(x)
+    first, other = values[: len(normal.runs)], values[len(normal.runs) :]
+    guides, edges = list[Run](), list[Run]()
+    for way in ("forward", "backward"):
+        pairs = (
+            of_survey[[run.direction == way for run in survey.runs]]
+            for survey, of_survey in ((normal, first), (second, other))
+        )
+        for number, pair in enumerate(zip(*pairs, strict=False), 1):
+            readings = np.concatenate(pair)
+            for runs, operator in ((guides, of_guide), (edges, of_edge)):
+                runs.append(Run(str(number), way, x, operator @ readings))
+    if not guides:
+        raise SurveyError(f"survey {second.source}: has no run in a direction of {normal.source}; allowed: the same")
+    guide, edge = Survey(tuple(guides), "guide"), Survey(tuple(edges), "edge")
+    guide_mean, edge_mean = (
+        repeatability(one, x, np.array([run.deviation for run in one.runs])).mean for one in (guide, edge)
+    )
+    noises = [point_noise(one, x, of_survey, measured(one, x)) for one, of_survey in ((normal, first), (second, other))]
+    guide_s = edge_s = None
+    if noises[0] is not None and noises[1] is not None:
+        variances = np.repeat(np.square(np.array(noises, np.float64)), x.size)
+        guide_s, edge_s = (np.sqrt(operator**2 @ variances) for operator in (of_guide, of_edge))
+    return Separated(guide, edge, x, guide_mean, edge_mean, guide_s, edge_s, len(every) - 2 * len(guides))
+
+
+def _levelling(x: Array, powers: int = 2) -> Array:
+    """What takes the least squares line, or with one power the mean, out of values at ``x``: (n, n)."""
+    basis = np.linalg.qr(np.vander((x - x.mean()) / np.ptp(x), powers))[0]
+    return np.asarray(np.eye(x.size) - basis @ basis.T)
+
+
+def _reversed(x: Array) -> tuple[Array, Array]:
+    """What makes edge and guide of the readings (2 n,) of both surveys: (n, 2 n) each."""
+    level = _levelling(x) / 2.0
+    return np.hstack([level, level]), np.hstack([level, -level])
+
+
+def _shifted(x: Array, shift: float, moved: str) -> tuple[Array, Array]:
+    """As :func:`_reversed`, where straightedge or sensor was moved."""
+    # SciPy's linear algebra takes a while to import, and a verb's help needs none of it.
+    from scipy.linalg import pinv
+
+    shift, aligned_anew = (-shift, False) if moved == "sensor" else (shift, True)
+    low, high = min(x[0], x[0] - shift), max(x[-1], x[-1] - shift)
+    knots = np.linspace(low, high, 1 + round((high - low) / float(np.median(np.diff(x)))))
+    before, after = (cubic_spline(knots, np.eye(knots.size))(at) for at in (x, x - shift))
+    free = _levelling(x, 2 if aligned_anew else 1)
+    left, sizes, right = np.linalg.svd(free @ (before - after), full_matrices=True)
+    seen = int(np.count_nonzero(sizes * np.sqrt(knots.size) * _LOUDEST > 1.0))
+    solution = right[:seen].T @ (left[:, :seen] / sizes[:seen]).T @ free
+    unseen, rough = right[seen:].T, np.diff(np.eye(knots.size), 3, axis=0)
+    smoothest = solution - unseen @ pinv(rough @ unseen, atol=_SMOOTH) @ (rough @ solution)
+    difference = np.hstack([np.eye(x.size), -np.eye(x.size)])
+    edges = smoothest @ difference
+    level = _levelling(x)
+    mean = np.hstack([np.eye(x.size), np.eye(x.size)]) - (before + after) @ edges
+    return level @ before @ edges, level @ mean / 2.0

@@ -1,0 +1,117 @@
+"""Reversal and shift give the guide and the straightedge apart, and the uncertainty of both."""
+
+import json
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey, write_survey
+from straightcomp_ros.tuning.survey.separation import separated
+
+X = np.linspace(0.0, 1.0, 51)
+GUIDE, EDGE = 1e-6 * np.sin(9.0 * X), 10e-6 * np.cos(14.0 * X)
+WAYS = ("forward", "backward") * 3
+
+
+def centred(curve):
+    return curve - np.polyval(np.polyfit(X, curve, 1), X)
+
+
+def surveys(random, noise, ways=WAYS):
+    """A survey with the straightedge as it was, and one with it turned over and aligned anew."""
+    lines = (GUIDE + EDGE, EDGE - GUIDE + 30e-6 * X - 5e-6)
+    runs = (
+        [Run(str(k), way, X, line + random.normal(0.0, noise, X.size)) for k, way in enumerate(ways)] for line in lines
+    )
+    return [Survey(tuple(one)) for one in runs]
+
+
+def test_a_guide_of_a_tenth_of_the_straightedge_s_error_comes_out_with_its_sign_and_the_edge_with_its_own():
+    found = separated(*surveys(np.random.default_rng(0), 0.0))
+    assert found.guide_mean == pytest.approx(centred(GUIDE), abs=1e-12)
+    assert found.edge_mean == pytest.approx(centred(EDGE), abs=1e-12)
+    assert [run.direction for run in found.guide.runs] == ["forward"] * 3 + ["backward"] * 3 and found.left_out == 0
+
+
+@pytest.mark.parametrize("draws", [100, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_the_standard_uncertainty_of_guide_and_edge_holds_95_percent_of_the_truth(draws):
+    random, held = np.random.default_rng(1), []
+    for _ in range(draws):
+        found = separated(*surveys(random, 0.2e-6))
+        for mean, s, truth in ((found.guide_mean, found.guide_s, GUIDE), (found.edge_mean, found.edge_s, EDGE)):
+            held.append(np.abs(mean - centred(truth)) <= 1.96 * s)
+    assert 0.93 <= np.mean(held) <= 0.97
+    # Six pairs of runs: √(s² + s²) / 2 / √6.
+    assert found.guide_s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
+
+
+def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_are_refused():
+    normal, turned = surveys(np.random.default_rng(2), 0.0, ("forward", "forward", "backward"))
+    forward = Survey(turned.runs[:1])
+    found = separated(normal, forward)
+    assert (len(found.guide.runs), found.left_out, found.guide_s) == (1, 2, None)
+    with pytest.raises(SurveyError, match="no run in a direction"):
+        separated(Survey(normal.runs[2:]), forward)
+
+
+def shifted(random, noise, shift, moved):
+    """A survey as it was, and one with the straightedge moved and aligned anew, or with the sensor moved."""
+    other = np.cos(14.0 * (X + (shift if moved == "sensor" else -shift))) * 10e-6 + GUIDE - 2e-6
+    other = other + (30e-6 * X if moved == "straightedge" else 0.0)
+    lines = GUIDE + EDGE, other
+    runs = ([Run(str(k), w, X, line + random.normal(0.0, noise, X.size)) for k, w in enumerate(WAYS)] for line in lines)
+    return [Survey(tuple(one)) for one in runs]
+
+
+@pytest.mark.parametrize("shift", [0.02, 0.05, -0.07, 0.1])
+@pytest.mark.parametrize("moved", ["straightedge", "sensor"])
+def test_a_shift_separates_a_smooth_straightedge_of_ten_times_the_guide_but_for_the_parabola_if_moved(shift, moved):
+    found = separated(*shifted(np.random.default_rng(0), 0.0, shift, moved), shift, moved)
+    powers = 1 if moved == "sensor" else 2
+    for mean, truth in ((found.guide_mean, GUIDE), (found.edge_mean, EDGE)):
+        apart = mean - truth
+        assert apart - np.polyval(np.polyfit(X, apart, powers), X) == pytest.approx(0.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("moved", ["straightedge", "sensor"])
+def test_waves_of_the_straightedge_as_long_as_the_shift_stay_in_the_guide(moved):
+    wave = 1e-6 * np.sin(2.0 * np.pi * X / 0.1)
+    normal, second = shifted(np.random.default_rng(0), 0.0, 0.1, moved)
+    waves = [Survey(tuple(Run(r.name, r.direction, X, r.deviation + wave) for r in s.runs)) for s in (normal, second)]
+    with_waves, without = separated(*waves, 0.1, moved), separated(normal, second, 0.1, moved)
+    assert with_waves.guide_mean - without.guide_mean == pytest.approx(centred(wave), abs=2e-8)
+    for shift in (0.01, 0.11):
+        with pytest.raises(SurveyError, match="20 mm, to a tenth of their length, 100 mm"):
+            separated(normal, second, shift, moved)
+
+
+@pytest.mark.parametrize("draws", [50, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_the_standard_uncertainty_after_a_shift_holds_95_percent_of_what_a_survey_without_noise_gives(draws):
+    random, held = np.random.default_rng(1), []
+    for moved in ("straightedge", "sensor"):
+        exact = separated(*shifted(random, 0.0, 0.06, moved), 0.06, moved)
+        for _ in range(draws):
+            found = separated(*shifted(random, 0.2e-6, 0.06, moved), 0.06, moved)
+            held.append(np.abs(found.guide_mean - exact.guide_mean) <= 1.96 * found.guide_s)
+            held.append(np.abs(found.edge_mean - exact.edge_mean) <= 1.96 * found.edge_s)
+    assert 0.93 <= np.mean(held) <= 0.97
+
+
+def test_the_verb_writes_both_as_surveys_and_prints_their_straightness(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, survey in zip(("m1.csv", "m2.csv"), surveys(np.random.default_rng(3), 0.0), strict=True):
+        write_survey(name, survey)
+    assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "guide.csv", "--edge", "edge.csv", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    for name, curve in (("guide", GUIDE), ("edge", EDGE)):
+        assert figures[f"{name}_least_squares_um"] == pytest.approx(np.ptp(centred(curve)) * 1e6, abs=2e-3)
+        assert read_survey(f"{name}.csv").runs[0].deviation == pytest.approx(centred(curve), abs=2e-9)
+    assert (figures["pairs"], figures["left_out_runs"]) == (6, 0)
+    assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "m1.csv", "--force"]) == 2
+    for name, survey in zip(("m1.csv", "m2.csv"), shifted(np.random.default_rng(3), 0.0, 0.05, "sensor"), strict=True):
+        write_survey(name, survey, ["encoder reference: index 3"])
+    assert main(["map", "reverse", "m1.csv", "m2.csv", "--shift", "50", "--moved", "sensor", "-o", "g.csv"]) == 0
+    guide = read_survey("g.csv")
+    assert guide.mark == "index 3" and guide.runs[0].deviation == pytest.approx(centred(GUIDE), abs=4e-9)
+    assert "waves of 50 mm" in capsys.readouterr().err
