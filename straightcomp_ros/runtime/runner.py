@@ -202,10 +202,19 @@ def _settle(runnable: Any, nodes: Sequence[GuardedNode], executor: Executor) -> 
     logger.info(middleware_in_words())
     logger.info("ready")
 
-    def idle() -> None:
-        # One callback at most, so that the next cycle is not late.
-        if not call_one_timer():
-            executor.spin_once(timeout_sec=0)
+    return idle_turns(nodes[0].steady_timers.call_one, lambda: executor.spin_once(timeout_sec=0))
 
-    call_one_timer = nodes[0].steady_timers.call_one
+
+def idle_turns(call_one_timer: Callable[[], bool], spin_once: Callable[[], None]) -> Callable[[], None]:
+    """A turn of idle work: one callback at most, so that the next cycle is not late; a timer that is due, or one of the
+    executor's. After a timer it is the executor's turn: on a computer so busy that timers are always due, requests to
+    switch off must still be answered."""
+    timer_called = False
+
+    def idle() -> None:
+        nonlocal timer_called
+        timer_called = not timer_called and call_one_timer()
+        if not timer_called:
+            spin_once()
+
     return idle

@@ -8,6 +8,7 @@ import time
 import pytest
 
 from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, LockedLoop, PeriodicLoop, WorkerThread, awaited, sendings
+from straightcomp_ros.runtime.runner import idle_turns
 
 PERIOD = 500_000
 
@@ -176,3 +177,13 @@ def test_the_loop_goes_on_while_it_waits_for_a_result_and_gets_what_the_job_rais
         awaited(lambda: 1 // 0, meanwhile)
     # Threads that stayed would look like a leak to whoever watches a node for months.
     assert threading.active_count() == before
+
+
+def test_requests_have_every_other_turn_of_idle_work_even_where_timers_are_always_due():
+    turns = []
+    timers = iter([True, True, False, True, True])
+    idle = idle_turns(lambda: bool(turns.append("timer")) or next(timers), lambda: turns.append("request"))
+    for _ in range(7):
+        idle()
+    # In the fifth turn no timer was due.
+    assert turns == ["timer", "request"] * 4
