@@ -27,7 +27,6 @@ from straightcomp_ros.cli.options import add_json, add_parameter_options, check_
 from straightcomp_ros.cli.output import print_json, require_ros
 from straightcomp_ros.offline.starts import Spread, spread
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from trials.rig import add_output, output, progress
 
 SUMMARY = "accuracy of live strokes: composed or separate, loaded or quiet, one stage or two"
@@ -75,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--loads", nargs="+", choices=LOADS, default=LOADS, help="default: both")
     priorities = "SCHED_FIFO priorities, 0 for none (default: 40 0)"
     add("--priorities", nargs="+", type=int, default=(40, 0), metavar="P", help=priorities)
-    add("--pair", metavar="STAGE", help="stage file of a second machine: each alone, and both at once")
+    add("--pair", metavar="FILE", help="stage file of a second machine: each alone, and both at once")
     add_output(parser)
     add_json(parser)
 
@@ -88,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         check_range("--priorities", priority, 0, 98)
     stages = {"a": chosen_parameters(options)}
     if options.pair:
-        stages["b"] = shipped_parameters(stage=options.pair)
+        stages["b"] = chosen_parameters(argparse.Namespace(**{**vars(options), "stage": options.pair}))
     moving = [("a",), ("b",), ("a", "b")] if options.pair else [("a",)]
     # Those that are compared come one right after the other.
     conditions = [

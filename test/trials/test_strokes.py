@@ -1,6 +1,8 @@
 """What the rig of live strokes makes of its strokes; the strokes themselves are made up."""
 
 import json
+import time
+from pathlib import Path
 
 import pytest
 
@@ -46,3 +48,18 @@ def test_a_stroke_that_failed_is_named_with_its_condition(rig):
     code, printed = rig(None)
     assert code == 1 and len(printed["failures"]) == 6
     assert printed["failures"][0] == "separate_quiet_0_a_b/1: the driver died"
+
+
+def test_a_load_writes_to_the_disk_while_it_lasts_and_leaves_nothing(tmp_path):
+    def children():
+        return Path("/proc/thread-self/children").read_text().split()
+
+    before = children()
+    with strokes.loaded(True, tmp_path):
+        end = time.monotonic() + 30.0
+        while not (tmp_path / "written").exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        assert (tmp_path / "written").exists() and len(children()) - len(before) == strokes.BUSY + 1
+    assert not list(tmp_path.iterdir()) and children() == before
+    with strokes.loaded(False, tmp_path):
+        assert children() == before
