@@ -29,7 +29,7 @@ _TOGETHER, _CUT = 0.002, 0.0002
 """Rates of all kinds together, for a closed loop that stays on most of the time."""
 COUNTED = tuple(kind for kind in KINDS if kind != "cut")
 """Kinds that damage one frame. A cut affects the link, and is tested on a real one."""
-_REPORT = Report(4, 4, 1.2345678, -67.8e-6, -0.09, Amplifier.ON, 0, True)
+_REPORT = Report(4, 4, 1.2345678, -67.8e-6, -0.09, Amplifier.ON, 0, True, True)
 _COMMAND = Command(3, True, False, -0.05, 4)
 
 

@@ -102,7 +102,7 @@ def run_trial(
 def _frames(wire: Wire, index: int, stamp_ns: int) -> list[Frame]:
     x, y = (counts * _COUNT for counts in position(index))
     counter = index % wire.number_modulus
-    report = Report(0, counter, x, y, _CURRENT, Amplifier.ON, wire.fault_codes[BoardFault.NONE], True)
+    report = Report(0, counter, x, y, _CURRENT, Amplifier.ON, wire.fault_codes[BoardFault.NONE], True, True)
     sent = []
     for frames in wire.reports.values():
         if index % frames.every == 0:

@@ -244,6 +244,10 @@ void board_sample(struct board *board, int64_t now_ns, const struct board_readin
 {
     output_act(&board->output, now_ns);
     output_sample(&board->output, now_ns, reading->y);
+    if (!reading->referenced && board->output.on) {
+        /* A wrong x must not be compensated for the time until the host has seen it. */
+        board_trip(board, BOARD_FAULT_ENCODER);
+    }
     board->newest_ns = now_ns;
     board->counter = board->next_counter;
     board->next_counter = (board->counter >= board->config.wire->counter_most) ? 0u : (board->counter + 1u);

@@ -33,6 +33,7 @@ struct board_reading {
     int32_t y;
     board_real current; /* in the coils, A */
     bool valid;         /* both encoders work */
+    bool referenced;    /* x is counted from its reference */
 };
 
 /* Which frame of one identifier is the next. */

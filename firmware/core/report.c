@@ -47,6 +47,7 @@ void report_sample(struct board *board, int64_t now_ns, const struct board_readi
         .current = board->output.on ? reading->current : (board_real)0,
         .amplifier = board_reported_amplifier(board),
         .fault = board_reported_fault(board),
+        .referenced = reading->referenced,
         .scaling = &board->config.scaling,
     };
 

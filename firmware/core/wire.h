@@ -52,7 +52,8 @@ struct wire_report {
     board_real current; /* in the coils, A */
     enum board_amplifier amplifier;
     enum board_fault fault;
-    bool good; /* both readings may be used */
+    bool good;       /* both readings may be used */
+    bool referenced; /* x is counted from its reference */
     const struct wire_scaling *scaling;
 };
 

@@ -264,6 +264,7 @@ int frames_coil_current_pack(
 
     dst_p[0] |= pack_left_shift_u8(src_p->coil_current_crc, 0u, 0xffu);
     dst_p[1] |= pack_left_shift_u8(src_p->coil_current_alive, 0u, 0x0fu);
+    dst_p[1] |= pack_left_shift_u8(src_p->referenced, 4u, 0x10u);
     measured_current = (uint16_t)src_p->measured_current;
     dst_p[2] |= pack_left_shift_u16(measured_current, 0u, 0xffu);
     dst_p[3] |= pack_right_shift_u16(measured_current, 8u, 0xffu);
@@ -304,6 +305,18 @@ bool frames_coil_current_coil_current_alive_is_in_range(uint8_t value)
 }
 
 bool frames_coil_current_coil_current_alive_is_in_phys_range(double value)
+{
+    (void)value;
+
+    return (true);
+}
+
+bool frames_coil_current_referenced_is_in_range(uint8_t value)
+{
+    return (value <= 1u);
+}
+
+bool frames_coil_current_referenced_is_in_phys_range(double value)
 {
     (void)value;
 
@@ -522,6 +535,7 @@ int frames_encoder_fd_pack(
     dst_p[11] |= pack_right_shift_u32(src_p->sample_counter, 8u, 0xffu);
     dst_p[12] |= pack_right_shift_u32(src_p->sample_counter, 16u, 0xffu);
     dst_p[13] |= pack_right_shift_u32(src_p->sample_counter, 24u, 0xffu);
+    dst_p[14] |= pack_left_shift_u8(src_p->referenced, 0u, 0x01u);
 
     return (16);
 }
@@ -643,6 +657,18 @@ bool frames_encoder_fd_sample_counter_is_in_range(uint32_t value)
 }
 
 bool frames_encoder_fd_sample_counter_is_in_phys_range(double value)
+{
+    (void)value;
+
+    return (true);
+}
+
+bool frames_encoder_fd_referenced_is_in_range(uint8_t value)
+{
+    return (value <= 1u);
+}
+
+bool frames_encoder_fd_referenced_is_in_phys_range(double value)
 {
     (void)value;
 

@@ -97,6 +97,7 @@ extern "C" {
 #define FRAMES_ENCODER_PLATFORM_Y_NAME "platform_y"
 #define FRAMES_COIL_CURRENT_COIL_CURRENT_CRC_NAME "coil_current_crc"
 #define FRAMES_COIL_CURRENT_COIL_CURRENT_ALIVE_NAME "coil_current_alive"
+#define FRAMES_COIL_CURRENT_REFERENCED_NAME "referenced"
 #define FRAMES_COIL_CURRENT_MEASURED_CURRENT_NAME "measured_current"
 #define FRAMES_COIL_CURRENT_SAMPLE_COUNTER_NAME "sample_counter"
 #define FRAMES_COMMAND_COMMAND_CRC_NAME "command_crc"
@@ -115,6 +116,7 @@ extern "C" {
 #define FRAMES_ENCODER_FD_PLATFORM_Y_NAME "platform_y"
 #define FRAMES_ENCODER_FD_MEASURED_CURRENT_NAME "measured_current"
 #define FRAMES_ENCODER_FD_SAMPLE_COUNTER_NAME "sample_counter"
+#define FRAMES_ENCODER_FD_REFERENCED_NAME "referenced"
 #define FRAMES_COMMAND_FD_COMMAND_CRC_NAME "command_crc"
 #define FRAMES_COMMAND_FD_COMMAND_ALIVE_NAME "command_alive"
 #define FRAMES_COMMAND_FD_ENABLE_NAME "enable"
@@ -197,6 +199,13 @@ struct frames_coil_current_t {
      * Offset: 0
      */
     uint8_t coil_current_alive;
+
+    /**
+     * Range: -
+     * Scale: 1
+     * Offset: 0
+     */
+    uint8_t referenced;
 
     /**
      * Range: -
@@ -344,6 +353,13 @@ struct frames_encoder_fd_t {
      * Offset: 0
      */
     uint32_t sample_counter;
+
+    /**
+     * Range: -
+     * Scale: 1
+     * Offset: 0
+     */
+    uint8_t referenced;
 };
 
 /**
@@ -638,6 +654,28 @@ bool frames_coil_current_coil_current_alive_is_in_range(uint8_t value);
  * @return true if in range, false otherwise.
  */
 bool frames_coil_current_coil_current_alive_is_in_phys_range(double value);
+
+/**
+ * Check that given signal is in allowed range.
+ *
+ * @param[in] value Signal to check.
+ *
+ * @return true if in range, false otherwise.
+ */
+bool frames_coil_current_referenced_is_in_range(uint8_t value);
+
+/**
+ * Check that given physical value is in allowed range before encoding.
+ *
+ * Use this BEFORE calling _encode() to avoid silent integer overflow:
+ *   encode(-1.0) on a [0,100] signal wraps to 255 and passes is_in_range().
+ *   is_in_phys_range(-1.0) correctly returns false.
+ *
+ * @param[in] value Physical signal value to check.
+ *
+ * @return true if in range, false otherwise.
+ */
+bool frames_coil_current_referenced_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1103,6 +1141,28 @@ bool frames_encoder_fd_sample_counter_is_in_range(uint32_t value);
  * @return true if in range, false otherwise.
  */
 bool frames_encoder_fd_sample_counter_is_in_phys_range(double value);
+
+/**
+ * Check that given signal is in allowed range.
+ *
+ * @param[in] value Signal to check.
+ *
+ * @return true if in range, false otherwise.
+ */
+bool frames_encoder_fd_referenced_is_in_range(uint8_t value);
+
+/**
+ * Check that given physical value is in allowed range before encoding.
+ *
+ * Use this BEFORE calling _encode() to avoid silent integer overflow:
+ *   encode(-1.0) on a [0,100] signal wraps to 255 and passes is_in_range().
+ *   is_in_phys_range(-1.0) correctly returns false.
+ *
+ * @param[in] value Physical signal value to check.
+ *
+ * @return true if in range, false otherwise.
+ */
+bool frames_encoder_fd_referenced_is_in_phys_range(double value);
 
 /**
  * Unpack message command_fd.

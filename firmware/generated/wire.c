@@ -21,6 +21,7 @@ static void pack_coil_current(uint8_t *data, const struct wire_report *report, u
 {
     const struct frames_coil_current_t frame = {
         .coil_current_alive = (uint8_t)report->alive,
+        .referenced = (uint8_t)(report->referenced ? 1 : 0),
         .measured_current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
         .sample_counter = (uint32_t)report->counter,
     };
@@ -105,7 +106,7 @@ static const struct wire_heartbeat classic_heartbeat = {
 };
 
 static const struct wire classic = {
-    .source = "straightcomp.dbc 412fc3034879",
+    .source = "straightcomp.dbc 5d4b87876a5f",
     .frame_count = 2u,
     .order_count = 1u,
     .frames = classic_frames,
@@ -129,6 +130,7 @@ static void pack_encoder_fd(uint8_t *data, const struct wire_report *report, uin
         .platform_y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
         .measured_current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
         .sample_counter = (uint32_t)report->counter,
+        .referenced = (uint8_t)(report->referenced ? 1 : 0),
     };
 
     (void)page;
@@ -192,7 +194,7 @@ static const struct wire_heartbeat fd_heartbeat = {
 };
 
 static const struct wire fd = {
-    .source = "straightcomp.dbc 205cb27bd5ef",
+    .source = "straightcomp.dbc 6ad17dd203a9",
     .frame_count = 1u,
     .order_count = 1u,
     .frames = fd_frames,

@@ -80,7 +80,8 @@ void machine_sample(int socket, int64_t at_ns, uint32_t counter, struct board_re
     (void)memcpy(&reading->y, &answer[4], 4u);
     (void)memcpy(&current, &answer[8], 8u);
     reading->current = (board_real)current;
-    reading->valid = answer[16] != 0u;
+    reading->valid = (answer[16] & 1u) != 0u;
+    reading->referenced = (answer[16] & 2u) != 0u;
     (void)memcpy(truth_identifier, &answer[17], 4u);
     truth->size = size - READING_HEAD;
     (void)memcpy(truth->bytes, &answer[READING_HEAD], truth->size);

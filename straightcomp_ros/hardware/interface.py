@@ -112,6 +112,11 @@ class Hardware(ABC):
         """Control current in A that is asked of the amplifier at present."""
 
     @property
+    def unreferenced(self) -> str:
+        """Why x must not be compensated: it is not counted from its reference. Empty if it is, or nothing tells."""
+        return ""
+
+    @property
     def newest_arrival_ns(self) -> int | None:
         """When the newest sample arrived; None for a machine that does not send samples by itself."""
         return None

@@ -43,6 +43,11 @@ class SimulatedParameters:
         10.5, "Stiffness of the board's hold, relative to the negative stiffness of the magnets", "[0, 1000]"
     )
     sample_memory: float = parameter(0.128, "Time for which the board keeps samples for a late host", "(0, 60] s")
+    referenced: bool = parameter(
+        True, "x is counted from its reference when the machine is switched on; otherwise from where the stage stands"
+    )
+    index: float = parameter(0.0, "Position of the index mark from which x is counted after homing", "[-100, 100] m")
+    index_shift: float = parameter(0.0, "Shift of that mark since the machine was described", "[-1, 1] m")
     initial_y: float = parameter(0.0, "Platform's position at the start", "[-0.01, 0.01] m")
     truth: TruthParameters = group(TruthParameters, "Simulated machine")
 
@@ -73,6 +78,7 @@ class SimulatedHardware(Hardware):
     state = State.OFF
     fault = ""
     lost_samples = 0
+    unreferenced = ""
 
     def __init__(
         self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap, x: float = 0.0
@@ -91,6 +97,10 @@ class SimulatedHardware(Hardware):
         # The first call compiles, which must not happen inside the loop; at time 0 it changes nothing.
         self._advance(self._effective_ns, self._asked, 0, 0, 0.0, x)
         self._reading = plant.encoder.x_reading
+        self._zero = parameters.index_shift if parameters.referenced else x
+        """Position of the stage at which x reads zero."""
+        if not parameters.referenced:
+            self.unreferenced = "the machine has not been homed since it was switched on"
         self._delay_ns = round(stage.drive.delay * self.period_ns)
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
         self._trajectory = Trajectory([Waypoint(0, x, 0.0)])
@@ -184,4 +194,4 @@ class SimulatedHardware(Hardware):
         _, velocity, _, control, _, friction, magnetic, *_, y, reading = self._plant.state.tolist()
         measured = control if self.state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
-        return Sample(time_ns, self._reading(x), reading, measured), truth
+        return Sample(time_ns, self._reading(x - self._zero), reading, measured), truth

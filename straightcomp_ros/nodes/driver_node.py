@@ -150,6 +150,8 @@ class DriverComponent:
         # A simulated machine is integrated up to ``now``, with each command acting from its arrival.
         self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
+        if self._hardware.unreferenced and self._safety.condition is Condition.ON:
+            self._trip(Fault.NOT_REFERENCED, f"x is not referenced: {self._hardware.unreferenced}")
         latenesses = [self._hand_out(sample) for sample, _ in samples]
         # The controller's answer comes before the records, and a board must not wait for it until the next cycle.
         if samples and self._node.streams.let_readers_run():
@@ -232,6 +234,8 @@ class DriverComponent:
         """Why the amplifier may not be switched on now, apart from faults; empty if it may."""
         if not self._node.active:
             return "the driver is not active"
+        if self._hardware.unreferenced:
+            return f"x is not referenced: {self._hardware.unreferenced}"
         if self._lockstep:
             return ""
         if self._node.streams.others_publish(COMMAND):

@@ -56,6 +56,7 @@ class Fault(enum.Enum):
     )
     FOLLOWING_ERROR = Description(17, 60.0)
     CLIENT_GONE = Description(18, 1200.0)
+    NOT_REFERENCED = Description(19, 10.0, reset="reference x; then as the others")
 
     @property
     def label(self) -> str:

@@ -16,7 +16,7 @@ DECLARATION = (REPOSITORY / "QUALITY_DECLARATION.md").read_text(encoding="utf-8"
 FAULTS = """
 command_not_finite command_out_of_range command_timeout two_controllers sample_not_finite x_jump y_out_of_range y_frozen
 x_frozen clock_jump map_missing sample_timeout heartbeat_lost board tripped recording_stopped following_error
-client_gone
+client_gone not_referenced
 """
 """Every fault that ever was in a release, in the order of their numbers, from 1: add to it, and take nothing away."""
 

@@ -142,6 +142,16 @@ class CanHardware(Hardware):
         return self._current if self.state is State.ON else 0.0
 
     @property
+    def unreferenced(self) -> str:
+        receiver = self._receiver
+        if "referenced" in self._wire.homes and not receiver.referenced:
+            return "the board reports no reference"
+        if receiver.ambiguous:
+            turn_mm = self._wire.sample.x_modulus * 1e3
+            return f"x repeats itself every {turn_mm:g} mm, and more than one such turn is on the travel"
+        return ""
+
+    @property
     def newest_arrival_ns(self) -> int:
         return self._receiver.newest_ns
 

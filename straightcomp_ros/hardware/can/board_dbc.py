@@ -47,18 +47,18 @@ from straightcomp_ros.parameters.declaration import RefusedParameter, to_mapping
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
 
-OF_BOARD = ("x", "y", "current", "counter", "good", "amplifier", "fault")
+OF_BOARD = ("x", "y", "current", "counter", "good", "amplifier", "fault", "referenced")
 OF_HOST = ("command", "enable", "reset", "echo")
 READINGS = ("x", "y", "good")
 """What a sample is not complete without, as far as the board has it."""
 _NEEDED = ("x", "y", "amplifier", "command", "enable")
-_SWITCHES = ("good", "enable", "reset")
+_SWITCHES = ("good", "referenced", "enable", "reset")
 _PROTECTED = {
     "sample": ("x",),
     "y": ("y",),
     "good": ("good",),
     "status": ("amplifier", "fault"),
-    "current": ("current", "counter"),
+    "current": ("current", "counter", "referenced"),
     **{role: (role,) for role in OF_HOST},
 }
 """By the group of `wire.protection` the roles whose message it describes, if no group before it does."""
@@ -319,7 +319,10 @@ class Wire:
         factors = {_FIELDS.get(role, role): self._factor(role) for role in inside if _FIELDS.get(role, role) in UNITS}
         counts = alive_modulus(alive, protected.profile) if alive is not None else 0
         no_fault = self.meaning.fault.none_value
-        return Frames(message, identifier, fields, factors, self._values(), kind, counts, crc, no_fault)
+        wraps = self.meaning.x_wraps
+        if wraps and "x" in fields and fields["x"].is_float:
+            raise RefusedParameter("wire.x_wraps", f"{self._place('x')} is a float; allowed: false")
+        return Frames(message, identifier, fields, factors, self._values(), kind, counts, crc, no_fault, wraps)
 
     def _factor(self, role: str) -> float:
         """From the file's unit of the role's signal to SI units, with the factor that the parameters give."""
@@ -404,6 +407,7 @@ _SLOW = {
     "fault": "fault code",
     "counter": "number of a sample",
     "current": "measured current",
+    "referenced": "reference of x",
 }
 """What frames say that do not come with each sample."""
 
@@ -436,6 +440,10 @@ def gaps(wire: Wire) -> list[str]:
         if frames not in wire.parts and frames.crc is None:
             said = " or ".join(words for field, words in _SLOW.items() if field in frames.fields)
             found.append(f"{frames.name} has no CRC: a damaged {said} is believed")
+    if "referenced" not in wire.homes:
+        found.append(
+            "no signal says whether x is referenced: after a power cycle x must be referenced before it is used"
+        )
     if wire.current is None:
         found.append("no signal has the measured current: the commanded one stands for it")
     if wire.heartbeat is None:

@@ -114,6 +114,10 @@ class WireParameters:
     good: SwitchParameters = group(SwitchParameters, '"Both encoder readings are good" on CAN')
     amplifier: AmplifierParameters = group(AmplifierParameters, "State of the amplifier on CAN")
     fault: FaultParameters = group(FaultParameters, "Board's fault code on CAN")
+    referenced: SwitchParameters = group(SwitchParameters, '"x is counted from its reference" on CAN')
+    x_wraps: bool = parameter(
+        False, "On CAN x goes on at the other end of its signal's range, whose width is that of the encoder's counter"
+    )
     heartbeat: HeartbeatParameters = group(HeartbeatParameters, "Board's heartbeat on CAN")
     command: QuantityParameters = group(QuantityParameters, "Commanded control current on CAN")
     enable: SwitchParameters = group(SwitchParameters, '"Amplifier on" on CAN')
@@ -202,6 +206,7 @@ def shipped_wire(fd: bool) -> WireParameters:
         good=SwitchParameters(signal="EncodersValid"),
         amplifier=AmplifierParameters(signal="Amplifier"),
         fault=FaultParameters(signal="BoardFault"),
+        referenced=SwitchParameters(slow, "Referenced"),
         heartbeat=HeartbeatParameters("Heartbeat", "NodeState"),
         command=QuantityParameters(command, "ControlCurrent"),
         enable=SwitchParameters(signal="Enable", no_value=1, yes_value=2),

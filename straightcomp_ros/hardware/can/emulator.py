@@ -37,6 +37,7 @@ _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amp
 _LONGEST = 256
 _SAMPLE, _DRIVE, _STAGE = (struct.Struct(layout) for layout in ("=cqI", "=cqBi", "=cqI"))
 _READING = struct.Struct("=iidBI")
+_VALID, _REFERENCED = 1, 2
 _LARGEST_DENOMINATOR = 2**20
 _END_S = 2.0
 
@@ -176,7 +177,16 @@ class Board:
         self._newest_ns = sample.stamp_ns
         number = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns)
         self.counter = number % (wire.number_modulus or _COUNTED)
-        x, y = (_within(value, wire.homes[name].spans[name]) for name, value in (("x", sample.x), ("y", sample.y)))
+        y = _within(sample.y, wire.homes["y"].spans["y"])
+        if wire.sample.wraps:
+            x, good = wire.sample.wrapped(sample.x), y == sample.y
+        else:
+            x = _within(sample.x, wire.sample.spans["x"])
+            good = (x, y) == (sample.x, sample.y)
+        referenced = not self.machine.unreferenced
+        if not referenced:
+            # A wrong x must not be compensated for the time until the host has seen it.
+            self._trip(BoardFault.ENCODER)
         report = Report(
             counter=self.counter,
             x=x,
@@ -184,7 +194,8 @@ class Board:
             current=0.0 if math.isnan(sample.current) else sample.current,
             amplifier=self.amplifier,
             fault=wire.fault_codes[self.fault],
-            good=(x, y) == (sample.x, sample.y),
+            good=good,
+            referenced=referenced,
         )
         if self._tells_truth:
             self._send(self._emulator.truth_id, self._emulator.truth_payload(self.counter, truth), True)
@@ -343,7 +354,7 @@ class BoardProgram:
         ((sample, truth),) = machine.read(at_ns)
         x, y = round(sample.x / self._encoder.x_resolution), round(sample.y / self._encoder.y_resolution)
         current = 0.0 if math.isnan(sample.current) else sample.current
-        reading = _READING.pack(x, y, current, True, self._truth_id)
+        reading = _READING.pack(x, y, current, _VALID | _REFERENCED * (not machine.unreferenced), self._truth_id)
         return reading + self._emulator.truth_payload(counter, truth) if self._truth_id else reading
 
     def close(self) -> None:

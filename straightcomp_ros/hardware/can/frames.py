@@ -82,7 +82,7 @@ class Report(NamedTuple):
 
     ``alive`` counts the frames of one identifier, ``counter`` the samples; ``x``, ``y`` and the coil ``current`` are in
     m and A, of the sample that the frame belongs to; ``fault`` is the board's own code; ``good`` says whether both
-    readings may be used.
+    readings may be used, ``referenced`` whether x is counted from its reference.
     """
 
     alive: int | None = None
@@ -93,6 +93,7 @@ class Report(NamedTuple):
     amplifier: Amplifier | None = None
     fault: int | None = None
     good: bool = True
+    referenced: bool | None = None
 
     @property
     def number(self) -> int | None:
@@ -243,6 +244,7 @@ class Frames:
         values: of the fields that say something the raw value of each meaning.
         kind: what :meth:`unpack` returns, and :meth:`pack` takes; None: a plain tuple of ``fields``.
         no_fault: the board's code of no fault.
+        wraps: x goes on at the other end of its signal's range, as an encoder's counter does.
 
     Attributes:
         spans: least and largest value in SI units, by each field in ``factors``.
@@ -264,7 +266,9 @@ class Frames:
         alive_modulus: int = 0,
         crc: Crc | None = None,
         no_fault: int = 0,
+        wraps: bool = False,
     ) -> None:
+        self.wraps = wraps and "x" in fields
         self.message, self.identifier, self.fields, self.crc = message, identifier, fields, crc
         self.factors = factors or {}
         self.values = {field: raw for field, raw in (values or {}).items() if field in fields}
@@ -309,8 +313,28 @@ class Frames:
 
     def _span(self, field: str) -> tuple[float, float]:
         signal, factor = self.fields[field], self.factors[field]
-        least, largest = sorted((raw * signal.scale + signal.offset) * factor for raw in limits(signal))
+        least, largest = sorted((raw * signal.scale + signal.offset) * factor for raw in self._ends(field))
         return least, largest
+
+    def _ends(self, field: str) -> tuple[float, float]:
+        """Least and largest raw value."""
+        signal = self.fields[field]
+        if self.wraps and field == "x":
+            least = -(2 ** (signal.length - 1)) if signal.is_signed else 0
+            return least, least + 2**signal.length - 1
+        return limits(signal)
+
+    def wrapped(self, x: float) -> float:
+        """What these frames say of a position ``x`` in m whose signal wraps."""
+        (scale, offset), least = self._line("x"), int(self._ends("x")[0])
+        raw = round((x - offset) / scale)
+        turned: float = ((raw - least) % 2 ** self.fields["x"].length + least) * scale + offset
+        return turned
+
+    @property
+    def x_modulus(self) -> float:
+        """Distance in m after which x repeats itself; 0 if it does not."""
+        return 2 ** self.fields["x"].length * self.step("x") if self.wraps else 0.0
 
     def _bits(self, signal: Signal) -> tuple[int, int]:
         """Shift and mask of a signal."""
@@ -348,7 +372,7 @@ class Frames:
             elif _sign(signal) or field in self.factors:
                 numbers.append((at, _sign(signal), scale, offset))
             if self.kind is Report and field in ("x", "y") and ("good" in shown or "good" not in self.fields):
-                ends.append((at, *sorted(raw * scale + offset for raw in limits(signal))))
+                ends.append((at, *sorted(raw * scale + offset for raw in self._ends(field))))
         by_code = "amplifier" in shown and self.values["amplifier"][Amplifier.FAULT] < 0
         return bits, counted, decoders, numbers, absent, ends, by_code
 
@@ -357,7 +381,7 @@ class Frames:
         raw_of, mask = self.values[field], (1 << self.fields[field].length) - 1
         found = _Meanings({raw & mask: meaning for meaning, raw in raw_of.items() if raw >= 0 or field != "amplifier"})
         found.reason = "pattern"
-        if field == "good":
+        if field in ("good", "referenced"):
             found.other = False
         elif field == "amplifier":
             found[_BY_CODE], found.reason = Amplifier.FAULT, "state"
@@ -415,7 +439,7 @@ class Frames:
                 value = page.get(signal.name, signal.raw_initial if shown else 0) or 0
                 fixed |= (_float_bits(letter, value) if letter else int(value) & mask) << place
                 continue
-            at, (scale, offset), (least, largest) = self._order.index(field), self._line(field), limits(signal)
+            at, (scale, offset), (least, largest) = self._order.index(field), self._line(field), self._ends(field)
             if field in self.values:
                 raw_of = sent_values(self.values[field])
                 said.append((at, {meaning: (raw & mask) << place for meaning, raw in raw_of.items()}))

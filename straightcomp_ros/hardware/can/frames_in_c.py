@@ -270,6 +270,9 @@ def _number(frames: Frames, field: str) -> tuple[str, str]:
     if field != "current" and not signal.is_float and not offset:
         counts = f"scaled(report->scaling->{field}, report->{field})"
         least, largest = (_whole(end) for end in limits(signal))
+        if frames.wraps and field == "x":
+            # The frame has the lowest bits: x goes on at the other end.
+            return _typed(signal, counts), "true"
         within = f"limited({counts}, {least}, {largest})"
         return _typed(signal, within), f"({within} == {counts})"
     value = "report->current"
@@ -315,7 +318,7 @@ def _value(wire: Wire, frames: Frames, field: str) -> str:
         raw = sent_values(frames.values[field])
         states = (Amplifier.OFF, Amplifier.OFF, Amplifier.ON, Amplifier.FAULT)
         expression = _chosen((raw[state] for state in states), expression)
-    elif field == "good":
+    elif field in ("good", "referenced"):
         expression = f"({expression} ? {frames.values[field][True]} : {frames.values[field][False]})"
     return _typed(frames.fields[field], expression)
 

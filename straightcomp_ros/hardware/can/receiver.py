@@ -32,6 +32,8 @@ class Receiver:
         current: newest coil current; for a board that does not measure it, set it to the commanded one.
         samples: new samples, oldest first: number, sample, and an emulated board's truth.
         amplifier: state in the newest good frame; None before the first.
+        referenced: whether x is counted from its reference; None if the board does not say.
+        ambiguous: x may be one of several positions on the stage's travel, whole turns of its counter apart.
         board_fault: the board's code of why it switched off; None before the first.
         newest_ns: time of arrival of the newest usable sample.
         status_ns: time of arrival of the newest state of the amplifier.
@@ -58,6 +60,13 @@ class Receiver:
         self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault: int | None = None
+        self.referenced: bool | None = None
+        self.ambiguous = self._homed = False
+        self._x_modulus, motion = wire.sample.x_modulus, stage.motion
+        self._travel = (
+            min(motion.start, motion.start + motion.stroke) - stage.guide.runout,
+            max(motion.start, motion.start + motion.stroke) + stage.guide.runout,
+        )
         self.newest_ns = self.status_ns = self.heartbeat_ns = self._stamp_ns = 0
         self.node_state: int | None = None
         self.current = 0.0
@@ -132,6 +141,7 @@ class Receiver:
         if report.x is not None:
             self._take_sample(report, arrival_ns)
             return
+        self._take_reference(report)
         self._take_status(report, arrival_ns)
         if report.counter is not None:
             self._number_waiting(report.counter, arrival_ns)
@@ -168,6 +178,10 @@ class Receiver:
             raise FrameError("implausible")
         last, x, y = self._accepted, report.x, report.y
         assert x is not None and y is not None
+        self._take_reference(report)
+        ambiguous = False
+        if self._x_modulus:
+            x, ambiguous = self._unwrapped(x, ahead)
         alive = report.alive or 0
         if last is not None and self._alive_modulus and (alive - last - ahead) % self._alive_modulus:
             # Frames and samples do not count alike.
@@ -187,8 +201,28 @@ class Receiver:
             self.counts["encoders"] += 1
             return
         self._good = x, y, index
+        self.ambiguous = ambiguous
         if self.clock.settled:
             self._deliver(x, y, index, arrival_ns)
+
+    def _unwrapped(self, x: float, ahead: int) -> tuple[float, bool]:
+        """The position of the stage, and whether it may be another one, from what its counter says.
+
+        The turn of the counter follows from the last sample if the stage cannot have moved by half a turn since. Else
+        it is known where only one turn is on the travel, and after homing, which ends in the turn of the reference.
+        """
+        turn = self._x_modulus
+        if self._homed:
+            self._homed = False
+            return x, False
+        if self._good is not None:
+            last_x, _, number = self._good
+            ahead += (self.sequence.index or 0) - number
+            if self._x_noise + self._x_step * ahead < 0.5 * turn:
+                return last_x + math.remainder(x - last_x, turn), self.ambiguous
+        least, largest = self._travel
+        turns = range(math.ceil((least - x) / turn), math.floor((largest - x) / turn) + 1)
+        return (x + turns[0] * turn, False) if len(turns) == 1 else (x, True)
 
     def _is_near(self, x: float, y: float, ahead: int) -> bool:
         """Whether stage and platform can have come here since the last good reading."""
@@ -199,6 +233,13 @@ class Receiver:
         near_x: bool = abs(x - last_x) <= self._x_noise + self._x_step * ahead
         near_y: bool = abs(y - last_y) <= self._y_noise + self._y_step * ahead
         return near_x and near_y
+
+    def _take_reference(self, report: Report) -> None:
+        """A board that becomes referenced counts x from another zero, and in the turn of the reference."""
+        if report.referenced is not None:
+            if report.referenced and self.referenced is False:
+                self._good, self._homed = None, True
+            self.referenced = report.referenced
 
     def _take_status(self, report: Report, arrival_ns: int) -> None:
         if report.amplifier is not None:

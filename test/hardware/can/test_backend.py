@@ -498,3 +498,16 @@ def test_waiting_ends_with_the_first_sample_and_after_three_frames_without_one(t
     world.host._link.wait = lambda seconds: waits.append(seconds) or taken
     world.host.wait(250_000)
     assert waits == [250e-6] * turns
+
+
+def test_a_board_that_loses_the_reference_of_x_switches_off_and_says_so_until_it_is_homed(running):
+    machine = running.board.machine
+    assert running.host.unreferenced == ""
+    machine.unreferenced = "the encoder has lost its power"
+    running.run(0.02)
+    assert running.board.amplifier is Amplifier.FAULT and running.board.fault is BoardFault.ENCODER
+    assert running.host.state is State.FAULT and running.host.unreferenced
+    machine.unreferenced = ""
+    running.run(0.02)
+    assert running.host.unreferenced == ""
+    running.off_again()

@@ -16,7 +16,7 @@ from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from trials.can_servo import ServoTrial
 
-REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
+REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True, True)
 
 
 def foreign(**changes):
@@ -211,28 +211,32 @@ def classic(**protection):
     return CanParameters(dbc=str(share_path("config/straightcomp.dbc")), wire=wire, fd=False)
 
 
+UNREFERENCED = "no signal says whether x is referenced"
 LACKING = {
     "own, classic": (classic(), []),
     "own, FD": (CanParameters(fd=True), []),
     "own without a CRC of the slow frames": (
         classic(current=can_parameters.ProtectionParameters()),
-        ["CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"],
+        ["CoilCurrent has no CRC: a damaged number of a sample or measured current or reference of x is believed"],
     ),
-    "foreign": (board_of(FOREIGN_FILE), ["DSP_MEAS counts to 256 only", "there is no heartbeat"]),
+    "foreign": (board_of(FOREIGN_FILE), ["DSP_MEAS counts to 256 only", "there is no heartbeat", UNREFERENCED]),
     "foreign without a CRC of the state": (
         board_of(FOREIGN_FILE, **unprotected("status", crc="")),
         [
-            *("DSP_MEAS counts to 256 only", "there is no heartbeat"),
+            *("DSP_MEAS counts to 256 only", "there is no heartbeat", UNREFERENCED),
             "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed",
         ],
     ),
-    "split": (SPLIT, ["DSP_X counts to 15 only", "DSP_I has no CRC: a damaged measured", "there is no heartbeat"]),
+    "split": (
+        SPLIT,
+        ["DSP_X counts to 15 only", "DSP_I has no CRC: a damaged measured", "there is no heartbeat", UNREFERENCED],
+    ),
     "bare": (
         BARE,
         [
             *(f"{message} has no {what}" for message in ("SAMPLE", "SET") for what in ("CRC", "counter")),
             *("SET has no echo", "SET has no reset", "there is no heartbeat"),
-            *("no signal says whether the readings are good", "no signal has the measured current"),
+            *("no signal says whether the readings are good", UNREFERENCED, "no signal has the measured current"),
         ],
     ),
     "split without counts": (
@@ -244,6 +248,7 @@ LACKING = {
             *("DSP_X and DSP_Y have no counter in each: frames that come within half a period",),
             *("DSP_X and DSP_Y have no counter: repeated", "PC_SWITCH and PC_CURRENT have no counter in each"),
             *("PC_SWITCH and PC_CURRENT have no echo", "DSP_I has no CRC: a damaged measured", "there is no heartbeat"),
+            UNREFERENCED,
         ],
     ),
 }

@@ -56,7 +56,7 @@ reports = st.builds(
     *(st.sampled_from(Amplifier), st.sampled_from(BoardFault).map(int), st.booleans()),
 )
 commands = st.builds(Command, st.integers(0, 14), st.booleans(), st.booleans(), multiples(16, 1e-4), counts)
-REPORT = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
+REPORT = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True, True)
 FIELDS = {
     **dict.fromkeys(("EncoderAlive", "CoilCurrentAlive", "CommandAlive"), "alive"),
     **dict.fromkeys(("MeasuredCurrent", "ControlCurrent"), "current"),
@@ -148,7 +148,7 @@ def test_a_reading_beyond_the_limits_of_the_dbc_is_not_good():
 
 @BUSES
 def test_any_two_wrong_bits_are_found(wire):
-    payload = wire.sample.pack(Report(4, 49, 1.2345, -67.8e-6, 0.9, Amplifier.ON, 0, True), 0)
+    payload = wire.sample.pack(Report(4, 49, 1.2345, -67.8e-6, 0.9, Amplifier.ON, 0, True, True), 0)
     whole, size = int.from_bytes(payload, "little"), len(payload)
     for first in range(8 * size):
         for second in range(first, 8 * size):

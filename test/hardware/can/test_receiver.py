@@ -1,19 +1,22 @@
 """The receiver: each fault of a bad bus is counted, no wrong sample is used, and what it makes of single frames."""
 
 import math
+import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from can_boards import BARE, FOREIGN, PERIOD, START
 from forgery import forged
 
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import Truth
 from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import COUNTED
 from trials.can_faults import run_trial
@@ -56,11 +59,13 @@ class Board:
         self.frames = self.receiver.wire.reports.values()
         self.number, self.start_ns = 0, START
 
-    def sample(self, x=0, y=0, amplifier=Amplifier.ON, fault=0, good=True, current=0, late_ns=0, lost=0):
+    def sample(
+        self, x=0, y=0, amplifier=Amplifier.ON, fault=0, good=True, referenced=True, current=0, late_ns=0, lost=0
+    ):
         """The next sample after ``lost`` ones, in counts; returns what was delivered of it, or None."""
         self.number += lost
         counter = self.number % (self.receiver.wire.number_modulus or 2**32)
-        report = Report(0, counter, x * COUNT, y * COUNT, current * AMPERE, amplifier, fault, good)
+        report = Report(0, counter, x * COUNT, y * COUNT, current * AMPERE, amplifier, fault, good, referenced)
         delivered = len(self.receiver.samples)
         for frames in self.frames:
             if self.number % frames.every == 0:
@@ -165,7 +170,7 @@ def test_a_sample_is_in_metres_and_ampere_at_the_time_of_its_number(board):
 
 def test_a_frame_of_no_state_is_an_error_and_a_state_with_a_fault_is_reported(board):
     frames = board.receiver.wire.sample
-    payload = frames.pack(Report(8, 128, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True), 0)
+    payload = frames.pack(Report(8, 128, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True, True), 0)
     board.receive(frames.identifier, forged(frames, payload, Amplifier=0))
     assert board.refused() == {"state": 1} and board.receiver.error_counter == 4
     board.sample(amplifier=Amplifier.FAULT, fault=BoardFault.SUPPLY)
@@ -293,3 +298,87 @@ def test_the_state_of_the_amplifier_may_come_between_the_samples():
         board.receive(status.identifier, status.pack(report, turn), turn)
     assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault == 34
     assert board.receiver.status_ns == START + BLOCK * PERIOD
+
+
+TURN = 2**22
+"""Counts of an encoder of 22 bits: 0.42 m, of which the stage's travel has several."""
+
+
+@pytest.fixture(scope="module")
+def narrow(tmp_path_factory):
+    """The package's board with a counter of x of 22 bits."""
+    file = tmp_path_factory.mktemp("narrow") / "board.dbc"
+    text = share_path("config/straightcomp.dbc").read_text()
+    file.write_text(text.replace("18|26@1- (1E-007,0) [-3.3554431|3.3554431]", "18|22@1- (1E-007,0) [-0.2|0.2]"))
+    return CanParameters(fd=True, dbc=str(file), wire=replace(shipped_wire(True), x_wraps=True), y_speed=0.02)
+
+
+class WrappedMachine:
+    """A board whose counter of x wraps, on a stage that the draw moves; what happens to it is drawn too."""
+
+    def __init__(self, parameters, seed, stage):
+        self.draw, self.receiver = random.Random(seed), Receiver(parameters, stage)
+        self.frames, self.number = self.receiver.wire.sample, 0
+        self.travel = round(stage.motion.stroke / COUNT)
+        self.at = self.draw.randrange(self.travel)
+        self.zero, self.referenced, self.wrong, self.used = 0, True, 0, 0
+
+    def samples(self, count, speed=0):
+        for _ in range(count):
+            self.number += 1
+            self.move(speed)
+            x = self.frames.wrapped((self.at - self.zero) * COUNT)
+            report = Report(self.number % 15, self.number, x, 0.0, 0.0, Amplifier.ON, 0, True, self.referenced)
+            delivered = len(self.receiver.samples)
+            arrival_ns = START + self.number * PERIOD
+            self.receiver.receive(self.frames.identifier, self.frames.pack(report), arrival_ns)
+            receiver = self.receiver
+            if len(receiver.samples) > delivered and receiver.referenced and not receiver.ambiguous:
+                self.used += 1
+                self.wrong += abs(receiver.samples[-1][1].x - self.at * COUNT) > 1.5 * COUNT
+        self.receiver.samples.clear()
+
+    def move(self, counts):
+        self.at = min(max(0, self.at + counts), self.travel)
+
+    def home(self):
+        """While it is homed a machine has no reference; homing ends at its mark."""
+        self.referenced = False
+        self.samples(3)
+        self.referenced, self.zero, self.at = True, 0, self.draw.randrange(0, 1000)
+
+    def lose(self):
+        """The encoder counts from where the stage stands."""
+        self.referenced, self.zero = False, self.at
+
+    def restart(self):
+        """The board restarts, and the stage was pushed meanwhile."""
+        self.number = 0
+        self.move(self.draw.randrange(-TURN, TURN))
+        self.receiver.restart()
+
+    def pause(self):
+        """Samples are lost, and the stage moved on."""
+        lost = self.draw.choice((3, 50, 4000))
+        self.number += lost
+        self.move(lost * self.draw.randrange(-900, 900))
+
+
+@pytest.mark.parametrize("events", [400, pytest.param(20_000, marks=pytest.mark.nightly)])
+def test_no_wrong_x_is_used_whatever_happens_to_the_reference_and_the_counter(narrow, events):
+    stage = replace(SLOW_STAGE, motion=replace(SLOW_STAGE.motion, stroke=1.76))
+    machine = WrappedMachine(narrow, events, stage)
+    machine.samples(BLOCK)
+    for _ in range(events):
+        machine.draw.choice((machine.home, machine.home, machine.lose, machine.restart, machine.pause))()
+        machine.samples(BLOCK + 30, machine.draw.randrange(-900, 900))
+    assert machine.wrong == 0 and machine.used > 5 * events
+
+
+def test_a_turn_of_the_counter_that_is_alone_on_the_travel_needs_no_homing(narrow):
+    short = replace(SLOW_STAGE, motion=replace(SLOW_STAGE.motion, stroke=0.3))
+    for at in (0, 2_500_000, TURN // 2 - 1, TURN // 2):
+        machine = WrappedMachine(narrow, 1, short)
+        machine.at = at
+        machine.samples(3 * BLOCK)
+        assert machine.used and not machine.wrong and not machine.receiver.ambiguous

@@ -58,7 +58,7 @@ MEANING = {
     "enable.signal": "ON",
     "protection.command.alive": "SET_CNT",
 }
-REPORT = Report(None, 7, 0.5, -22e-6, None, Amplifier.ON, None, True)
+REPORT = Report(None, 7, 0.5, -22e-6, None, Amplifier.ON, None, True, None)
 
 
 @pytest.fixture
