@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from straightcomp_ros.cli.main import main
 
-RIGS = ("bags", "can", "faults", "history", "kills", "noise", "soak", "strokes", "wear")
+RIGS = ("bags", "can", "faults", "history", "kills", "noise", "soak", "strokes", "verdict", "wear")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

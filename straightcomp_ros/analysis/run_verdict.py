@@ -2,29 +2,45 @@
 
 The reasons are tried from the most specific to the most general, because one leads to another: a stalled host makes the
 platform oscillate, an oscillation saturates the current, and each of them makes the run inaccurate.
+
+A run is judged by what its stage was promised (:mod:`straightcomp_ros.offline.promise`): the error of the described
+machine under the same law, and a map as good as its described noise. An error of half of what a platform that stands
+still would leave is too large whatever was promised.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis import error_detail
+from straightcomp_ros.analysis import causes, error_detail
 from straightcomp_ros.analysis import judgement as words
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import residual_over
-from straightcomp_ros.analysis.record import AT_LIMIT, Array, ReferenceMap, StrokeRecord, runs_of
+from straightcomp_ros.analysis.metrics import RESTING, residual_over
+from straightcomp_ros.analysis.record import (
+    AT_LIMIT,
+    Array,
+    MetricsError,
+    ReferenceMap,
+    Stroke,
+    StrokeRecord,
+    motion_of,
+    runs_of,
+)
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
+
+if TYPE_CHECKING:
+    from straightcomp_ros.offline.promise import Promise
 
 
 def bounds_of(
@@ -49,6 +65,12 @@ def bounds_of(
     if straightness is not None:
         runout = float(parameters.get("feedforward", {}).get("stage.guide.runout", shipped.guide.runout))
         bounds["span"] = (straightness.span[0] - runout, straightness.span[1] + runout)
+    if "controller" in parameters:
+        for name in ("friction", "sensor_noise", "map_noise"):
+            known = parameters["controller"].get(f"stage.uncertainty.{name}", getattr(shipped.uncertainty, name))
+            bounds[name] = float(known)
+        modes = (parameters["controller"].get(f"stage.platform.modes.{one}.frequency") for one in ("first", "second"))
+        bounds["modes"] = tuple(float(one) for one in modes if one)
     return bounds
 
 
@@ -76,16 +98,20 @@ _ONE_SIDED = 0.5
 both limits in turn has about 0."""
 _LACKS = 0.05
 """Fraction of the motion in which a law may lack force, if the error is not made there."""
-_LEFT = 0.7
-"""RMS of what the map leaves of the guide, relative to the guide: above, the map explains less than half of its
-square."""
-_NOTICED = 0.05
-"""Fraction of the reference's travel below which what a map leaves says nothing: the survey's own noise on a short
-stroke, where the guide hardly deviates from a line."""
+_SIGMAS = 8.0
+"""Standard deviations, p-p, of what the noise of a survey leaves in its map: of 1,000 surveys with 200 points, one
+exceeds it."""
+_MAP_COUNTS = 2.0
+"""Counts of the encoder, p-p, below which an error of the map is not seen."""
 _ACCURATE = 0.5
-"""Largest error relative to the uncompensated deviation, both p-p."""
+"""Largest error relative to the uncompensated deviation, both p-p, whatever was promised."""
 _FEW_COUNTS = 3.0
 """Counts of the encoder, p-p, which the best law leaves: no less is asked for on a nearly straight guide."""
+_OF_LOOP = 0.0125
+"""Frequency relative to the rate from which an error without a held line is the loop's: slower ones it rejects, and
+what then is left of a disturbance has no line either."""
+_HUNTS = 0.02
+"""Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
 _STILL = 0.1e-6
 """Travel in m of a reference that asks for nothing: the run is uncompensated. Twenty times less than the best guide."""
 _STILL_SHARE = 0.01
@@ -93,13 +119,12 @@ _STILL_SHARE = 0.01
 
 
 class GuideFit(NamedTuple):
-    """How the guide's true deviation fits the map, from the least squares line, in m: p-p and RMS of the guide, and of
-    what a platform that follows the map exactly would leave."""
+    """How the guide's true deviation fits the map, from the least squares line, in m: p-p of the guide, p-p of what a
+    platform that follows the map exactly would leave, and why it does."""
 
     guide_pp: float
-    guide_rms: float
     left_pp: float
-    left_rms: float
+    cause: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +145,13 @@ class JudgedMotion:
     stop: float = math.inf  # the platform's mechanical stop at ± this position
     span: tuple[float, float] = (-math.inf, math.inf)  # of x in which the map's reference follows the guide or runs out
     late: str = ""  # that commands came later than described, as of `late_commands`
+    by_encoder: bool = False  # whether y and the error are the encoder's
+    promise: Callable[[], Promise | None] = lambda: None  # what the description leaves on this motion
+    # Of the description, see `UncertaintyParameters`.
+    friction: float = 2.0
+    sensor_noise: float = 0.5
+    map_noise: float = 0.02e-6
+    modes: Sequence[float] = ()  # Hz, described resonances of the platform
 
     @cached_property
     def period(self) -> float:
@@ -152,11 +184,44 @@ class JudgedMotion:
         guide = self.fit.guide_pp if self.fit else 0.0
         return self.travel <= max(_STILL, self.count, _STILL_SHARE * guide)
 
-    @property
+    @cached_property
+    def promised(self) -> Promise | None:
+        """What the stage was promised; asked for only where the error is more than the encoder's few counts."""
+        return self.promise()
+
+    @cached_property
     def largest(self) -> float:
         """Largest error in m, p-p, of a run that is in order; infinite for one that is uncompensated."""
-        least = max(_ACCURATE * self.uncompensated, _FEW_COUNTS * self.count)
-        return math.inf if self.still else min(least, max(self.uncompensated, self.count))
+        least = _FEW_COUNTS * self.count
+        if self.still:
+            return math.inf
+        if self.pp <= least:
+            return least
+        largest = max(_ACCURATE * self.uncompensated, least)
+        if not self.promised:
+            return min(largest, max(self.uncompensated, self.count))
+        # The error grows at most as the friction. The encoder's noise, and what it rounds, add to both sides.
+        rounded = 2.0 * self.sensor_noise + (2.0 if self.by_encoder else 1.0)
+        return min(largest, max(least, self.friction * self.promised.smooth + rounded * self.count))
+
+    @property
+    def largest_of_map(self) -> float:
+        """Largest deviation of the guide from the map in m, p-p."""
+        return max(_MAP_COUNTS * self.count, _SIGMAS * self.map_noise)
+
+    @cached_property
+    def strokes(self) -> Sequence[Stroke]:
+        """Of the stage; none where its motion cannot be told."""
+        try:
+            return motion_of(self.time, self.x).strokes
+        except MetricsError:
+            return ()
+
+    def resting(self) -> list[Array]:
+        """The error (m,) in each pause between strokes, from :data:`RESTING` after a stroke on."""
+        begins = [int(np.searchsorted(self.time, self.time[one.stop - 1] + RESTING)) for one in self.strokes]
+        pauses = zip(begins, self.strokes[1:], strict=False)
+        return [self.error[begin : following.start] for begin, following in pauses if begin < following.start]
 
     def disturbed(self, times: Sequence[Stall]) -> NDArray[np.bool_]:
         """The samples (n,) in any of these times, or so soon after that their error has not decayed yet."""
@@ -199,8 +264,10 @@ def judged_run(
             current=run.current,
             error=run.r - run.y if truth is None else truth,
             count=encoder_count(run.y),
-            fit=_guide_fit(record, reference),
+            by_encoder=truth is None,
+            fit=_guide_fit(record, reference, straightness),
             stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
+            promise=lambda: _promise(record, parameters, straightness),
             **bounds_of(parameters, straightness),
             late="" if latency is None else late_commands(latency, parameters.get("driver", {})),
         )
@@ -239,17 +306,29 @@ def encoder_count(readings: Array) -> float:
     return float(steps.min()) if steps.size else 0.0
 
 
-def _guide_fit(record: StrokeRecord, reference: ReferenceMap) -> GuideFit | None:
+def _promise(
+    record: StrokeRecord, parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None
+) -> Promise | None:
+    # Only here: it loads what simulates a stroke, which most runs do not need.
+    from straightcomp_ros.offline.promise import promise_of
+
+    return promise_of(record, parameters, straightness)
+
+
+def _guide_fit(record: StrokeRecord, reference: ReferenceMap, straightness: StraightnessMap | None) -> GuideFit | None:
     if record.true_x is None or record.guide is None:
         return None
     followed = record.guide + reference.evaluate(record.true_x)[0]
     guide, left = (residual_over(record.true_x, values, record) for values in (record.guide, followed))
-    return GuideFit(peak_to_peak(guide), float(guide.std()), peak_to_peak(left), float(left.std()))
+    cause = causes.of_map(record.true_x[record.motion.samples()], left, reference.deviations, straightness)
+    return GuideFit(peak_to_peak(guide), peak_to_peak(left), cause)
 
 
 def verdict_of(motion: JudgedMotion) -> Verdict:
     """The verdict on the run ``motion``. Whether guide and map fit can only be said where the guide is known."""
-    later = next((Verdict(word, reason) for word, why in _REASONS.items() if (reason := why(motion))), None)
+    later = next((Verdict(word, reason) for word, why in _REASONS if (reason := why(motion))), None)
+    if later is None and not (later := _disturbed(motion)) and (reason := _inaccurate(motion)):
+        later = Verdict(words.INACCURATE, reason)
     if motion.stalls and (reason := _starved(motion, later)):
         return Verdict(words.STARVED, reason)
     word, reason = later or Verdict(words.IN_ORDER, _in_order(motion))
@@ -319,51 +398,108 @@ def _saturated(motion: JudgedMotion) -> str:
 
 def _wrong_guide(motion: JudgedMotion) -> str:
     fit = motion.fit
-    if fit is None or motion.still or motion.pp > _ACCURATE * motion.uncompensated:
-        return ""
-    if fit.left_rms <= _LEFT * fit.guide_rms or fit.left_pp <= max(2.0 * motion.count, _NOTICED * motion.travel):
+    if fit is None or motion.still or motion.pp > motion.largest or fit.left_pp <= motion.largest_of_map:
         return ""
     return (
         f"the platform followed the map within {_um(motion.pp)} p-p, but of the guide's {_um(fit.guide_pp)} the map "
-        f"leaves {_um(fit.left_pp)}, RMS {fit.left_rms / fit.guide_rms:.0%}; allowed: {_LEFT:.0%}; use a survey of "
-        "this guide, and check its sign, unit and zero of x"
+        f"leaves {_um(fit.left_pp)}; allowed: {_um(motion.largest_of_map)}; {fit.cause}"
     )
 
 
-def _oscillates(motion: JudgedMotion) -> str:
+def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None:
+    """What the error does beyond what the reference asks for, and what is allowed; None if it is not too much."""
     pieces = list(error_detail.stretches(motion.time, motion.error, motion.r))
     allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
     found = max(error_detail.sustained_oscillation(error, reference, motion.period) for error, reference in pieces)
     if found.amplitude <= allowed and motion.pp > motion.largest:
         found = max(error_detail.irregular_oscillation(error, reference, motion.period) for error, reference in pieces)
-    if found.amplitude <= allowed:
+        large = motion.pp > _ACCURATE * motion.uncompensated
+        if not large and found.frequency < _OF_LOOP / motion.period:
+            return None
+    return (found, allowed) if found.amplitude > allowed else None
+
+
+def _disturbed(motion: JudgedMotion) -> Verdict | None:
+    """The verdict on an error that is a line, or is made by jumps: by what is behind it."""
+    error = f"error {_um(motion.pp)} p-p"
+    at_rest = max(_FEW_COUNTS * motion.count, _HUNTS * motion.uncompensated)
+    hunts = [rest for rest in motion.resting() if causes.stick_slip(rest, motion.period)]
+    hunting = max((pp for pp in map(peak_to_peak, hunts) if pp > at_rest), default=0.0)
+    line = _line(motion)
+    if line:
+        found, allowed = line
+        amplitude = f"with an amplitude of {_um(found.amplitude)}, {error}; allowed: {_um(allowed)}"
+        at = causes.Line(found.amplitude, found.frequency)
+        if of_mains := causes.mains(motion.time, motion.error, at):
+            return Verdict(
+                words.MAINS,
+                f"the mains' hum of {of_mains.at:.1f} Hz moves the platform {amplitude}; it is there at every "
+                "speed; look at the grounding and the shields of amplifier and encoder",
+            )
+        if waves := causes.locked_to_x(motion.time, motion.x, motion.error, motion.strokes, at):
+            return Verdict(
+                words.LOCKED_TO_X,
+                f"the error has a wave every {_mm(1.0 / waves.at)} of x {amplitude}; it is at the same places in "
+                "every stroke, as cogging or a periodic error of the map; learning.learn takes it off",
+            )
+    slips = False
+    if line or (not hunting and motion.pp > motion.largest):
+        slips = any(causes.stick_slip(motion.error[one.samples], motion.period) for one in motion.strokes)
+    if hunting or slips:
+        rest = f", {_um(hunting)} at rest; allowed: {_um(at_rest)}" if hunting else f"; allowed: {_um(motion.largest)}"
+        return Verdict(
+            words.STICK_SLIP,
+            f"the platform sticks and slips: {error}{rest}; describe its friction (stage.friction.static, coulomb and "
+            "bristle_stiffness; straightcomp friction BAG estimates it), or lower the static friction",
+        )
+    if not line:
+        return None
+    mode = causes.mode_of(found.frequency, motion.modes)
+    if mode is not None:
+        return Verdict(
+            words.RESONANCE,
+            f"the platform's mode at {mode:.0f} Hz is excited: {found.frequency:.0f} Hz {amplitude}; measure it by "
+            "straightcomp frequency-response, correct stage.platform.modes, and design anew",
+        )
+    return Verdict(
+        words.OSCILLATES,
+        f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; compare stage.platform.mass, stage.actuator, "
+        "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains that fit a description",
+    )
+
+
+def _noisy_map(motion: JudgedMotion) -> str:
+    """The reference itself asks for most of an error that is too large."""
+    if motion.pp <= motion.largest or not motion.promised:
+        return ""
+    with_noise = motion.promised.as_mapped
+    if with_noise <= max(motion.largest, _HARM * motion.promised.smooth) or _HARM * with_noise < motion.pp:
         return ""
     return (
-        f"the loop oscillates at {found.frequency:.0f} Hz with an amplitude of {_um(found.amplitude)}, error "
-        f"{_um(motion.pp)} p-p; allowed: {_um(allowed)}; compare mass, magnets, rate and delay of the machine with its "
-        "description; straightcomp design finds gains that fit a description"
+        f"the error is {_um(motion.pp)} p-p because the map has the noise of its survey: with it the described stage "
+        f"leaves {_um(with_noise)}, with a smooth map {_um(motion.promised.smooth)}; allowed: {_um(motion.largest)}; "
+        "set stage.guide.smooth to auto and repeat the survey's runs, or set it to 1"
     )
 
 
 def _inaccurate(motion: JudgedMotion) -> str:
     if motion.pp <= motion.largest:
         return ""
-    return (
-        f"the error is {_um(motion.pp)} p-p where a platform that stands still would leave "
-        f"{_um(motion.uncompensated)}; allowed: {_um(motion.largest)}; compare the machine with its description, and "
-        "look for a fault or a load"
-    )
+    still = f"a platform that stands still would leave {_um(motion.uncompensated)}"
+    promised = f"the described stage leaves {_um(motion.promised.smooth)}, and {still}" if motion.promised else still
+    cause = causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
+    return f"the error is {_um(motion.pp)} p-p where {promised}; allowed: {_um(motion.largest)}; {cause}"
 
 
-_REASONS = {
-    words.AT_STOP: _at_stop,
-    words.LEFT_MAP: _left_map,
-    words.SATURATED: _saturated,
-    words.WRONG_GUIDE: _wrong_guide,
-    words.OSCILLATES: _oscillates,
-    words.INACCURATE: _inaccurate,
-}
-"""By verdict, in the order in which they are tried: why a run is not in order, empty if it is."""
+_REASONS: Sequence[tuple[str, Callable[[JudgedMotion], str]]] = (
+    (words.AT_STOP, _at_stop),
+    (words.LEFT_MAP, _left_map),
+    (words.SATURATED, _saturated),
+    (words.WRONG_GUIDE, _wrong_guide),
+    (words.INACCURATE, _noisy_map),
+)
+"""Why a run is not in order, empty if it is, by verdict, in the order in which they are tried; then come the causes of
+:func:`_disturbed`, and at last :func:`_inaccurate`."""
 
 
 def _in_order(motion: JudgedMotion) -> str:

@@ -68,6 +68,7 @@ class StraightnessMap:
 
     Attributes:
         source, mark: of the survey.
+        survey: that it was built from.
         report: agreement of the runs.
         noise: what the survey's noise leaves in the map.
         span: first and last x of the survey in m.
@@ -78,6 +79,7 @@ class StraightnessMap:
     """
 
     def __init__(self, survey: Survey, parameters: MapParameters = MapParameters()) -> None:
+        self.survey = survey
         x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
         self.source, self.mark, self._reported = survey.source, survey.mark, parameters.reference
         self.report = repeatability(survey, x, values)

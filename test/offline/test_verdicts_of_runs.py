@@ -129,7 +129,7 @@ def test_a_survey_of_another_guide_is_recognised(tmp_path, law):
     for name, deviation in others.items():
         found = verdict(**whole, **{"feedforward.stage.guide.file": survey(tmp_path / f"{name}.csv", deviation)})
         assert found.verdict == "wrong_guide", name
-    same = survey(tmp_path / "same.csv", lambda x: guide.deviations(x) + 0.3e-6 * np.sin(20.0 * x) + 5e-6 * x)
+    same = survey(tmp_path / "same.csv", lambda x: guide.deviations(x) + 0.06e-6 * np.sin(20.0 * x) + 5e-6 * x)
     assert verdict(**whole, **{"feedforward.stage.guide.file": same}).in_order
 
 

@@ -1,0 +1,208 @@
+"""What makes an error that is not the law's: the mains, something locked to x, friction, a mode, or the loop itself.
+
+Each is told from facts of the record, not from the size of the error:
+
+- **mains**: a line at 50 or 60 Hz or a multiple. It keeps its phase over the whole run, whatever the speed; the loop's
+  own oscillation changes its frequency along the stroke and wanders off.
+- **locked to x**: a line that keeps its phase over x, in both directions. Its frequency follows the speed: the ramps at
+  both ends of a stroke tell it from a line in time.
+- **friction** (stick-slip, hunting): the platform stands most of the time and jumps in between. Its velocity is then
+  far from that of a sine or of noise: kurtosis 1.5 and 3.
+- **a mode**: a line at a described frequency of the platform.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import Array, Stroke
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.residual import least_squares_residual
+from straightcomp_ros.straightness.smoothing import NORMAL_95
+
+MAINS = (50.0, 60.0)
+"""Frequencies in Hz of the world's grids."""
+_GRID = 0.004
+"""Relative tolerance of a grid's frequency: large grids keep it within 0.2 Hz, but for rare moments."""
+_MULTIPLES = range(1, 7)
+"""Up to the ripple of a six-pulse rectifier."""
+_COHERENT = 0.5
+"""Least part of a line's amplitude that keeps its phase over a whole stroke; of one that wanders by a cycle, none."""
+_BETTER = 1.1
+"""Ratio by which a line must keep its phase better over x than over time, or the other way round."""
+_AROUND = 0.15
+"""Relative distance from the frequency of a line in a short segment within which that of the whole run lies."""
+_BINS, _FINER = 16, 4
+"""Bins for a wave, and frequencies within the resolution of the whole length."""
+_PLACES = 500
+"""Places of x at which curves are compared."""
+_FARTHEST, _SHIFT = 0.05, 0.25e-3
+"""Shifts of x in m that are tried for a map: to each side, and from one to the next."""
+_EXPLAINED = 0.2
+"""Share of the square of a map's error that a cause may leave."""
+_REPEATS = 0.7
+"""Least correlation over x between strokes of one direction whose errors are the same."""
+_SLOW = 0.1
+"""Standard deviation in s of the filter behind which an error is slow: below some 1 Hz."""
+_MOST = 0.5
+_STEP = 0.01
+"""Time in s from which a reversal of the reference is taken: it is no rounding then."""
+_AFTER, _AT_REVERSALS = 0.1, 4.0
+"""Time in s after a reversal of the reference, and how much more of the squared error friction makes there."""
+_OF_A_MODE = 0.1
+"""Relative distance from a mode within which a line is of it: a loop that a mode destabilises shifts it a little."""
+_STANDS, _STANDING = 0.4, 0.2
+"""Least fraction of the time in which the platform stands in stick-slip, at less than this fraction of its RMS
+velocity: 0.16 of noise. It was 0.4 to 0.9 with stiction, 0.1 to 0.25 without."""
+_JUMPS = 4.5
+"""Least kurtosis of the velocity then, 3 of noise. It was 5 to 20 with stiction, 1.5 to 4.6 without; an oscillation
+that comes and goes has as much, but stands less."""
+_VELOCITY_OVER = 0.002
+"""Time in s over which the velocity is taken: a slip lasts some milliseconds."""
+
+
+class Line(NamedTuple):
+    """A line that keeps its phase: amplitude in m; its frequency in Hz, or waves in 1/m."""
+
+    amplitude: float
+    at: float
+
+
+def mains(time: Array, error: Array, line: Line) -> Line | None:
+    """The ``line`` that was found in segments of ``error`` (n,), m, at ``time`` (n,), s, if it is of the mains."""
+    found = _coherent(time, error, line.at)
+    grid = any((multiple := round(found.at / one)) and abs(found.at / (multiple * one) - 1.0) <= _GRID for one in MAINS)
+    return found if grid and found.amplitude >= _COHERENT * line.amplitude else None
+
+
+def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke], line: Line) -> Line | None:
+    """The same as waves over ``x`` (n,), m, if it keeps its phase over x in each of the ``strokes``."""
+    found = []
+    for samples in (stroke.samples for stroke in strokes):
+        speed = float(np.quantile(np.abs(np.gradient(x[samples], time[samples])), 0.9))
+        over_x = _coherent(x[samples], error[samples], line.at / speed)
+        over_time = _coherent(time[samples], error[samples], line.at)
+        if over_x.amplitude < max(_COHERENT * line.amplitude, _BETTER * over_time.amplitude):
+            return None
+        found.append(over_x)
+    return min(found, default=None)
+
+
+def mode_of(frequency: float, modes: Sequence[float]) -> float | None:
+    """The frequency in Hz of the described mode that a line at ``frequency`` is of."""
+    nearest = min(modes, key=lambda mode: abs(mode - frequency), default=math.inf)
+    return nearest if abs(frequency / nearest - 1.0) <= _OF_A_MODE else None
+
+
+def stick_slip(error: Array, period: float) -> bool:
+    """Whether the platform stands and jumps: ``error`` (n,) in m of samples ``period`` s apart without a gap."""
+    span = max(1, round(_VELOCITY_OVER / period))
+    velocity = error[span:] - error[:-span]
+    square = float(np.mean(velocity**2)) if velocity.size else 0.0
+    if square == 0.0:
+        return False
+    kurtosis = float(np.mean(velocity**4)) / square**2
+    stands = float(np.mean(np.abs(velocity) < _STANDING * math.sqrt(square)))
+    return kurtosis >= _JUMPS and stands >= _STANDS
+
+
+def of_map(
+    x: Array, left: Array, deviations: Callable[[Array], Array], straightness: StraightnessMap | None = None
+) -> str:
+    """Why a map leaves ``left`` (n,) of its guide at ``x`` (n,), m, from the least squares line, and what to do.
+
+    ``deviations`` are the map's over x; ``straightness`` knows its noise and its points.
+    """
+    some = np.linspace(0, x.size - 1, min(x.size, _PLACES)).astype(np.intp)
+    x, left = x[some], left[some]
+    own = deviations(x)
+    shifts = np.arange(-_FARTHEST, _FARTHEST + 0.5 * _SHIFT, _SHIFT)
+    found = [_unexplained(x, left, deviations(x + one) - own) for one in shifts.tolist()]
+    best = int(np.argmin(found))
+    factor, of_height = _fitted(x, left, own)
+    bow, of_bow = _fitted(x, left, (x - x.mean()) ** 2)
+    sagitta = abs(bow) * (0.5 * float(np.ptp(x))) ** 2 * 1e6
+    height = "it has the opposite sign" if factor < -1.0 else f"its heights must be multiplied by {1.0 + factor:.3g}"
+    least, cause = min(
+        (found[best], f"its zero of x is off: shift its x by {-shifts[best] * 1e3:+.3g} mm"),
+        (of_height, f"{height}: check its sign and unit"),
+        (of_bow, f"it is bowed by {sagitta:.3g} µm: the straightedge was; separate it by straightcomp map reverse"),
+    )
+    if least <= _EXPLAINED:
+        return f"the survey is not of this guide as it lies: {cause}"
+    if straightness is not None:
+        points = np.unique(straightness.survey.runs[0].x)
+        away = np.abs(x[:, np.newaxis] - points).min(axis=1)
+        room = 0.5 * float(np.median(np.diff(points)))
+        near, far = left[away < 0.3 * room], left[away > 0.7 * room]
+        if near.size and far.size and float(np.mean(near**2)) < _EXPLAINED * float(np.mean(far**2)):
+            return f"the guide bends between the survey's points, {2e3 * room:.4g} mm apart: survey more points"
+        noise = straightness.noise
+        if noise.repeated and float(np.mean(left**2)) <= (2.0 * noise.half_width / NORMAL_95) ** 2:
+            return f"{noise}: repeat its runs, and smooth it (stage.guide.smooth)"
+    return "use a survey of this guide, and check its sign, unit and zero of x"
+
+
+def _fitted(x: Array, left: Array, shape: Array) -> tuple[float, float]:
+    """The factor of ``shape`` (n,) in ``left`` (n,), and the share of its square that then remains."""
+    flat = least_squares_residual(x, shape)
+    square = float(flat @ flat)
+    factor = float(flat @ least_squares_residual(x, left)) / square if square else 0.0
+    return factor, _unexplained(x, left, factor * shape)
+
+
+def _unexplained(x: Array, left: Array, shape: Array) -> float:
+    rest, whole = least_squares_residual(x, left - shape), least_squares_residual(x, left)
+    return float(rest @ rest) / max(float(whole @ whole), np.finfo(float).tiny)
+
+
+def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[Stroke], rests: Sequence[Array]) -> str:
+    """Why an ``error`` (n,) in m is large that no line and no jumps make, and what to do; reference ``r`` and slider
+    ``x`` (n,) in m at ``time`` (n,) in s, the error in each of the ``rests`` between the strokes."""
+    # This import takes half a second.
+    from scipy.ndimage import gaussian_filter1d
+
+    period, grid = float(np.median(np.diff(time))), np.linspace(float(x.min()), float(x.max()), _PLACES)
+    for way in ("forward", "backward"):
+        ours = [one.samples for one in strokes if one.direction == way]
+        rows = [np.interp(grid, *_ascending(x[samples], error[samples])) for samples in ours]
+        if len(rows) > 1 and float(np.atleast_2d(np.corrcoef(rows))[0, 1:].min()) > _REPEATS:
+            return "it is the same at each place of x in every stroke: learning.learn takes it off"
+    step = max(1, round(_STEP / period))
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(r[::step]))))[:, np.newaxis] * step
+    after = np.zeros(error.size, dtype=bool)
+    after[np.minimum(turns + np.arange(round(_AFTER / period)), error.size - 1)] = True
+    at_turns, elsewhere = (float(error[mask] @ error[mask]) / max(1, int(mask.sum())) for mask in (after, ~after))
+    if at_turns > _AT_REVERSALS * elsewhere > 0.0:
+        return (
+            "it is made where the platform reverses: friction is not as described (stage.friction.coulomb, static); "
+            "straightcomp friction BAG estimates it"
+        )
+    if float(gaussian_filter1d(error, _SLOW / period).var()) > _MOST * float(error.var()):
+        return "it changes slowly: look for an offset of the amplifier that drifts, a cable that drags, or a tilt"
+    resting = np.concatenate([rest - rest.mean() for rest in rests] or [error[:0]])
+    if resting.size and float(np.mean(resting**2)) > _MOST**2 * float(error.var()):
+        return "it is as large at rest: look for an offset of the amplifier that drifts, and for vibration"
+    return "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
+
+
+def _ascending(x: Array, values: Array) -> tuple[Array, Array]:
+    order = np.argsort(x, kind="stable")
+    return x[order], values[order]
+
+
+def _coherent(along: Array, error: Array, near: float) -> Line:
+    """The line in ``error`` (n,) that best keeps its phase over ``along`` (n,), within `_AROUND` of ``near``."""
+    length = float(np.ptp(along))
+    # Sums in fine bins, so that positions that are no even grid have a fast transform.
+    bins = math.ceil(_BINS * near * length) + 1
+    place = np.rint((along - along.min()) * ((bins - 1) / length)).astype(np.intp)
+    spectrum = np.abs(np.fft.rfft(np.bincount(place, error - error.mean(), bins), _FINER * bins)) * (2.0 / error.size)
+    tried = np.arange(spectrum.size) * ((bins - 1) / (_FINER * bins * length))
+    first, last = np.searchsorted(tried, ((1.0 - _AROUND) * near, (1.0 + _AROUND) * near)).tolist()
+    best = first + int(spectrum[first : last + 1].argmax())
+    return Line(float(spectrum[best]), float(tried[best]))

@@ -1,0 +1,128 @@
+"""What a stage was promised: the error that its own description leaves under its own law and gains on the same motion.
+
+A design, and a certificate, state the error of a simulation of the described machine. That simulation is made here
+again from the parameters that every run carries, so that a bag, a simulation and a replay are judged by one figure and
+no second record of it can differ. The machine is as described, its guide is the map, nothing disturbs it and no command
+is late.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import MOVING, SPEED_SPAN, MetricsError, StrokeRecord, motion_of
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
+from straightcomp_ros.offline.scenario import LOWEST_RATE, Scenario
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import (
+    ControllerNodeParameters,
+    DriverNodeParameters,
+    FeedforwardNodeParameters,
+    node_parameters,
+)
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.survey import Survey, SurveyError
+
+_SAME = 0.02
+"""Relative difference from the described motion within which a recorded one is that motion."""
+_SMOOTH = "1"
+"""As much smoothing of the survey as its noise warrants, whatever the parameters say: no guide has the noise."""
+
+
+class Promise(NamedTuple):
+    """Error p-p in m of the described machine: with the noise of the survey taken off, and with the map as it is."""
+
+    smooth: float
+    as_mapped: float
+
+
+def promise_of(
+    record: StrokeRecord, parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None
+) -> Promise | None:
+    """The promise for the motion of ``record``, by the ``parameters`` of each node with dotted names and the map; None
+    where they do not say what it is: parts are missing, of another version, or of a law that is not compiled."""
+    if "controller" not in parameters or straightness is None:
+        return None
+    controller, feedforward = parameters["controller"], parameters.get("feedforward", {})
+    stage = {name: value for name, value in controller.items() if name.startswith("stage.")}
+    try:
+        nodes = (
+            node_parameters("driver", {"driver": stage}),
+            node_parameters("feedforward", {"feedforward": {**stage, **feedforward}}),
+            node_parameters("controller", {"controller": controller}),
+        )
+        return _simulated(*nodes, _motion(record, nodes[2].stage.motion), _Hashed(straightness.survey))
+    except (ParameterError, SurveyError, MetricsError, ValueError):
+        return None
+
+
+class _Hashed:
+    """A survey as a key: surveys with the same points are the same."""
+
+    def __init__(self, survey: Survey) -> None:
+        self.survey = survey
+        self._key = tuple((run.direction, run.x.tobytes(), run.deviation.tobytes()) for run in survey.runs)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hashed) and self._key == other._key
+
+
+def _motion(record: StrokeRecord, described: Any) -> Any:
+    """The described motion, with the place, the length and the speed of the record's strokes where they differ."""
+    x = record.x[record.motion.window]
+    half = max(1, round(0.5 * SPEED_SPAN / float(np.median(np.diff(record.time)))))
+    moved = np.abs(record.x[2 * half :] - record.x[: -2 * half]) / (record.time[2 * half :] - record.time[: -2 * half])
+    start, stroke, speed = float(x.min()), float(np.ptp(x)), max(float(np.quantile(moved, 0.999)), MOVING)
+    reached = min(described.speed, math.sqrt(described.acceleration * stroke))
+    same_place = abs(start - described.start) < _SAME * stroke and abs(stroke / described.stroke - 1.0) < _SAME
+    if same_place and abs(speed / reached - 1.0) < _SAME:
+        return described
+    # Two digits: strokes of one kind are then one motion.
+    speed = float(f"{speed:.2g}")
+    highest = max(described.highest_speed, 2.0 * speed)
+    return dataclasses.replace(described, start=start, stroke=stroke, speed=speed, highest_speed=highest)
+
+
+@lru_cache(maxsize=64)
+def _simulated(
+    driver: DriverNodeParameters,
+    feedforward: FeedforwardNodeParameters,
+    controller: ControllerNodeParameters,
+    motion: Any,
+    hashed: _Hashed,
+) -> Promise | None:
+    stage = controller.stage
+    if stage.rate < LOWEST_RATE:
+        return None
+    law = make_law(controller.control, stage)
+    found = []
+    for smooth in (_SMOOTH, feedforward.stage.guide.smooth):
+        guide = dataclasses.replace(feedforward.stage.guide, smooth=smooth)
+        scenario = Scenario(
+            driver=driver,
+            description=stage,
+            controls={controller.control.law: controller.control},
+            feedforward=feedforward.feedforward,
+            followed=dataclasses.replace(feedforward.stage, guide=guide),
+            lead_ns=controller.lead_ns,
+            trajectory=Trajectory(forward_and_back(motion)),
+            survey=hashed.survey,
+        )
+        stroke = scenario.stroke()
+        cycle = scenario.cycle(law, stroke)
+        if cycle.current.size < stroke.stamps.size:
+            return None
+        window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
+        found.append(peak_to_peak(stroke.map.evaluate(stroke.true_x[window])[0] - cycle.true_y[window]))
+    return Promise(*found)

@@ -1,0 +1,329 @@
+"""Measure how often the verdict accuses a sound run, and which cause it names of runs with one.
+
+Runs are strokes of the stages of test/stages with their designed gains, of random place, length, speed and pauses. The
+machine is as an identification leaves it: mass, magnets, gap and friction within a quarter of the described
+uncertainty. The encoder has noise, the survey that of the description, the samples jitter, and on a loaded computer up
+to one command in a hundred is late by up to a period.
+
+An unsound run has one cause in addition, drawn until it leaves at least `WORSE` times what the same run leaves without
+it, and more than the encoder's counts: less is no fault that anyone could see. Runs that end at the stop are left out:
+their verdict says no cause.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.random import Generator, default_rng
+
+from scripts.stage_files import STAGES, stage_names
+from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import print_json
+from straightcomp_ros.offline.scenario import laws_of, make_scenario
+from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.parameter_file import read_stage_file
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.tuning.design.gains import closed_form
+from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times
+from trials.rig import progress
+
+SUMMARY = "false alarms, missed faults and named causes of the verdict"
+WORSE, COUNTS = 4.0, 4.0
+"""Least effect of a cause: relative to the run without it, and in counts of the encoder, p-p."""
+_ATTEMPTS = 6
+_IDENTIFIED = 0.25
+"""Part of the described uncertainty in which a machine lies after its identification."""
+_TRUTH = "simulated.truth."
+Values = dict[str, dict[str, Any]]
+
+
+class Drawn(NamedTuple):
+    """A run to simulate: parameters, the survey of its map with the noise in it, and what is random while it runs."""
+
+    values: Values
+    survey: Survey
+    seed: int
+    late: float  # share of the commands that are late
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--sound", type=int, default=50, metavar="N", help="sound runs (default: %(default)s)")
+    add("--unsound", type=int, default=2, metavar="N", help="unsound runs of each cause (default: %(default)s)")
+    add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: %(default)s)")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the sound runs that were accused, what was named for each cause, and the runs with another name."""
+    check_range("--sound", options.sound, 0)
+    check_range("--unsound", options.unsound, 0)
+    accused, table, others = [], {}, []
+    with tempfile.TemporaryDirectory() as folder, progress() as report:
+        for number in range(options.sound):
+            drawn = sound(default_rng([options.seed, 0, number]))
+            verdict = judged(drawn, *simulated(drawn))
+            if not verdict.in_order:
+                accused.append({"run": number, "stage": drawn.values["stage"]["name"], **verdict._asdict()})
+            report("sound runs", (number + 1) / options.sound)
+        for place, (cause, spoil) in enumerate(CAUSES.items(), 1):
+            named: Counter[str] = Counter()
+            for number in range(options.unsound):
+                random = default_rng([options.seed, place, number])
+                found = unsound(random, spoil, Path(folder))
+                if found is not None:
+                    name = named_cause(found[1])
+                    named[name] += 1
+                    if name != EXPECTED.get(cause, cause):
+                        stage = found[0].values["stage"]["name"]
+                        others.append({"cause": cause, "run": number, "stage": stage, **found[1]._asdict()})
+            report(cause, place / len(CAUSES))
+            table[cause] = dict(named)
+    print_json({"sound": options.sound, "accused": accused, "named_by_cause": table, "others": others})
+
+
+def sound(random: Generator) -> Drawn:
+    """A run of a stage as identified."""
+    name = str(random.choice([name for name in stage_names() if name != "infeasible"]))
+    values: Values = {node: {} for node in ("driver", "feedforward", "controller", "stage")}
+    for node, section in read_stage_file(STAGES / f"{name}.yaml").items():
+        values.setdefault(node, {}).update(section)
+    scenario = make_scenario(values, ["smc_observer"])
+    designed = json.loads((STAGES / "found_gains.json").read_text(encoding="utf-8")).get(name)
+    values["controller"] |= designed or closed_form(scenario, "smc_observer")
+    stage = scenario.description
+    length = stage.motion.stroke * float(random.uniform(0.15, 0.6))
+    values["stage"] |= {
+        "motion.stroke": length,
+        "motion.start": stage.motion.start + float(random.uniform(0.0, stage.motion.stroke - length)),
+        "motion.speed": stage.motion.speed * float(random.uniform(0.3, 1.0)),
+        "motion.settle": float(random.uniform(0.3, 1.0)),
+        "motion.pause": float(random.uniform(0.3, 0.8)),
+    }
+    ranges = stage.uncertainty
+    for fact in ("mass", "force", "air_gap"):
+        values["driver"][_TRUTH + fact] = 1.0 + _IDENTIFIED * getattr(ranges, fact) * float(random.uniform(-1.0, 1.0))
+    values["driver"][_TRUTH + "friction"] = ranges.friction ** (_IDENTIFIED * float(random.uniform(-1.0, 1.0)))
+    values["driver"]["simulated.initial_y"] = stage.encoder.y_resolution * float(random.uniform(-5.0, 5.0))
+    # The guide is the survey without noise; the map has it with noise.
+    values["driver"][_TRUTH + "guide"] = stage.guide.file
+    survey = mismeasured(scenario.survey, stage.uncertainty.map_noise, random)
+    return Drawn(values, survey, int(random.integers(2**31)), float(random.choice([0.0, 0.001, 0.01])))
+
+
+def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
+    """The run, and the map that it followed; ValueError if the platform is lost."""
+    scenario = make_scenario(drawn.values, ["smc_observer"])
+    random, stage, period = default_rng(drawn.seed), scenario.description, scenario.period_ns
+    stamps = sample_times(stage.uncertainty.jitter * stage.period, period, scenario.samples, random)
+    noise = stage.encoder.y_resolution * stage.uncertainty.sensor_noise * random.uniform()
+    delays = np.full(stamps.size, round(scenario.driver.stage.drive.delay * period))
+    late = np.flatnonzero(random.random(stamps.size) < drawn.late)
+    delays[late] += random.integers(0, period, late.size)
+    stroke = scenario.stroke(stamps, drawn.survey)
+    (law,) = laws_of(scenario).values()
+    cycle = scenario.cycle(law, stroke, delays, noise * random.standard_normal(stamps.size))
+    if cycle.y.size < stamps.size:
+        raise ValueError("the platform is lost")
+    record = StrokeRecord(
+        time=stamps * 1e-9,
+        x=stroke.x,
+        y=cycle.y,
+        r=stroke.references[:, 0].copy(),
+        current=cycle.current,
+        true_x=stroke.true_x,
+        true_y=cycle.true_y,
+        guide=scenario.driver.guide().deviations(stroke.true_x),
+        law="smc_observer",
+    )
+    return record, stroke.map
+
+
+def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:
+    return judged_run(record, straightness, by_node(drawn.values), straightness)
+
+
+Spoil = Callable[[Drawn, Generator, Path], Drawn]
+
+
+def unsound(random: Generator, spoil: Spoil, folder: Path) -> tuple[Drawn, Verdict] | None:
+    """A run with the cause, and the verdict on it; None if the cause did nothing on `_ATTEMPTS` runs."""
+    for _ in range(_ATTEMPTS):
+        drawn = sound(random)
+        count = make_scenario(drawn.values, ["smc_observer"]).description.encoder.y_resolution
+        spoilt = spoil(drawn, random, folder)
+        try:
+            found = simulated(spoilt)
+            before, after = evaluate(*simulated(drawn)), evaluate(*found)
+            effects = [(before.true_pp or 0.0, after.true_pp or 0.0), (before.residual_pp, after.residual_pp)]
+            verdict = judged(spoilt, *found)
+            worse = any(spoilt_pp > max(WORSE * own, own + COUNTS * count) for own, spoilt_pp in effects)
+            if worse and verdict.verdict != AT_STOP:
+                return spoilt, verdict
+        except ValueError:
+            continue
+    return None
+
+
+def changed(drawn: Drawn, node: str, **given: Any) -> Drawn:
+    """The run with parameters of a node, dots as double underscores."""
+    values = {name: dict(section) for name, section in drawn.values.items()}
+    values[node] |= {name.replace("__", "."): value for name, value in given.items()}
+    return drawn._replace(values=values)
+
+
+def disturbed(drawn: Drawn, **given: Any) -> Drawn:
+    return changed(drawn, "driver", **{f"{_TRUTH}disturbances.{name}": value for name, value in given.items()})
+
+
+def described(drawn: Drawn) -> StageParameters:
+    return make_scenario(drawn.values, ["smc_observer"]).description
+
+
+def dry(drawn: Drawn) -> float:
+    """Coulomb friction in N, or a thousandth of the weight without any: the measure of a force that matters."""
+    stage = described(drawn)
+    return max(stage.friction.coulomb, 1e-2 * stage.platform.mass)
+
+
+def another_guide(change: Callable[[np.ndarray, np.ndarray, Generator], tuple[np.ndarray, np.ndarray]]) -> Spoil:
+    """The map is made from a survey that was ``change``\\ d: x and deviation of each run, in m."""
+
+    def spoil(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+        state = random.bit_generator.state
+        runs = []
+        for one in drawn.survey.runs:
+            random.bit_generator.state = state
+            runs.append(Run(one.name, one.direction, *change(one.x, one.deviation, random)))
+        return drawn._replace(survey=Survey(tuple(runs)))
+
+    return spoil
+
+
+def _shifted(x: Any, deviation: Any, random: Generator) -> Any:
+    # The survey must still hold the stroke.
+    by = float(random.uniform(1e-3, 1e-2)) * float(random.choice([-1.0, 1.0]))
+    return x, np.interp(x + by, x, deviation)
+
+
+def _sparse(x: Any, deviation: Any, random: Generator) -> Any:
+    rows = np.unique(
+        np.linspace(0, x.size - 1, max(10, round(float(np.ptp(x)) / random.uniform(0.03, 0.1)))).astype(int)
+    )
+    return x[rows], deviation[rows]
+
+
+def _bowed(x: Any, deviation: Any, random: Generator) -> Any:
+    along = 2.0 * (x - x.min()) / np.ptp(x) - 1.0
+    return x, deviation + float(random.uniform(0.1, 0.5)) * np.ptp(deviation) * along**2
+
+
+def _noisy(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+    (one, *_), step = drawn.survey.runs, float(random.choice([0.5e-3, 1e-3]))
+    x = np.arange(one.x.min(), one.x.max(), step)
+    noise = float(random.uniform(0.1e-6, 0.5e-6)) * random.standard_normal(x.size)
+    survey = Survey((Run("1", "forward", x, np.interp(x, one.x, one.deviation) + noise),))
+    return changed(drawn._replace(survey=survey), "stage", guide__smooth="none")
+
+
+def _sticky(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+    stage = described(drawn)
+    coulomb = stage.friction.coulomb
+    truth = {
+        f"{_TRUTH}contact.model": "maxwell_slip",
+        f"{_TRUTH}contact.maxwell_slip.blocks": 1,
+        f"{_TRUTH}contact.maxwell_slip.attraction": 1e9,
+        "stage.friction.bristle_stiffness": float(10.0 ** random.uniform(7.5, 8.5)),
+        "stage.friction.static": coulomb * float(random.uniform(1.5, 2.0)),
+    }
+    return changed(drawn, "driver", **{name.replace(".", "__"): value for name, value in truth.items()})
+
+
+def _of_loop(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+    if random.uniform() < 0.5:
+        return changed(drawn, "driver", **{_TRUTH + "mass": float(random.uniform(2.5, 5.0))})
+    return changed(drawn, "driver", stage__drive__delay=described(drawn).drive.delay + float(random.uniform(2.0, 5.0)))
+
+
+def _mode(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+    highest = 0.3 * described(drawn).rate
+    frequency = float(random.uniform(60.0, min(600.0, highest)))
+    mode = {"frequency": frequency, "damping": float(random.uniform(0.005, 0.03)), "coil": 1.0}
+    mode["encoder"] = float(random.choice([-1.0, 1.0]))
+    true = {f"{_TRUTH}modes.first.{name}": value for name, value in mode.items()}
+    drawn = changed(drawn, "driver", **{name.replace(".", "__"): value for name, value in true.items()})
+    # Described, so that the verdict can know it; the gains are not designed for it.
+    return changed(drawn, "controller", **{f"stage__platform__modes__first__{k}": v for k, v in mode.items()})
+
+
+CAUSES: Mapping[str, Spoil] = {
+    "shift": another_guide(_shifted),
+    "sign": another_guide(lambda x, deviation, random: (x, -deviation)),
+    "bow": another_guide(_bowed),
+    "points": another_guide(_sparse),
+    "noise": _noisy,
+    "mains": lambda drawn, random, folder: disturbed(
+        drawn,
+        mains__frequency=float(random.choice([50.0, 60.0]) + random.uniform(-0.1, 0.1)),
+        mains__force=float(random.uniform(0.5, 3.0)) * dry(drawn),
+        mains__second=float(random.uniform(0.0, 0.2)) * dry(drawn),
+    ),
+    "cogging": lambda drawn, random, folder: disturbed(
+        drawn,
+        cogging__force=float(random.uniform(1.0, 5.0)) * dry(drawn),
+        cogging__pitch=float(random.uniform(0.008, 0.032)),
+    ),
+    "drift": lambda drawn, random, folder: disturbed(
+        drawn,
+        drift__current=float(random.uniform(1.0, 5.0)) * dry(drawn) / described(drawn).actuator.current_stiffness,
+        drift__time=float(random.uniform(0.3, 2.0)),
+        seed=int(random.integers(1000)),
+    ),
+    "stiction": _sticky,
+    "friction": lambda drawn, random, folder: changed(
+        drawn, "driver", **{_TRUTH + "friction": float(random.uniform(20.0, 60.0))}
+    ),
+    "loop": _of_loop,
+    "mode": _mode,
+}
+"""What spoils a run, by name."""
+EXPECTED = {"stiction": "friction"}
+"""The name of a cause in a verdict, where it is another one."""
+_PHRASES = {
+    "zero of x is off": "shift",
+    "opposite sign": "sign",
+    "bowed": "bow",
+    "more points": "points",
+    "noise": "noise",
+    "changes slowly": "drift",
+    "at rest: look": "drift",
+    "platform reverses": "friction",
+    "learning.learn": "cogging",
+}
+_WORDS = {
+    "mains": "mains",
+    "locked_to_x": "cogging",
+    "stick_slip": "friction",
+    "resonance": "mode",
+    "oscillates": "loop",
+}
+
+
+def named_cause(verdict: Verdict) -> str:
+    """The cause that a verdict names, by the name in `CAUSES` where it is one of these."""
+    if verdict.verdict in _WORDS:
+        return _WORDS[verdict.verdict]
+    said = (name for phrase, name in _PHRASES.items() if phrase in verdict.reason)
+    return next(said, verdict.verdict.replace("_", " ")) if not verdict.in_order else "in order"
