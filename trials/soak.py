@@ -20,7 +20,7 @@ import numpy as np
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import default_output, recover
-from straightcomp_ros.cell.launcher import RECORDED, LaunchError
+from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.contract import ENCODER
@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     parser.add_argument("--minutes", type=float, default=30.0, help="duration of the actions in minutes (default: 30)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the random choices (default: 1)")
+    parser.add_argument("--composed", action="store_true", help="driver, feedforward and controller in one process")
     add_output(parser)
 
 
@@ -54,7 +55,8 @@ def run(options: argparse.Namespace) -> int:
         raise CommandFailed(f"--minutes {options.minutes:g}: allowed: above 0, up to a week", exit_code=2)
     values = trial_parameters(chosen_parameters(options))
     with output(options) as folder, progress() as advance:
-        figures = run_soak(values, folder, 60.0 * options.minutes, options.seed, advance).to_display()
+        soak = run_soak(values, folder, 60.0 * options.minutes, options.seed, advance, options.composed)
+        figures = soak.to_display()
     print_json(figures)
     return int(not figures["passed"])
 
@@ -65,11 +67,12 @@ def run_soak(
     seconds: float,
     seed: int,
     advance: Progress = lambda kind, fraction: None,
+    composed: bool = False,
 ) -> Soak:
     """Run the graph with actions for ``seconds``, then check what it left.
 
-    Only two of the nodes are killed in the first half, and only the other two in the second, so that each has a process
-    that lives for half of the time. All kinds of action are done equally often, in random order.
+    Half of the processes are killed in the first half, and only the others in the second, so that each node has a
+    process that lives for half of the time. All kinds of action are done equally often, in random order.
 
     Args:
         values: from :func:`trials.faults.trial_parameters`.
@@ -77,6 +80,7 @@ def run_soak(
         seconds: duration of the actions; start, end and reading of the bags take extra time.
         seed: of the random choices. Their effects differ from run to run.
         advance: called before each action with its kind and the elapsed fraction of the time.
+        composed: driver, feedforward and controller run in one process.
 
     Raises:
         LaunchError: the graph does not start.
@@ -85,16 +89,17 @@ def run_soak(
     result, lives = Soak(seed), Lives()
     begin = time.monotonic()
     priority = values["driver"].get("realtime.priority", 0)
-    with Stand(folder, values) as stand, Stalls(folder, priority) as stalls:
+    with Stand(folder, values, composed) as stand, Stalls(folder, priority) as stalls:
         rate, log = node_parameters("driver", values).stage.rate, folder / "actions.log"
         scene = Scene(stand, rng, rate, result, stalls, log, _maps(values, folder))
         scene.back_to_work()
-        killed = rng.sample(RECORDED, len(RECORDED))
+        killed = rng.sample(stand.names, len(stand.names))
+        half = len(killed) // 2
         kinds = _kinds(rng)
         started = time.monotonic()
         new_graphs = 0
         while (fraction := (time.monotonic() - started) / seconds) < 1.0 and new_graphs <= _NEW_GRAPHS:
-            scene.killable = tuple(killed[:2] if fraction < 0.5 else killed[2:])
+            scene.killable = tuple(killed[:half] if fraction < 0.5 else killed[half:])
             kind = next(kinds)
             advance(kind, fraction)
             if not _done(scene, kind, result):
@@ -149,10 +154,10 @@ def _take_failures(scene: Scene, kind: str, result: Soak) -> None:
 def _start_anew(scene: Scene, result: Soak) -> None:
     """Kill and start all nodes, so that the rest of the time is not lost."""
     scene.interrupt(before_s=1.0)
-    for name in RECORDED:
+    for name in scene.stand.names:
         if scene.stand.exit_code(name) is None:
             scene.stand.signal(name, signal.SIGKILL)
-    for name in RECORDED:
+    for name in scene.stand.names:
         scene.stand.restart(name)
     scene.stand.failures.clear()  # all have ended
     try:

@@ -21,7 +21,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.cell.launcher import RECORDED, LaunchError
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, LaunchError
 from straightcomp_ros.contract import DIAGNOSTICS, POSITION
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.runtime.streams import subscribe
@@ -62,7 +62,7 @@ class Scene:
         maps: map files between which the feedforward may change.
 
     Attributes:
-        killable: nodes that may be killed now.
+        killable: processes that may be killed now.
         recorded: times (begin, end) during which the recording was known to be complete, ns since the epoch: the
             driver was active, the logger's reports said that it recorded, and neither was stopped, paused, killed,
             deactivated or restarted.
@@ -142,6 +142,11 @@ class Scene:
             self.fail(f"the controller has not asked for the amplifier to be switched off within {_PATIENCE_S:g} s")
         elif stand.tripped.fault is not wanted:
             self.fail(f"the controller tripped with '{stand.tripped.fault.label}'; allowed: {wanted.label}")
+
+    def must_be_missed(self) -> None:
+        """Check that the heartbeats of all nodes of the one process are missed."""
+        if not self.stand.until(lambda: {*IN_THE_LOOP} <= {*self.stand.heartbeats.silent()}, _PATIENCE_S):
+            self.fail(f"its nodes were not missed within {_PATIENCE_S:g} s")
 
     def may_latch(self, *allowed: Fault) -> None:
         """Check that the amplifier is on, or off with one of these faults."""
@@ -296,33 +301,29 @@ def kill(scene: Scene) -> None:
     if name == "logger":
         scene.stand.spin(1.0)
         scene.may_latch()
-    elif name == "driver":
-        scene.must_trip()
     else:
-        scene.must_latch(HELD_UP)
+        _must_react(scene, name)
     scene.stand.restart(name)
 
 
 def stop_for_long(scene: Scene) -> None:
     """SIGSTOP for longer than the timeouts: a fault must be latched. Without the logger the loop must keep running."""
-    name = _signal(scene, RECORDED, signal.SIGSTOP)
+    name = _signal(scene, scene.stand.names, signal.SIGSTOP)
     if name == "logger":
         scene.stand.spin(scene.rng.uniform(0.3, 0.7))
-    elif name == "driver":
-        scene.must_trip()
     else:
-        scene.must_latch(HELD_UP)
+        _must_react(scene, name)
     scene.stand.signal(name, signal.SIGCONT)
     if name == "logger":
         scene.may_latch()
-    elif name == "driver":
+    elif name in ("driver", COMPOSED):
         # By its own clock the driver has missed commands for even longer than the controller has missed samples.
         scene.must_latch(HELD_UP)
 
 
 def stop_for_short(scene: Scene) -> None:
     """SIGSTOP for less than the timeouts: on a busy computer a fault may be latched all the same."""
-    name = _signal(scene, RECORDED, signal.SIGSTOP)
+    name = _signal(scene, scene.stand.names, signal.SIGSTOP)
     scene.stand.spin(scene.rng.uniform(0.01, 0.1))
     scene.stand.signal(name, signal.SIGCONT)
     scene.stand.spin(0.3)
@@ -402,12 +403,22 @@ def _recorder(scene: Scene, service: str) -> None:
         scene.fail(f"{service} was refused: {answer.message}")
 
 
+def _must_react(scene: Scene, name: str) -> None:
+    """Check what must follow when this process of the loop works no more."""
+    if name == "driver":
+        scene.must_trip()
+    elif name == COMPOSED:
+        scene.must_be_missed()
+    else:
+        scene.must_latch(HELD_UP)
+
+
 def _signal(scene: Scene, names: Sequence[str], number: signal.Signals, lost_s: float = 0.0) -> str:
-    """Send a signal to one of the nodes, of whose recording the last ``lost_s`` may be lost; returns its name."""
+    """Send a signal to one of the processes, of whose recording the last ``lost_s`` may be lost; returns its name."""
     name = scene.rng.choice(names)
     scene.about = f"{name}: "
     scene.note(f"  {name}")
-    if name in ("driver", "logger"):
+    if name in ("driver", COMPOSED, "logger"):
         scene.interrupt(lost_s)
     scene.stand.signal(name, number)
     return name
