@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Command, Law
@@ -19,6 +20,21 @@ _MISFIT_BANDWIDTH = 60.0
 """Hz; lower than the encoder's noise, higher than the reversals of friction."""
 _MISFIT_MEMORY = 0.3
 """s; some reversals of the map at the shipped speed."""
+
+_SMALLEST_SIZE = 1e-3
+"""Of friction: none would be a dead end for the fit."""
+_COUNTING = 2.0
+"""Times the force that is lost in the quanta: from there on friction counts."""
+_FREE = {"bandwidth": 0.182, "surface": 2.2, "reaching": 0.073}
+"""Gains without friction, times the dead time, found on the shipped stage without its friction. Nothing but the
+encoder's noise disturbs such a platform: a slow observer, and much damping, leave the least error."""
+_FREE_THIRD_POLE = 0.21
+_FREE_ALLOWANCE = 1.7
+"""Gain allowance up to which these gains leave the loop enough gain; with more they grow in proportion."""
+_BENDING = 2.0
+"""Counts of the encoder."""
+_DITHER = 0.54
+"""Frequency of the dither times the dead time: well beyond the loop's bandwidth, a quarter of the shipped rate."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +70,12 @@ class ObserverDesign:
     )
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
+    dither: float = parameter(
+        1.5,
+        "Amplitude of the dither relative to the current that carries Coulomb friction at its frequency; only where "
+        "friction's bristles bend by less than two counts before the platform slides. 0: none",
+        "[0, 10]",
+    )
 
 
 @dataclass(frozen=True)
@@ -113,27 +135,75 @@ def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
 def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
     period = stage.period
     loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
+    friction, actuator = stage.friction, stage.actuator
+    quantum, converter = _quantum(stage), stage.drive.current_step * actuator.current_stiffness
+    coulomb = max(friction.coulomb, _SMALLEST_SIZE * quantum)
+    band = design.rest_band * stage.encoder.y_resolution
+    turn, amplitude = dither_of(design, stage)
+    largest = min(design.largest_size, smc_observer.SMALLEST_SHAPE) if amplitude > 0.0 else design.largest_size
     gains = smc_observer.Gains(
+        free=_stiffness(_free(design, stage), 1.0, period),
         quiet=_stiffness(design, 1.0, period),
         stiff=_stiffness(design, design.stiffening, period),
         share=design.velocity_share,
-        misfit=design.misfit * stage.friction.coulomb / loop.mass,
-        lugre=stage.friction.constants(),
+        misfit=max(design.misfit * friction.coulomb, quantum) / loop.mass,
+        lugre=friction.constants()._replace(viscous=friction.viscous + stage.platform.damping),
         kept=math.exp(-period / design.memory),
         smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
         mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
         # The magnets' stiffness changes the acceleration by 1 m/s² over it, the unit of the fit's first variance.
         travel=stage.platform.mass / stage.actuator.position_stiffness,
-        largest=design.largest_size,
+        # Without dry friction there is no size to fit.
+        smallest=_SMALLEST_SIZE if friction.coulomb > 0.0 else 1.0,
+        largest=largest if friction.coulomb > 0.0 else 1.0,
+        counting=_COUNTING * quantum / coulomb,
+        # Friction holds the platform a count beside the balance, with half a step of the converter too much.
+        holding=(quantum - 0.5 * converter) / coulomb,
         speed=design.rest_speed,
-        band=design.rest_band * stage.encoder.y_resolution,
+        band=band,
         wait=design.rest_wait,
         # The mean is over a quarter of the wait: it must forget the approach.
         weight=1.0 - math.exp(-4.0 * period / design.rest_wait),
+        dither=amplitude,
+        turn=smc_observer.Dither(math.cos(turn), math.sin(turn)),
         loop=loop,
     )
-    first_size = min(design.first_size, design.largest_size)
+    first_size = max(gains.smallest, min(design.first_size, gains.largest))
     return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)
+
+
+class Dithering(NamedTuple):
+    """Angle by which the dither goes on in a period, and its amplitude in A."""
+
+    angle: float
+    amplitude: float
+
+
+def needs_dither(stage: StageParameters) -> bool:
+    """Whether friction counts, and switches within two counts of the encoder, so that readings do not predict it."""
+    bending = stage.friction.static / stage.friction.bristle_stiffness
+    return bending <= _BENDING * stage.encoder.y_resolution and stage.friction.coulomb >= _COUNTING * _quantum(stage)
+
+
+def dither_of(design: ObserverDesign, stage: StageParameters) -> Dithering:
+    """The dither on a stage, of no amplitude where it needs none.
+
+    It keeps the platform sliding to and fro, far faster than the loop, so that friction acts on the slow motion as a
+    damping (`margins.py`).
+    """
+    friction, drive = stage.friction, stage.drive
+    if not needs_dither(stage):
+        return Dithering(0.0, 0.0)
+    frequency = min(0.25 * stage.rate, _DITHER / stage.dead_time)
+    passed = 1.0 / math.hypot(1.0, frequency / drive.bandwidth)
+    amplitude = design.dither * friction.coulomb / (passed * stage.actuator.current_stiffness)
+    return Dithering(2.0 * math.pi * frequency * stage.period, amplitude)
+
+
+def _quantum(stage: StageParameters) -> float:
+    """Force in N of the encoder's count against magnets and flexure, and of a step of the D/A converter."""
+    pull = abs(stage.actuator.position_stiffness - stage.platform.stiffness)
+    return pull * stage.encoder.y_resolution + stage.drive.current_step * stage.actuator.current_stiffness
 
 
 def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_observer.Stiffness:
@@ -147,6 +217,22 @@ def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_obse
         double=1.0 - math.exp(-rate),
         third=1.0 - math.exp(-rate * design.third_pole),
     )
+
+
+def _free(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
+    more = max(1.0, design.gain_allowance / _FREE_ALLOWANCE)
+    gains = {name: number / stage.dead_time for name, number in _FREE.items()}
+    gains |= {name: more * gains[name] for name in ("surface", "reaching")}
+    return replace(design, **gains, third_pole=_FREE_THIRD_POLE)
+
+
+def freed(control: ControlParameters, stage: StageParameters) -> ControlParameters | None:
+    """'smc_observer' where it finds no friction; None for other laws, and for a stage that certainly has friction."""
+    if control.law != "smc_observer":
+        return None
+    if stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * _quantum(stage):
+        return None
+    return replace(control, smc_observer=replace(_free(control.smc_observer, stage), stiffening=1.0))
 
 
 def stiffened(control: ControlParameters) -> ControlParameters:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law, flat
-from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law, stiffened
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, freed, make_law, stiffened
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
 
@@ -106,8 +106,8 @@ def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) ->
     rate = 2.0 * math.pi * stage.drive.bandwidth
     continuous = np.zeros((4, 4))
     continuous[0, 1] = 1.0
-    continuous[1, 0] = actuator.position_stiffness / mass
-    continuous[1, 1] = -damping / mass
+    continuous[1, 0] = (actuator.position_stiffness - stage.platform.stiffness) / mass
+    continuous[1, 1] = -(damping + stage.platform.damping) / mass
     continuous[1, 2] = actuator.current_stiffness / mass
     continuous[2, 2], continuous[2, 3] = -rate, rate
     whole = int(delay / period)
@@ -312,6 +312,8 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
     ends = [(quiet, "", LEAST_GAINS)]
     if stiff is not control:
         ends.append((make_law(stiff, stage), ", at its stiffest", _STIFFEST_GAINS))
+    if (free := freed(control, stage)) is not None:
+        ends.append((make_law(free, stage), ", without friction", LEAST_GAINS))
     for law, where, gains in ends:
         for measured, how in ((False, ""), (True, ", with the coils' current measured")):
             stable = partial(_stable, plant, linearised(law, with_current=measured))

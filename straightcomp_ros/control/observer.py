@@ -1,6 +1,7 @@
 """Extended state observer of the platform, through a loop delay that it knows; and the errors at the moment of action.
 
-The model between two samples is M v̇ = f_c(y, i) + M d with the magnets' exact force (2), the amplifier's first-order
+The model between two samples is M v̇ = f_c(y, i) − k y + M d with the magnets' exact force (2), a flexure's
+stiffness k, the amplifier's first-order
 lag, and a command that takes effect ``delay`` after its sample. Friction, model errors and everything else is the
 disturbance d (an acceleration), taken as constant from sample to sample (Han, IEEE Trans. Ind. Electron. 56(3), 2009;
 Gao's bandwidth parameterisation, ACC 2003).
@@ -58,6 +59,7 @@ class Loop(NamedTuple):
         period, delay: s.
         before_action, after_action: of a period, under the last command and under the new one.
         mass: kg.
+        stiffness: of the flexure, N/m.
         current_limit: A.
         current_gain: acceleration per current at the centre, m/s²/A.
         current_share: mean over a period of a current step's effect, relative to its effect at the period's end.
@@ -68,6 +70,7 @@ class Loop(NamedTuple):
     before_action: Interval
     after_action: Interval
     mass: float
+    stiffness: float
     current_limit: float
     current_gain: float
     current_share: float
@@ -105,6 +108,7 @@ def nominal_loop(stage: StageParameters, *, delay_samples: float, gain_allowance
         interval(rate, delay_samples * period),
         interval(rate, acting),
         mass,
+        stage.platform.stiffness,
         stage.actuator.current_limit,
         stage.actuator.current_stiffness / mass,
         (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
@@ -125,8 +129,11 @@ def corrected(gains: ObserverGains, prior: Estimate, reading: float) -> Estimate
 
 
 @compilable
-def predicted(actuator: Actuator, mass: float, over: Interval, estimate: Estimate, command: float) -> Estimate:
-    """The estimate at the end of ``over``, with the amplifier commanded ``command`` A throughout."""
+def predicted(
+    actuator: Actuator, mass: float, over: Interval, estimate: Estimate, command: float, stiffness: float = 0.0
+) -> Estimate:
+    """The estimate at the end of ``over``, with the amplifier commanded ``command`` A throughout, and the ``stiffness``
+    of a flexure in N/m."""
     y, velocity, disturbance, current = estimate
     duration, left, mean = over
     behind = current - command
@@ -134,7 +141,7 @@ def predicted(actuator: Actuator, mass: float, over: Interval, estimate: Estimat
     limit = _USABLE_GAP * actuator.air_gap
     halfway = max(-limit, min(limit, y + 0.5 * duration * velocity))
     force = magnetic_force(actuator, halfway, actuator.bias_current, command + behind * mean)
-    acceleration = force / mass + disturbance
+    acceleration = (force - stiffness * halfway) / mass + disturbance
     return Estimate(
         y + duration * (velocity + 0.5 * duration * acceleration),
         velocity + duration * acceleration,
@@ -162,7 +169,7 @@ def moment_of_action(
 ) -> tuple[Estimate, float, float]:
     """Estimate and errors y − r and ẏ − ṙ at the moment at which the answer to a sample acts, from the estimate
     ``now``, the ``command`` in A until then, and the reference of the sample in m, m/s, m/s²."""
-    action = predicted(g.actuator, g.mass, g.before_action, now, command)
+    action = predicted(g.actuator, g.mass, g.before_action, now, command, g.stiffness)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
     return action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot)
 
@@ -171,7 +178,8 @@ def moment_of_action(
 def current_for(g: Loop, y: float, acceleration: float) -> float:
     """Control current in A that accelerates the platform at ``y`` (m) by ``acceleration`` (m/s²)."""
     limit = _USABLE_GAP * g.actuator.air_gap
-    return control_current(g.actuator, max(-limit, min(limit, y)), g.mass * acceleration)
+    y = max(-limit, min(limit, y))
+    return control_current(g.actuator, y, g.mass * acceleration + g.stiffness * y)
 
 
 @compilable

@@ -47,7 +47,8 @@ class SlidingDesign:
 def state_matrices(stage: StageParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A (3, 3) and B (3,) of (6), with the control current in A as the input instead of u (so K_a = 1)."""
     actuator, mass = stage.actuator, stage.platform.mass
-    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, actuator.position_stiffness / mass, 0.0]])
+    stiffness, damping = actuator.position_stiffness - stage.platform.stiffness, stage.platform.damping
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, stiffness / mass, -damping / mass]])
     return a, np.array([0.0, 0.0, actuator.current_stiffness / mass])
 
 

@@ -67,8 +67,12 @@ from straightcomp_ros.model.friction import LuGre, bristle_after, friction_force
 _FIRST_VARIANCE = 1.0
 """Of c, b times the travel, and s, in units of the variance of one sample's disturbance."""
 _LARGEST_TRACE = 30.0
-_SMALLEST_SIZE = 0.1
-"""Without friction in the law the fit has nothing to correct: too little is harmless, none would be a dead end."""
+SMALLEST_SHAPE = 0.1
+"""Size of friction below which the model keeps its shape and only its force shrinks: with the level the bristles' bend
+would shrink to nothing, and the model to a switch that the encoder's noise throws."""
+
+_PATIENCE = 5.0
+"""Times the wait at rest after which a platform that does not come to rest is taken for one that cannot."""
 
 
 class Lags(NamedTuple):
@@ -114,23 +118,35 @@ class Stiffness(NamedTuple):
     third: float
 
 
+class Dither(NamedTuple):
+    """Cosine and sine of the dither's angle."""
+
+    cosine: float
+    sine: float
+
+
 class Gains(NamedTuple):
     """Constants of the law.
 
     Attributes:
-        quiet, stiff: the law at its quietest, and at its stiffest from twice ``misfit`` on.
+        free, quiet, stiff: the law without friction, with friction that the model explains, and at its stiffest, from
+            twice ``misfit`` on.
         share: m.
         misfit: m/s², from which the law stiffens.
         kept: weight that the past of the fit keeps from one sample to the next.
         smooth, mean: weights of a new value in the smoothed misfit, and in its mean square.
         travel: m, by which r is scaled in the fit.
-        largest: bound of s.
+        smallest, largest: bounds of s.
+        counting: s from which friction counts: below it the law goes over to ``free``.
+        holding: s from which friction holds the platform where it rests.
         speed: largest |ṙ| in m/s of a reference at rest, at which the fit is paused.
         band: largest |y − r| of the reading at rest, m.
         wait: time at rest until the command is held, s.
         weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
+        dither: its amplitude in A; ``turn``: the angle by which it goes on in a period.
     """
 
+    free: Stiffness
     quiet: Stiffness
     stiff: Stiffness
     share: float
@@ -140,30 +156,38 @@ class Gains(NamedTuple):
     smooth: float
     mean: float
     travel: float
+    smallest: float
     largest: float
+    counting: float
+    holding: float
     speed: float
     band: float
     wait: float
     weight: float
+    dither: float
+    turn: Dither
     loop: Loop
 
 
 class Rest(NamedTuple):
-    """Time within the band in s, mean command in A, and what is added to the computed command, A."""
+    """Time within the band in s, mean command in A, what is added to the computed command in A, and for how much longer
+    the command was free than held since the reference came to rest, s."""
 
     time: float
     mean: float
     offset: float
+    restless: float
 
 
 class State(NamedTuple):
-    """The next sample as predicted with friction but for d, the command in A, z in m, fit and rest."""
+    """The next sample as predicted with friction but for d, the command in A, z in m, fit, rest and dither."""
 
     prior: Estimate
     command: float
     bristle: float
     fit: Fit
     rest: Rest
+    dither: Dither
 
 
 def fit_at_start(size: float) -> Fit:
@@ -174,7 +198,7 @@ def fit_at_start(size: float) -> Fit:
 
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
-    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
+    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0, 0.0), Dither(1.0, 0.0))
 
 
 @compilable
@@ -182,11 +206,11 @@ def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> tuple[State, Command]:
     """One sample; see the module."""
-    s = _stiffness(g, state.fit.misfit_square)
+    s = _stiffness(g, state.fit)
     gains = ObserverGains(s.position, s.velocity, s.disturbance)
     observed = corrected(gains, with_measured_current(g.loop, state.prior, current), y)
     bristle, unit = _unit_friction(g, state.fit.size, state.bristle, r_dot, observed.velocity)
-    fit = fitted(g, s, state.fit, r, r_dot, unit, observed.disturbance)
+    fit = _doubted(g, fitted(g, s, state.fit, r, r_dot, unit, observed.disturbance), state.rest)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
     action, error, rate_error = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
@@ -194,19 +218,26 @@ def step(
     holding = r_ddot - s.surface * rate_error - action.disturbance
     equivalent = current_for(g.loop, action.y, holding)
     asked = current_for(g.loop, action.y, holding - s.reaching * sigma)
-    asked, rest = _held(g, state.rest, asked, y, r, r_dot)
+    asked, rest = _held(g, state.rest, fit.size, asked, y, r, r_dot)
+    asked, dither = _dithered(g, state.dither, rest, asked)
     answer = limited(g.loop, asked)
-    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, action, answer)
+    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, action, answer, g.loop.stiffness)
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, bristle, fit, rest), command
+    return State(prior, answer, bristle, fit, rest, dither), command
 
 
 @compilable
-def _stiffness(g: Gains, misfit_square: float) -> Stiffness:
-    """Between quiet and stiff, by the mean square of the misfit in (m/s²)²."""
-    share = max(0.0, min(1.0, math.sqrt(max(0.0, misfit_square)) / g.misfit - 1.0))
-    a, b = g.quiet, g.stiff
+def _stiffness(g: Gains, fit: Fit) -> Stiffness:
+    """Between free and quiet by the size of friction, and from there to stiff by the misfit."""
+    share = max(0.0, min(1.0, math.sqrt(max(0.0, fit.misfit_square)) / g.misfit - 1.0))
+    calm = max(0.0, 1.0 - fit.size / g.counting)
+    a = _mixed(g.quiet, g.free, calm) if calm > 0.0 else g.quiet
+    return _mixed(a, g.stiff, share)
+
+
+@compilable
+def _mixed(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
     return Stiffness(
         _between(a.surface, b.surface, share),
         _between(a.reaching, b.reaching, share),
@@ -231,9 +262,10 @@ def _unit_friction(g: Gains, size: float, bristle: float, r_dot: float, observed
         return bristle, 0.0
     velocity = r_dot + g.share * (observed - r_dot)
     coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
-    lugre = LuGre(size * coulomb, size * static, stribeck_velocity, stiffness, damping, viscous)
+    shape = max(size, SMALLEST_SHAPE)
+    lugre = LuGre(shape * coulomb, shape * static, stribeck_velocity, stiffness, damping, viscous)
     after = bristle_after(lugre, bristle, velocity, g.loop.period)
-    return after, -friction_force(lugre, after, velocity) / (size * g.loop.mass)
+    return after, -friction_force(lugre, after, velocity) / (shape * g.loop.mass)
 
 
 @compilable
@@ -268,19 +300,47 @@ def fitted(g: Gains, stiffness: Stiffness, fit: Fit, r: float, r_dot: float, uni
     p00, p01, p02 = p00 - k0 * k0 / spread, p01 - k0 * k1 / spread, p02 - k0 * k2 / spread
     p11, p12, p22 = p11 - k1 * k1 / spread, p12 - k1 * k2 / spread, p22 - k2 * k2 / spread
     grow = 1.0 / g.kept if p00 + p11 + p22 <= _LARGEST_TRACE * g.kept else 1.0
-    s = max(_SMALLEST_SIZE, min(g.largest, s + k2 * miss))
+    s = max(g.smallest, min(g.largest, s + k2 * miss))
     p00, p01, p02, p11, p12, p22 = grow * p00, grow * p01, grow * p02, grow * p11, grow * p12, grow * p22
     return Fit(c + k0 * miss, b + k1 * miss, s, p00, p01, p02, p11, p12, p22, misfit, square, lags)
 
 
 @compilable
-def _held(g: Gains, rest: Rest, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
-    """The command for the one that the law asks for, A, and the rest with this sample."""
-    at_rest = abs(r_dot) <= g.speed and abs(y - r) <= g.band
-    time = rest.time + g.loop.period if at_rest else 0.0
-    if time > g.wait:
+def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
+    """The fit, with less friction where the platform does not come to rest and no motion has shown friction yet.
+
+    At rest the friction model answers to the encoder's noise: without friction in the machine it makes a limit cycle.
+    """
+    if rest.restless <= _PATIENCE * g.wait or fit.p22 < _FIRST_VARIANCE:
+        return fit
+    size = max(g.smallest, (1.0 - g.weight) * fit.size)
+    return Fit(fit.constant, fit.slope, size, *fit[3:])
+
+
+@compilable
+def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
+    """The command for the one that the law asks for, A, and the rest with this sample, with ``size`` of friction."""
+    resting, miss = abs(r_dot) <= g.speed, abs(y - r)
+    # Stiction may let the platform toggle across the band for ever: the band grows until the toggling is within.
+    band = g.band * (1.0 + max(0.0, rest.restless / g.wait - _PATIENCE))
+    time = rest.time + g.loop.period if resting and miss <= band and size >= g.holding else 0.0
+    held = time > g.wait
+    restless = rest.restless + g.loop.period
+    if held:
+        restless = max(0.0, rest.restless - g.loop.period) if miss <= g.band else rest.restless
+    if not resting:
+        restless = 0.0
+    if held:
         # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.
-        return rest.mean, Rest(time, rest.mean, rest.offset + g.weight * (rest.mean - asked - rest.offset))
+        return rest.mean, Rest(time, rest.mean, rest.offset + g.weight * (rest.mean - asked - rest.offset), restless)
     offset = (1.0 - g.weight) * rest.offset
     mean = rest.mean + g.weight * (limited(g.loop, asked + offset) - rest.mean)
-    return asked + offset, Rest(time, mean, offset)
+    return asked + offset, Rest(time, mean, offset, restless)
+
+
+@compilable
+def _dithered(g: Gains, dither: Dither, rest: Rest, asked: float) -> tuple[float, Dither]:
+    """The command with dither, A, while it is not held, and the angle of the next sample."""
+    c, s = g.turn
+    after = Dither(c * dither.cosine - s * dither.sine, s * dither.cosine + c * dither.sine)
+    return asked + g.dither * dither.cosine if rest.time <= g.wait else asked, after

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import ControlParameters, dither_of, make_law, needs_dither
 from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin
 from straightcomp_ros.doctor import Finding, judged
 from straightcomp_ros.hardware.can.board_dbc import gaps
@@ -28,6 +28,8 @@ _GRID = 0.1e-3
 """m; far below the pitch of any survey."""
 _GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 """Least gain margins of a loop that deserves trust, to either side."""
+_QUIET_STICTION = 1.3
+"""Static over Coulomb friction up to which dither leaves at most 0.3 µm on the shipped stage (docs/accuracy.md)."""
 _SHARE_OF_LIMIT = 0.7
 """Of the current limit for the largest steady demand: the rest is for the law's corrections."""
 _BUS_FULL = 0.8
@@ -42,7 +44,7 @@ _USUAL = {
     "actuator.pole_area": (1e-6, 0.1),
     "actuator.air_gap": (0.1e-3, 10e-3),
     "actuator.bias_current": (0.01, 20.0),
-    "friction.coulomb": (1e-3, 200.0),
+    "friction.coulomb": (0.0, 200.0),
     "friction.stribeck_velocity": (1e-6, 0.01),
     "friction.bristle_stiffness": (1e4, 1e9),
     "drive.bandwidth": (10.0, 100e3),
@@ -62,7 +64,8 @@ class Consequences:
         r, slope, curvature = (float(np.abs(values).max()) for values in straightness.evaluate(x))
         self.current_stiffness = actuator.current_stiffness  # K̄_i, N/A, from (3)
         self.position_stiffness = actuator.position_stiffness  # K̄_y, N/m, from (3)
-        self.unstable_pole = math.sqrt(actuator.position_stiffness / mass)  # of the platform in its magnets, 1/s
+        pull = actuator.position_stiffness - stage.platform.stiffness
+        self.unstable_pole = math.sqrt(max(0.0, pull) / mass)  # of the platform in magnets and flexure, 1/s
         self.dead_time = stage.dead_time  # T_d of the loop
         self.difficulty = self.unstable_pole * self.dead_time  # gains with margins exist below some 0.5, from 0.65 none
         self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
@@ -73,7 +76,7 @@ class Consequences:
         # Largest |r̈|: at cruise, and at the ends of the ramps.
         self.reference_acceleration = curvature * motion.speed**2 + slope * motion.acceleration
         friction_force = friction.static + friction.viscous * slope * motion.speed
-        force = friction_force + actuator.position_stiffness * r + mass * self.reference_acceleration
+        force = friction_force + abs(pull) * r + mass * self.reference_acceleration
         # For friction, the magnets' pull at the largest correction, and its acceleration.
         self.holding_current = force / actuator.current_stiffness
         self.encoder_floor = FLOOR_COUNTS * stage.encoder.y_resolution  # p-p error that its count leaves at best
@@ -169,18 +172,12 @@ def _guide_findings(
 
 
 def _loop_findings(stage: StageParameters, control: ControlParameters, found: Consequences) -> Iterator[Finding]:
-    detail = (
-        f"the magnets' negative stiffness of {found.position_stiffness / 1e3:.3g} kN/m gives a pole at "
-        f"{found.unstable_pole:.0f} 1/s; dead time {found.dead_time * 1e3:.2f} ms; product {found.difficulty:.2f}"
-    )
-    remedy = (
-        f"Below {EASY:g} gains with usual margins exist: shorten the dead time to "
-        f"{EASY / found.unstable_pole * 1e3:.2f} ms (rate, delay, amplifier), or lower stage.actuator.bias_current to "
-        f"{stage.actuator.bias_current * (EASY / found.difficulty):.2g} A, or add mass."
-    )
-    bad = "fail" if found.difficulty >= FEASIBLE else "warn"
-    yield judged("instability", found.difficulty < EASY, detail, remedy, bad)
-
+    if found.unstable_pole == 0.0:
+        stiffness = f"{stage.platform.stiffness / 1e3:.3g} kN/m"
+        yield Finding("instability", "ok", f"the flexure's {stiffness} outweigh the magnets' negative stiffness")
+    else:
+        yield _instability(stage, found)
+    yield _stiction(stage, control)
     margins, law = found.margins, control.law
     if margins is None:
         yield Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
@@ -193,6 +190,36 @@ def _loop_findings(stage: StageParameters, control: ControlParameters, found: Co
         )
         wide = margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH
         yield judged("loop", wide, detail, "The margins are thin: straightcomp design finds gains for this stage.")
+
+
+def _stiction(stage: StageParameters, control: ControlParameters) -> Finding:
+    """Whether friction's bristles bend far enough to be seen, and what the law does where they do not."""
+    friction, count = stage.friction, stage.encoder.y_resolution
+    bending = friction.static / friction.bristle_stiffness
+    detail = f"the bristles bend by {bending * 1e9:.3g} nm before the platform slides; a count is {count * 1e9:g} nm"
+    if not needs_dither(stage):
+        return Finding("stiction", "ok", detail if friction.static > 0.0 else "no dry friction")
+    remedy = "Less static friction helps: lubricant, another pairing, less load. control.smc_observer.rest_band holds."
+    dither = dither_of(control.smc_observer, stage).amplitude if control.law == "smc_observer" else 0.0
+    if dither == 0.0:
+        remedy = f"Law smc_observer with control.smc_observer.dither 1.5 keeps the platform sliding. {remedy}"
+        return Finding("stiction", "fail", f"{detail}: the platform will hunt", remedy)
+    detail += f": a dither of {dither * 1e3:.3g} mA keeps it sliding in motion, at the price of work of the coils"
+    return judged("stiction", friction.static <= _QUIET_STICTION * friction.coulomb, detail, remedy)
+
+
+def _instability(stage: StageParameters, found: Consequences) -> Finding:
+    detail = (
+        f"the magnets' negative stiffness of {found.position_stiffness / 1e3:.3g} kN/m gives a pole at "
+        f"{found.unstable_pole:.0f} 1/s; dead time {found.dead_time * 1e3:.2f} ms; product {found.difficulty:.2f}"
+    )
+    remedy = (
+        f"Below {EASY:g} gains with usual margins exist: shorten the dead time to "
+        f"{EASY / found.unstable_pole * 1e3:.2f} ms (rate, delay, amplifier), or lower stage.actuator.bias_current to "
+        f"{stage.actuator.bias_current * (EASY / found.difficulty):.2g} A, or add mass."
+    )
+    bad = "fail" if found.difficulty >= FEASIBLE else "warn"
+    return judged("instability", found.difficulty < EASY, detail, remedy, bad)
 
 
 def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Finding]:

@@ -46,8 +46,9 @@ NO_EXTENSION = (0.0,) * (12 + 2 * MOST_BLOCKS)
 """What :meth:`ContactParameters.extension` gives for plain LuGre friction."""
 _MASK = 0xFFFFFFFF
 
-KIND = 12
-"""Index of the kind of friction in the plant's constants, after mass, stop, amplifier, magnets and LuGre."""
+KIND = 15
+"""Index of the kind of friction in the plant's constants, after mass, stop, amplifier, magnets, LuGre, flexure and
+substep."""
 _ATTRACTION, _BLOCKS, _FRACTION, _WIDTH, _SEED, _GROWTH, _REST_TIME, _LARGEST, _RENEWAL, _FACTOR, _STEP_TIME = range(
     KIND + 1, KIND + 12
 )
@@ -75,8 +76,8 @@ class LuGre(NamedTuple):
 class LuGreParameters:
     """The constants of the LuGre model."""
 
-    coulomb: float = parameter(0.43, "Coulomb friction F_C", "(0, 1000] N")
-    static: float = parameter(0.645, "Static friction F_S, at least F_C", "(0, 1000] N")
+    coulomb: float = parameter(0.43, "Coulomb friction F_C; 0, with F_S 0, without dry friction", "[0, 1000] N")
+    static: float = parameter(0.645, "Static friction F_S, at least F_C", "[0, 1000] N")
     stribeck_velocity: float = parameter(20e-6, "Stribeck velocity v_s", "(0, 1] m/s")
     bristle_stiffness: float = parameter(1e6, "Bristle stiffness σ0", "(0, 1e+10] N/m")
     bristle_damping: float = parameter(1000.0, "Bristle damping σ1", "[0, 1e6] N·s/m")
@@ -87,6 +88,11 @@ class LuGreParameters:
             raise RefusedParameter(
                 "static",
                 f"{self.static!r} N is below Coulomb friction; allowed: >= {self.coulomb!r} N ('{{group}}coulomb')",
+            )
+        if self.coulomb == 0.0 < self.static:
+            # g(v) in the denominator would vanish as the velocity grows.
+            raise RefusedParameter(
+                "static", f"{self.static!r} N without Coulomb friction; allowed: 0 N, or '{{group}}coulomb' > 0"
             )
 
     def constants(self) -> LuGre:
@@ -175,6 +181,8 @@ def stribeck_force(lugre: LuGre, velocity: float) -> float:
 @compilable
 def friction_force(lugre: LuGre, bristle: float, velocity: float) -> float:
     """F in N for bristle deflection z in m and velocity in m/s; it acts against the motion."""
+    if lugre.static <= 0.0:
+        return lugre.viscous * velocity
     bristle_rate = velocity - lugre.bristle_stiffness * abs(velocity) * bristle / stribeck_force(lugre, velocity)
     return lugre.bristle_stiffness * bristle + lugre.bristle_damping * bristle_rate + lugre.viscous * velocity
 
@@ -182,7 +190,7 @@ def friction_force(lugre: LuGre, bristle: float, velocity: float) -> float:
 @compilable
 def bristle_after(lugre: LuGre, bristle: float, velocity: float, duration: float) -> float:
     """z after ``duration`` s at constant velocity, exact: an explicit step must be below 6 µs at 0.1 m/s."""
-    if velocity == 0.0:
+    if velocity == 0.0 or lugre.static <= 0.0:
         return bristle
     level = stribeck_force(lugre, velocity)
     settled = math.copysign(level / lugre.bristle_stiffness, velocity)
@@ -267,6 +275,8 @@ def extended_force(k: Array, lugre: LuGre, state: Array, velocity: float) -> flo
     """F in N, with ``lugre`` from :func:`lugre_now`; it acts against the motion."""
     if k[KIND] == CHANGING_LUGRE:
         return friction_force(lugre, state[_BRISTLE], velocity)
+    if lugre.static <= 0.0:
+        return lugre.viscous * velocity
     force, stuck, slipping = 0.0, 0.0, int(state[SLIPPING])
     for i in range(int(k[_BLOCKS])):
         force += state[BLOCK + i]
@@ -284,6 +294,8 @@ def step_friction(k: Array, lugre: LuGre, state: Array, velocity: float, duratio
     state[AGE] = age_after(state[AGE], velocity, duration, k[_RENEWAL])
     if k[KIND] == CHANGING_LUGRE:
         state[_BRISTLE] = bristle_after(lugre, state[_BRISTLE], velocity, duration)
+        return
+    if lugre.static <= 0.0:
         return
     level = stribeck_force(lugre, velocity)
     decay = math.exp(-k[_ATTRACTION] / level * duration)

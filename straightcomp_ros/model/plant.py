@@ -1,7 +1,9 @@
-"""The platform in Y: M ÿ = f_c − F_friction (1), between mechanical stops, behind the power amplifier and its board.
+"""The platform in Y: M ÿ = f_c − F_friction − k y − c ẏ (1), between mechanical stops, behind the power amplifier and
+its board. k and c are those of a flexure that guides the platform; there is none in the paper.
 
 Fixed substeps by Strang splitting (half a kick, drift, exact bristle step, half a kick): second order, symplectic
-without friction, and never stiff, because the bristle's step is exact. The inertial force of the guide's deviation,
+without friction. The bristle's step is exact, so that sliding is never stiff; a stuck platform on its bristles is an
+oscillator, and bristles that are stiff for the mass shorten the substep. The inertial force of the guide's deviation,
 M δ̈, stays below 5 mN (a fifth of a D/A step) and is left out, as in (1).
 
 Between two samples of its board, commands take effect at their times, and a late one is bridged: the board holds the
@@ -49,6 +51,9 @@ Array = NDArray[np.float64]
 
 SUBSTEP_NS = 25_000
 """Longest substep: 20 in a control cycle at 2 kHz."""
+_SHORTEST_SUBSTEP_NS = 100
+_RESOLVED = 0.5
+"""Largest substep times the rate of the platform on its bristles and flexure; splitting is stable below 2."""
 _NEVER = 2**62
 """Later than any time in ns, and small enough for compiled code."""
 
@@ -94,18 +99,22 @@ class PlantState(NamedTuple):
 
 class Plant(NamedTuple):
     """Constants of the plant without what friction does beyond LuGre; mass in kg, stop in m, amplifier rate in
-    rad/s."""
+    rad/s, stiffness in N/m and damping in N·s/m of the flexure, longest substep in ns."""
 
     mass: float
     stop: float
     amplifier_rate: float
     actuator: Actuator
     lugre: LuGre
+    stiffness: float = 0.0
+    damping: float = 0.0
+    substep: float = SUBSTEP_NS
 
     def as_array(self, extension: tuple[float, ...] = NO_EXTENSION) -> Array:
         """The constants, with the ``extension`` of friction, modes and disturbances: an array is passed to compiled
         code 20 times faster than nested tuples."""
-        return np.array([self.mass, self.stop, self.amplifier_rate, *self.actuator, *self.lugre, *extension])
+        flexure = self.stiffness, self.damping, self.substep
+        return np.array([self.mass, self.stop, self.amplifier_rate, *self.actuator, *self.lugre, *flexure, *extension])
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,10 @@ class PlatformParameters:
 
     mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
     stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", "(0, inf) m")
+    stiffness: float = parameter(
+        0.0, "Stiffness along y of a flexure that guides the platform, at rest at y = 0; 0: none", "[0, 1e9] N/m"
+    )
+    damping: float = parameter(0.0, "Damping of that flexure", "[0, 100000] N·s/m")
     modes: ModesParameters = group(ModesParameters)
 
 
@@ -130,10 +143,16 @@ class PlantParameters:
     disturbances: Disturbances = Disturbances()
 
     def constants(self) -> Array:
-        """The constants of the equations, for :func:`advance`: (72,), and a table of force over x behind them."""
+        """The constants of the equations, for :func:`advance`: (75,), and a table of force over x behind them."""
         rate = 2.0 * math.pi * self.drive.bandwidth
-        lugre, actuator = self.friction.constants(), self.actuator.constants()
-        plant = Plant(self.platform.mass, self.platform.stop, rate, actuator, lugre)
+        lugre, actuator, platform = self.friction.constants(), self.actuator.constants(), self.platform
+        bristles = lugre.bristle_stiffness if lugre.static > 0.0 else 0.0
+        fastest = math.sqrt((bristles + platform.stiffness) / platform.mass)
+        fastest = max(fastest, (lugre.bristle_damping + lugre.viscous + platform.damping) / platform.mass)
+        substep = min(SUBSTEP_NS, max(_SHORTEST_SUBSTEP_NS, int(_RESOLVED * 1e9 / max(fastest, 1.0))))
+        plant = Plant(
+            platform.mass, platform.stop, rate, actuator, lugre, platform.stiffness, platform.damping, substep
+        )
         modes, more = self.platform.modes, self.disturbances.any
         friction = self.contact.extension(self.friction.bristle_stiffness, extended=more or bool(modes.present))
         return plant.as_array((*friction, *modes.constants(), *self.disturbances.constants()))
@@ -142,18 +161,20 @@ class PlantParameters:
 @compilable
 def _from_array(k: Array) -> Plant:
     """The extension is read from the array."""
-    return Plant(k[0], k[1], k[2], Actuator(k[3], k[4], k[5]), LuGre(k[6], k[7], k[8], k[9], k[10], k[11]))
+    lugre = LuGre(k[6], k[7], k[8], k[9], k[10], k[11])
+    return Plant(k[0], k[1], k[2], Actuator(k[3], k[4], k[5]), lugre, k[12], k[13], k[14])
 
 
 @compilable
 def _acceleration(plant: Plant, y: float, v: float, z: float, bias: float, control: float) -> float:
-    return (magnetic_force(plant.actuator, y, bias, control) - friction_force(plant.lugre, z, v)) / plant.mass
+    force = magnetic_force(plant.actuator, y, bias, control) - friction_force(plant.lugre, z, v)
+    return (force - plant.stiffness * y - plant.damping * v) / plant.mass
 
 
 @compilable
 def _hold(plant: Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
     """Advance ``state`` by ``duration_ns`` > 0 in equal substeps, with constant commanded currents."""
-    substeps = -(-duration_ns // SUBSTEP_NS)
+    substeps = -(-duration_ns // int(plant.substep))
     h = duration_ns * 1e-9 / substeps
     settle = 1.0 - math.exp(-h * plant.amplifier_rate)
     y, v, z, control, bias = state[0], state[1], state[2], state[3], state[4]
@@ -176,6 +197,7 @@ def _kick(k: Array, plant: Plant, lugre: LuGre, state: Array, duration: float) -
     """Let all forces act for ``duration`` s on the platform where the coils are."""
     force = magnetic_force(plant.actuator, at_coil(k, state, 0), state[4], state[3] + state[OFFSET])
     force -= extended_force(k, lugre, state, at_coil(k, state, 1))
+    force -= plant.stiffness * at_coil(k, state, 0) + plant.damping * at_coil(k, state, 1)
     gained = duration * (force + disturbing_force(k, state)) / plant.mass
     state[1] += gained
     push(k, state, gained)
@@ -184,7 +206,7 @@ def _kick(k: Array, plant: Plant, lugre: LuGre, state: Array, duration: float) -
 @compilable
 def _hold_extended(k: Array, plant: Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
     """As :func:`_hold`, with friction beyond plain LuGre, modes and disturbances."""
-    substeps = -(-duration_ns // SUBSTEP_NS)
+    substeps = -(-duration_ns // int(plant.substep))
     h = duration_ns * 1e-9 / substeps
     settle = 1.0 - math.exp(-h * plant.amplifier_rate)
     first, second = turn(k, 0, h), turn(k, 1, h)

@@ -156,7 +156,7 @@ class TruthParameters:
     force: float = parameter(1.0, "Magnets' force, at the same gap and currents, relative to it", "[0.01, 100]")
     air_gap: float = parameter(1.0, "Air gap relative to it", "[0.01, 100]")
     friction: float = parameter(
-        1.0, "Coulomb, static and viscous friction relative to it; bristles keep stiffness and damping", "[0.001, 1000]"
+        1.0, "Coulomb, static and viscous friction relative to it; bristles keep stiffness and damping", "[0, 1000]"
     )
     amplifier: float = parameter(1.0, "Bandwidth of the amplifier relative to it", "[0.01, 100]")
     guide: str = parameter("", "Survey file of the true guide; empty: that of the description")

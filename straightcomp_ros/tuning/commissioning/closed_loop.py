@@ -114,7 +114,7 @@ def strangeness(found: Estimate, described: StageParameters) -> str:
     ranges = described.uncertainty
     values = to_mapping(described)
     gap, turns, friction = (
-        found.parameters[name].value / values[name]
+        found.parameters[name].value / values[name] if values[name] > 0.0 else 1.0
         for name in ("actuator.air_gap", "actuator.turns", "friction.coulomb")
     )
     heaviest, lightest = (1.0 + ranges.mass) * TOLERANCE, (1.0 - ranges.mass) / TOLERANCE
@@ -156,7 +156,8 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
     }
     # Friction that differs from its description differs as a whole: F_S/F_C is described better than F_S.
     described, coulomb = stage.friction, facts.get("friction.coulomb", stage.friction.coulomb)
-    static = facts.get("friction.static", described.static / described.coulomb * coulomb)
+    ratio = described.static / described.coulomb if described.coulomb > 0.0 else 1.0
+    static = facts.get("friction.static", ratio * coulomb)
     facts["friction.static"] = max(static, coulomb)
     if found.path.rate_found:
         facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}

@@ -4,7 +4,8 @@
 
 accuracy is the mean of ln p-p over some starts of the stage as described, with a share of ln RMS, which moves less from
 start to start, and a share of ln p-p on the extreme machines. work is the RMS step of the current from sample to
-sample; its scale is the current that carries Coulomb friction, F_C / K̄_i, which the stage needs in any case.
+sample; its scale is the current that carries Coulomb friction, F_C / K̄_i, which the stage needs in any case, and at
+least four steps of the D/A converter, which a count asks for on a stage without friction.
 """
 
 import math
@@ -33,6 +34,7 @@ _SHARE_RMS = 0.2
 _SHARE_EXTREME = 0.15
 _PP_PER_RMS = 6.0
 _WORK_WEIGHT = 2.0
+_LEAST_STEPS = 4.0
 _SILENT = 0.02
 """At rest, the RMS step of the current that is taken for silence, in units of the current that carries friction."""
 
@@ -59,7 +61,8 @@ class Judge:
         self._stroke = prepared_stroke(scenario, shortened(scenario, _LONGEST))
         self._short = prepared_stroke(scenario, shortened(scenario, _SHORT))
         self._extremes = extreme_machines(scenario)
-        self._work_scale = self.stage.friction.coulomb / self.stage.actuator.current_stiffness
+        carried = self.stage.friction.coulomb / self.stage.actuator.current_stiffness
+        self._work_scale = max(carried, _LEAST_STEPS * self.stage.drive.current_step)
 
     def judge(self, gains: Mapping[str, float], bar: float = math.inf) -> Judgement:
         """Judge ``gains``, by dotted name; by their first stroke alone if it costs more than ``bar``."""

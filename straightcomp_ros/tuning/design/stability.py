@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from straightcomp_ros.control.laws import ControlParameters, make_law, stiffened
+from straightcomp_ros.control.laws import ControlParameters, freed, make_law, stiffened
 from straightcomp_ros.control.margins import (
     StateSpace,
     closed_loop,
@@ -115,7 +115,7 @@ class StabilityCheck:
 
     def _misses(self, control: ControlParameters) -> list[tuple[str, float]]:
         misses: list[tuple[str, float]] = []
-        for state, one in _states(control).items():
+        for state, one in _states(control, self._stage).items():
             law = make_law(one, self._stage)
             try:
                 laws = tuple(linearised(law, with_current=measured) for measured in (False, True))
@@ -123,7 +123,7 @@ class StabilityCheck:
                 # The current limit is nearer than any step of the differences.
                 misses.append(("linear at rest", _NOT_LINEAR))
                 continue
-            cases = self._quiet if state == "quiet" else self._stiff
+            cases = self._stiff if state == "stiff" else self._quiet
             misses += [(case.name, self._missing(case, laws[case.with_current])) for case in cases]
             for linear, how in zip(laws, ("", ", current measured"), strict=True):
                 phase = phase_margin(self._nominal, linear, self._stage.period, _GRID)
@@ -184,13 +184,16 @@ class FailingLimits(NamedTuple):
 
 
 def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, FailingLimits]:
-    """The limits of a law by its state: ``quiet``, and for a law that stiffens ``stiff``."""
-    return {state: _limits(scenario.description, one) for state, one in _states(control).items()}
+    """The limits of a law by its state: ``quiet``, for a law that stiffens ``stiff``, and ``free`` where the stage may
+    have no friction."""
+    stage = scenario.description
+    return {state: _limits(stage, one) for state, one in _states(control, stage).items()}
 
 
-def _states(control: ControlParameters) -> dict[str, ControlParameters]:
-    stiff = stiffened(control)
-    return {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
+def _states(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
+    stiff, free = stiffened(control), freed(control, stage)
+    found = {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
+    return found if free is None else {**found, "free": free}
 
 
 def _limits(stage: StageParameters, control: ControlParameters) -> FailingLimits:

@@ -49,7 +49,7 @@ FORCE_SCALE = ("platform.mass", "actuator.turns")
 """At least one of these must be known: position and current determine all forces only up to a common factor."""
 _STOP = 0.9
 """Stop as a fraction of the air gap; the platform stays far from it."""
-_SMALLEST = {"friction.bristle_damping": 1.0, "friction.viscous": 0.1}
+_SMALLEST = {"friction.coulomb": 1e-3, "friction.bristle_damping": 1.0, "friction.viscous": 0.1}
 """Start of parameters that may be zero, which has no logarithm."""
 _REACH = math.log(100.0)
 BLOCK = 0.25
@@ -77,13 +77,14 @@ class Unknowns:
     free: tuple[int, ...]  # indices of the unknown elements
     pole_area: float  # of the magnets, m²; taken as given
     bias_current: float  # A; likewise
+    flexure: tuple[float, float]  # N/m and N·s/m; likewise
 
     def constants(self, vector: Array, rate: float) -> Array:
-        """The plant's constants (40,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
+        """The plant's constants (43,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
         mass, turns, gap, coulomb, ratio, stribeck, stiffness, damping, viscous = np.exp(vector).tolist()
         actuator = Actuator(MU_0 * turns * turns * self.pole_area / 4.0, gap, self.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)
-        return Plant(mass, _STOP * gap, rate, actuator, lugre).as_array()
+        return Plant(mass, _STOP * gap, rate, actuator, lugre, *self.flexure).as_array()
 
 
 def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
@@ -101,13 +102,16 @@ def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
             f"known parameters are {', '.join(known) or 'none'}; allowed: with {' or '.join(FORCE_SCALE)} among them, "
             "since position and current determine all forces only up to a common factor"
         )
-    values: dict[str, Any] = {**to_mapping(stage), RATIO: stage.friction.static / stage.friction.coulomb}
+    friction, platform, actuator = stage.friction, stage.platform, stage.actuator
+    ratio_of = friction.static / friction.coulomb if friction.coulomb > 0.0 else 1.0
+    values: dict[str, Any] = {**to_mapping(stage), RATIO: ratio_of}
     start = np.log([max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES])
     low, high = start - _REACH, start + _REACH
     ratio = NAMES.index(RATIO)
     low[ratio] = 0.0
     free = tuple(place for place, name in enumerate(NAMES) if name not in known)
-    return Unknowns(start, low, high, free, stage.actuator.pole_area, stage.actuator.bias_current)
+    flexure = platform.stiffness, platform.damping
+    return Unknowns(start, low, high, free, actuator.pole_area, actuator.bias_current, flexure)
 
 
 @dataclass(frozen=True)
@@ -162,6 +166,8 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
     values = dict(zip(NAMES, np.exp(unknowns.start).tolist(), strict=True))
     free = {NAMES[place] for place in unknowns.free}
     if "actuator.air_gap" in free:
+        # K̄_y alone, without the flexure.
+        position_gain += unknowns.flexure[0] / values["platform.mass"]
         values["actuator.air_gap"] = unknowns.bias_current * current_gain / position_gain
     # K̄_i / N², from (3)
     per_turns = MU_0 * unknowns.pole_area * unknowns.bias_current / values["actuator.air_gap"] ** 2
