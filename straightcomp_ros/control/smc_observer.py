@@ -231,7 +231,8 @@ def step(
 def _stiffness(g: Gains, fit: Fit) -> Stiffness:
     """Between free and quiet by the size of friction, and from there to stiff by the misfit."""
     share = max(0.0, min(1.0, math.sqrt(max(0.0, fit.misfit_square)) / g.misfit - 1.0))
-    calm = max(0.0, 1.0 - fit.size / g.counting)
+    # No size at all is only in the linearisation of `margins.py`, which asks for free and quiet one by one.
+    calm = max(0.0, 1.0 - fit.size / g.counting) if fit.size > 0.0 else 0.0
     a = _mixed(g.quiet, g.free, calm) if calm > 0.0 else g.quiet
     return _mixed(a, g.stiff, share)
 

@@ -155,7 +155,7 @@ def read_force_table(path: Path) -> Table:
     return tuple(x), tuple(force)
 
 
-DISTURBANCES = 54
+DISTURBANCES = 57
 """Index of these constants in the plant's, after friction and modes."""
 (
     _SEED,

@@ -21,7 +21,7 @@ from straightcomp_ros.parameters.declaration import group, parameter
 
 Array = NDArray[np.float64]
 
-_MODE = 40
+_MODE = 43
 _FIELDS = 7
 MODE_STATE = 18
 """Index of the first mode's q in the plant's state; its rate follows, then the other mode's."""
@@ -80,7 +80,7 @@ class ModesParameters:
         return tuple(mode for mode in (self.first, self.second) if mode.frequency)
 
     def constants(self) -> tuple[float, ...]:
-        """What the plant's constants have from index 40 on, (14,)."""
+        """What the plant's constants have from index 43 on, (14,)."""
         return (*self.first.constants(), *self.second.constants())
 
 

@@ -72,6 +72,27 @@ def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyon
     assert finding["state"] == state and str(mapped(survey).noise) in finding["detail"]
 
 
+@pytest.mark.parametrize(
+    ("facts", "dither", "state", "words"),
+    [
+        ({}, 1.5, "ok", "the bristles bend by 645 nm"),
+        ({"friction.coulomb": 0.0, "friction.static": 0.0}, 1.5, "ok", "no dry friction"),
+        (
+            {"friction.bristle_stiffness": 1e8, "friction.static": 0.5},
+            1.5,
+            "ok",
+            "a dither of 20.4 mA keeps it sliding",
+        ),
+        ({"friction.bristle_stiffness": 1e8, "friction.static": 0.8}, 1.5, "warn", "a dither of 20.4 mA"),
+        ({"friction.bristle_stiffness": 1e8, "friction.static": 0.5}, 0.0, "fail", "the platform will hunt"),
+    ],
+)
+def test_stiction_that_the_encoder_does_not_see_is_found_with_what_helps(check, facts, dither, state, words):
+    (found,) = check(OWN, named="stiction", stage=facts, controller={"control.smc_observer.dither": dither})
+    assert found["state"] == state and words in found["detail"]
+    assert state == "ok" or "Less static friction" in found["remedy"]
+
+
 def test_protection_that_is_missing_is_found(check):
     missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
     assert len(missing) == 2 and "counts to 256 only" in missing[0]

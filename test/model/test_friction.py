@@ -327,3 +327,15 @@ def test_friction_holds_the_platform_against_the_negative_stiffness_until_it_bre
     assert stuck[0] - 1e-6 == pytest.approx(deflection, rel=0.1) and abs(stuck[1]) < 1e-8
     current = 1.5 * LUGRE.static / actuator.current_stiffness
     assert run(values, PlantState(bias=1.0), current, 200)[-1, 0] > 1e-5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_without_dry_friction_only_the_viscous_part_acts(kind):
+    contact = Contact({**kind, "friction.coulomb": 0.0, "friction.static": 0.0})
+    for velocity in (1e-5, 3e-4, -2e-5, 0.0):
+        assert contact.move(velocity) == pytest.approx(10.0 * velocity)
+
+
+def test_static_friction_without_coulomb_friction_is_refused():
+    with pytest.raises(ParameterError, match=r"static.*without Coulomb friction; allowed: 0 N"):
+        from_mapping(StageParameters, {"friction.coulomb": 0.0})

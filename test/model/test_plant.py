@@ -19,6 +19,7 @@ from straightcomp_ros.model.plant import (
     Plant,
     PlantParameters,
     PlantState,
+    PlatformParameters,
     _from_array,
     advance,
     advance_to_sample,
@@ -187,3 +188,24 @@ def test_a_reading_is_the_nearest_count_and_a_current_the_nearest_step_within_th
     converted, highest = DRIVE.converted(value), DRIVE.current_range - DRIVE.current_step
     assert abs(converted - min(max(value, -DRIVE.current_range), highest)) <= 0.5000001 * DRIVE.current_step
     assert -DRIVE.current_range <= converted <= highest
+
+
+def test_a_flexure_pulls_the_platform_back_against_the_magnets_and_damps_it():
+    platform = PlatformParameters(stiffness=8e4, damping=60.0)
+    flexed = PlantParameters(platform=platform, friction=LuGreParameters(coulomb=0.0, static=0.0, viscous=0.0))
+    rate = math.sqrt((8e4 - flexed.actuator.position_stiffness) / 3.0)
+    decay = 60.0 / (2.0 * 3.0)
+    turning = math.sqrt(rate * rate - decay * decay)
+    t, state = 0.02, run(flexed, PlantState(y=1e-6, bias=1.0), 0.0, 0.02)
+    swing = math.cos(turning * t) + decay / turning * math.sin(turning * t)
+    assert state.y == pytest.approx(1e-6 * math.exp(-decay * t) * swing, rel=1e-3)
+
+
+def test_a_platform_stuck_on_very_stiff_bristles_swings_at_its_own_rate():
+    """1e10 N/m under 0.3 kg: 29 kHz, which substeps of 25 µs would not resolve."""
+    stiff = LuGreParameters(coulomb=1e3, static=1e3, bristle_stiffness=1e10, bristle_damping=0.0, viscous=0.0)
+    stuck = PlantParameters(platform=PlatformParameters(mass=0.3), friction=stiff)
+    rate = math.sqrt((1e10 - stuck.actuator.position_stiffness) / 0.3)
+    speeds = [run(stuck, PlantState(velocity=1e-6, bias=1.0), 0.0, n * 1e-6).velocity for n in range(1, 40)]
+    expected = [1e-6 * math.cos(rate * n * 1e-6) for n in range(1, 40)]
+    assert speeds == pytest.approx(expected, abs=0.1e-6)
