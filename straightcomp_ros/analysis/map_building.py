@@ -7,7 +7,7 @@ themselves, as mean and standard deviation do.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -18,10 +18,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags.information import origin
-from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
-from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.residual import (
+    end_point_residual,
+    least_squares_residual,
+    minimum_zone,
+    peak_to_peak,
+)
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey, write_survey
 from straightcomp_ros.straightness.survey_runs import Repeatability, on_common_grid, repeatability
 
 GAUSSIAN = 1.4826
@@ -56,10 +61,10 @@ class Choices(NamedTuple):
 class BuiltMap:
     """A survey that became a map.
 
-    ``survey`` has the runs that are kept, without the ``rejected_points`` (run's name and direction, x in m) that no
-    other run confirms; ``rejected_runs`` are names and directions; ``provenance``, by name and in words, is the head of
-    the file. Of a recording, ``counts`` says by the names in :meth:`figures` how many samples and movements were used
-    and left out.
+    ``measured`` has all runs, with the mean taken out; ``survey`` has those that are kept, without the
+    ``rejected_points`` (run's name and direction, x in m) that no other run confirms; ``rejected_runs`` are names and
+    directions; ``provenance``, by name and in words, is the head of the file. Of a recording, ``counts`` says by the
+    names in :meth:`figures` how many samples and movements were used and left out.
     """
 
     survey: Survey
@@ -67,6 +72,7 @@ class BuiltMap:
     rejected_points: list[tuple[str, float]]
     rejected_runs: list[str]
     provenance: Mapping[str, str]
+    measured: Survey
     counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -94,6 +100,7 @@ class BuiltMap:
             **{name: self.counts.get(name, 0) for name in ("samples", "rejected_samples", "unusable_samples")},
             "straightness_least_squares_um": peak_to_peak(least_squares_residual(x, mean)) * 1e6,
             "straightness_end_points_um": peak_to_peak(end_point_residual(x, mean)) * 1e6,
+            "straightness_minimum_zone_um": minimum_zone(x, mean) * 1e6,
             "correction_pp_um": peak_to_peak(mean) * 1e6,
             **self.repeatability.to_display(),
             "smoothed": self.straightness.noise.smoothed,
@@ -117,12 +124,16 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     kept, lost_runs, lost_points = agreeing(survey, choices.limit)
     if not kept:
         raise SurveyError(f"survey {survey.source}: no run is left after the rejection of outliers")
-    survey = replace(survey, runs=tuple(kept))
-    x, values = on_common_grid(survey, MAP.min_points, MAP.max_gap)
-    mean = repeatability(survey, x, values).mean
+    of_kept = replace(survey, runs=tuple(kept))
+    x, values = on_common_grid(of_kept, MAP.min_points, MAP.max_gap)
+    mean = repeatability(of_kept, x, values).mean
     slope, height = np.polyfit(x, mean, 1) if choices.level else (0.0, float(mean.mean()))
-    zeroed = [replace(run, deviation=run.deviation - (height + slope * run.x)) for run in kept]
-    survey = replace(survey, runs=tuple(zeroed))
+
+    def zeroed(runs: Iterable[Run]) -> Survey:
+        ours = (replace(run, deviation=run.deviation - (height + slope * run.x)) for run in runs)
+        return replace(survey, runs=tuple(ours))
+
+    measured, survey = zeroed(survey.runs), zeroed(kept)
     straightness = StraightnessMap(survey, replace(MAP, smooth=choices.smooth))
     by, spread = origin(), straightness.report.bidirectional
     provenance = {
@@ -138,7 +149,14 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         "noise": f"{'taken off' if straightness.noise.smoothed else 'left in'}; {straightness.noise}",
         "repeatability (ISO 230-2, bidirectional)": "unknown" if spread is None else f"{spread * 1e6:.3f} um",
     }
-    return BuiltMap(survey, straightness, lost_points, lost_runs, provenance)
+    return BuiltMap(survey, straightness, lost_points, lost_runs, provenance, measured)
+
+
+def as_it_is(guide: MapParameters) -> BuiltMap:
+    """The map of ``guide`` with its survey, of which nothing is rejected; SurveyError as :func:`load_map` raises it."""
+    straightness = load_map(guide)
+    survey = read_survey(straightness.source, min_points=guide.min_points, max_gap=guide.max_gap)
+    return BuiltMap(survey, straightness, [], [], survey.facts, survey)
 
 
 def agreeing(survey: Survey, limit: float) -> tuple[list[Run], list[str], list[tuple[str, float]]]:

@@ -1,10 +1,9 @@
-"""The pictures of a run (straightness, compensation error, control current) and of a survey (runs and their mean)."""
+"""The pictures of a run (straightness, compensation error, control current) with what pictures share."""
 
 from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +14,6 @@ from straightcomp_ros.analysis.metrics import Metrics, straightness_over
 from straightcomp_ros.analysis.record import StrokeRecord, group_means
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.smoothing import NORMAL_95
-
-if TYPE_CHECKING:
-    from straightcomp_ros.analysis.map_building import BuiltMap
 
 # Okabe and Ito's palette: distinguishable with any colour vision, and by lightness on a black-and-white print.
 BLACK, BLUE, VERMILION, GREY = "#000000", "#0072B2", "#D55E00", "#A8A8A8"
@@ -70,59 +65,11 @@ def as_text(text: str) -> str:
 
 
 def save_whole(figure: Figure, path: Path) -> None:
-    """Save ``figure`` as the picture ``path``, whole or not at all; raises as :func:`plot_map`."""
+    """Save ``figure`` as the picture ``path``, whole or not at all; OSError or ValueError if it cannot be written,
+    or has an ending that is no picture's."""
     drawn = BytesIO()
     figure.savefig(drawn, format=path.suffix[1:])
     write_whole(path, drawn.getvalue())
-
-
-def plot_map(built: BuiltMap, path: Path) -> None:
-    """Draw the map over its runs, below on their own scale the runs relative to the mean, with the band of ± 2 s, and
-    what smoothing took off the mean, with the map's own bands of 1 s and 95 %.
-
-    OSError or ValueError if the picture ``path`` cannot be written, or has an ending that is no picture's.
-    """
-    figure = Figure(figsize=(10.0, 11.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    upper, lower, lowest = figure.subplots(3, 1, sharex=True)
-    figures, found, mean = built.figures(), built.repeatability, built.mean
-    x_mm = found.x * 1e3
-    for run in built.survey.runs:
-        pale = PALE_BLUE if run.direction == "forward" else PALE_VERMILION
-        upper.plot(run.x * 1e3, run.deviation * 1e6, color=pale, linewidth=0.8)
-        difference = run.deviation - np.interp(run.x, found.x, mean)
-        lower.plot(run.x * 1e3, difference * 1e6, ".", color=pale, markersize=2.0)
-    label = f"mean: {figures['straightness_least_squares_um']:.2f} µm p-p from its least squares line"
-    upper.plot(x_mm, mean * 1e6, color=BLACK, linewidth=1.2, label=label)
-    ways = ((found.forward, "forward", BLUE, PALE_BLUE), (found.backward, "backward", VERMILION, PALE_VERMILION))
-    for directed, name, colour, pale in ways:
-        if directed is None:
-            continue
-        difference = (directed.mean - mean) * 1e6
-        lower.plot(x_mm, difference, color=colour, linewidth=1.2, label=f"{name}, mean of {directed.runs}")
-        if directed.s is not None:
-            band = 2e6 * directed.s
-            lower.fill_between(
-                x_mm, difference - band, difference + band, color=pale, alpha=0.35, label=f"{name} ± 2 s"
-            )
-    for _, x in built.rejected_points:
-        lower.axvline(x * 1e3, color=GREY, linewidth=0.6)
-    r = figures["repeatability_bidirectional_um"]
-    lower.set_title("Runs relative to the mean" + ("" if r is None else f"; R = {r:.3f} µm (ISO 230-2)"), fontsize=10)
-    upper.set_title("Survey of the guide", fontsize=10)
-    noise = built.straightness.noise
-    band = noise.band(found.x) * 1e6
-    for factor, shade, name in ((NORMAL_95, 0.25, "95 %"), (1.0, 0.5, "1 s")):
-        lowest.fill_between(x_mm, -factor * band, factor * band, color=GREY, alpha=shade, linewidth=0.0, label=name)
-    off = (mean - built.straightness.deviations(found.x)) * 1e6
-    lowest.plot(x_mm, off, ".", color=BLUE, markersize=2.0, label="mean of the runs")
-    lowest.set_title(f"Mean relative to the map, and the map's band: {noise}", fontsize=10)
-    lowest.set_xlabel("slider position x / mm")
-    for axes in (upper, lower, lowest):
-        axes.set_ylabel("deviation / µm")
-        _show_grid(axes)
-        axes.legend(fontsize=8, ncols=2)
-    save_whole(figure, path)
 
 
 def _straightness(
@@ -165,13 +112,13 @@ def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    _show_grid(axes)
+    show_grid(axes)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))
     axes.legend(loc="upper center", fontsize=8, ncols=legend_columns)
 
 
-def _show_grid(axes: Axes) -> None:
+def show_grid(axes: Axes) -> None:
     """Draw a pale grid behind the curves, which fill the width."""
     axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.set_axisbelow(True)

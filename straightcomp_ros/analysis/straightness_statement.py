@@ -170,7 +170,7 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
         strokes = [one.samples for one in record.motion.strokes if one.direction == direction]
         for when, curve in (("before", guide), ("after", guide + record.y)):
             after = when == "after"
-            source = Input("sensor", sensor, points) if by_sensor else _map_input(evaluation.map, seen=not after)
+            source = Input("sensor", sensor, points) if by_sensor else map_input(evaluation.map, seen=not after)
             known = [samples for samples in strokes if np.count_nonzero(np.isfinite(curve[samples])) > 2 * _PIECES]
             if known:
                 series = [_finite(record.time[one], record.x[one], curve[one]) for one in known]
@@ -209,7 +209,7 @@ def _finite(*columns: Array) -> Samples:
     return time, x, curve
 
 
-def _map_input(straightness: StraightnessMap | None, seen: bool) -> Input:
+def map_input(straightness: StraightnessMap | None, seen: bool) -> Input:
     """By the standard deviation of the map, RMS over x."""
     if straightness is None:
         return Input("map", None, np.empty(0), seen)

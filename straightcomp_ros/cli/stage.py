@@ -10,10 +10,12 @@ from typing import Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import (
+    PICTURES,
     add_force,
     add_json,
     add_repeatable,
     add_stage_argument,
+    output_file,
     output_folder,
     stage_values,
 )
@@ -123,6 +125,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
+def _check_arguments(parser: argparse.ArgumentParser) -> None:
+    _arguments(parser)
+    parser.add_argument("--plot", metavar="FILE", help="also save the page of the map (PDF, PNG or SVG)")
+    add_force(parser)
+
+
 def _check(options: argparse.Namespace) -> int:
     """Check the description of a stage as an engineer would read it: survey, travel, reference, stability, force,
     quanta, and the DBC file of a board on CAN.
@@ -130,12 +138,18 @@ def _check(options: argparse.Namespace) -> int:
     Each finding is ok, warn (it works, but less well) or fail. The exit code is 1 if one fails."""
     from straightcomp_ros.doctor.stage_findings import board_findings, stage_findings
 
-    values = stage_values(options)
+    plot, values = output_file(options, "--plot", PICTURES), stage_values(options)
     controller = node_parameters("controller", values)
     tracking = node_parameters("feedforward", values).feedforward
     driver = node_parameters("driver", values)
     found = stage_findings(controller.stage, controller.control, tracking)
     code = show_findings(itertools.chain(found, board_findings(driver)), json=options.json)
+    if plot is not None:
+        from straightcomp_ros.analysis.map_building import as_it_is
+        from straightcomp_ros.analysis.map_page import plot_map
+
+        plot_map(as_it_is(controller.stage.guide), plot, controller.stage.name)
+        notes.print(f"written: {plot}", soft_wrap=True, highlight=False)
     if not (code or options.json):
         notes.print(f"next: straightcomp simulate --stage {quote(options.file)}", soft_wrap=True, highlight=False)
     return code
@@ -192,6 +206,6 @@ def _figures(found: Any) -> list[tuple[str, str, str, float | None]]:
 
 TOOLS = {
     "new": Tool("write the description of a stage, with a copy of its survey", _new_arguments, _new),
-    "check": Tool("check a description: what does not fit together, why, and what helps", _arguments, _check),
+    "check": Tool("check a description: what does not fit together, why, and what helps", _check_arguments, _check),
     "show": Tool("show what follows from a description: stiffnesses, poles, counts, margins", _arguments, _show),
 }

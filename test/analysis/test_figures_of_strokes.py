@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 
 from straightcomp_ros.analysis import html_report as report
 from straightcomp_ros.analysis import pictures as plot
@@ -167,36 +166,6 @@ def test_a_picture_that_cannot_be_finished_leaves_the_former_one(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         plot.save_whole(Interrupted(), path)
     assert path.read_bytes() == b"former" and list(tmp_path.iterdir()) == [path]
-
-
-def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
-    x = np.linspace(0.0, 0.4, 41)
-    runs = tuple(
-        Run(name, way, x, 5e-6 * np.sin(10.0 * x) + shift)
-        for name, way, shift in (("1", "forward", 1e-7), ("2", "forward", -1e-7), ("1", "backward", 3e-7))
-    )
-    built = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False))
-    plot.plot_map(built, Path("map.png"))
-    upper, lower, lowest = drawn[0].axes
-    *shown, mean = lines(upper)
-    assert mean[1] == pytest.approx(built.mean * 1e6)
-    # In the lower picture forward lies 0.15 µm below the mean of both directions, backward as much above.
-    *points, forward, backward = [values for at, values in lines(lower) if len(at) == 41]
-    assert forward == pytest.approx(-0.15) and backward == pytest.approx(0.15)
-    for (x_mm, um), difference, run in zip(shown, points, built.survey.runs, strict=True):
-        assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
-        assert difference == pytest.approx((run.deviation - built.mean) * 1e6)
-    # Without noise the map goes through every mean.
-    assert [um for _, um in lines(lowest)] == [pytest.approx(0.0, abs=1e-9)]
-    for axes in (upper, lower):
-        assert axes.get_axisbelow() is True
-        for line, run in zip(axes.get_lines(), built.survey.runs, strict=False):
-            red, _, blue = to_rgb(line.get_color())
-            assert (blue > red) == (run.direction == "forward")
-    # A single run has no standard deviation: the band is that of the two forward ones, s = 0.1 √2 µm.
-    (band,) = lower.collections
-    low, high = band.get_paths()[0].get_extents().intervaly
-    assert (low, high) == pytest.approx((-0.15 - 0.2 * math.sqrt(2.0), -0.15 + 0.2 * math.sqrt(2.0)))
 
 
 def test_a_built_map_has_its_ends_in_millimetres_and_its_runs():

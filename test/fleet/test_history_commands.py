@@ -146,7 +146,13 @@ def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, capsys):
     page = Path(file).read_text("utf-8")
     own = page.replace(page[page.index("<script>") : page.index("</script>")], "")
     assert not any(words in own for words in ("src=", "href=", "@import"))
-    for words in ("the guide moved", "Change of the guide over x", "Trends", "Bags to look at"):
+    for words in (
+        "the guide moved",
+        "Change of the guide over x",
+        "Trends",
+        "Straightness (ISO 230-1)",
+        "Bags to look at",
+    ):
         assert words in own
 
 

@@ -48,6 +48,9 @@ def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_paramete
         figures = stroke.to_display()
         del figures["start_s"]
         assert {name: getattr(row, name) for name in figures} == figures
+        for one in Assessment(BAG, evaluation).straightness:
+            if one["direction"] == row.direction:
+                assert getattr(row, f"{one['when']}_{one['line']}_U_um") == one["expanded_uncertainty_um"]
     first = rows[0]
     assert (first.checksum, first.bag, [row.stroke for row in rows]) == ("key", "smc", [1, 2])
     assert first.identity.startswith("synthetic ") and first.law == "smc_observer"

@@ -37,6 +37,7 @@ opcua user file | opcua user users ann | opcua user users bob
 recover --output || recover cut_off -o new
 reproduce --output || reproduce -o out --force
 robustness --plot || robustness --trials 2 --jobs 1 --plot r.png --force {SHORT}
+stage check --plot | stage new mine --yes | stage check mine/stage.yaml --plot r.png --force
 simulate --learned --bag --plot | simulate --learned t.csv {SHORT} | \
 simulate --learned t.csv --bag new --plot r.png --force {SHORT}
 stage new folder | stage new mine --yes | stage new mine --yes --force --survey s.csv

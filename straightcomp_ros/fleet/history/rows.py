@@ -73,6 +73,16 @@ class StrokeRow:
         "width of the guide's minimum zone (ISO 230-1); null in a row of an earlier version", None
     )
     after_minimum_zone_um: float | None = column("the same of the workpiece", None)
+    before_least_squares_U_um: float | None = column(
+        "expanded uncertainty (k = 2) of before_least_squares_um as the mean of the bag's strokes in this direction, "
+        "of the contributions that are known (docs/accuracy.md)",
+        None,
+    )
+    before_end_points_U_um: float | None = column("the same of before_end_points_um", None)
+    before_minimum_zone_U_um: float | None = column("the same of before_minimum_zone_um", None)
+    after_least_squares_U_um: float | None = column("the same of after_least_squares_um", None)
+    after_end_points_U_um: float | None = column("the same of after_end_points_um", None)
+    after_minimum_zone_U_um: float | None = column("the same of after_minimum_zone_um", None)
     control_activity_A: float = column("Σ |Δi_c| of the commands")
     coil_work_A2s: float = column("∫ i_c² dt of the commands: heat in the coils for each ohm")
     friction_A: float | None = column("friction as current: half the hysteresis of the coil current over y")

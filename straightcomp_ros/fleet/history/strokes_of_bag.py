@@ -21,6 +21,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, stroke_figures
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run, recorded_drive
+from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.bags import MAP_ATTACHMENT
 from straightcomp_ros.bags.folder import found_files, split_number
 from straightcomp_ros.bags.information import ORIGIN_METADATA
@@ -76,8 +77,12 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any]) -> list[StrokeR
 
     times = [(stamp(one.start), stamp(one.stop - 1)) for one in strokes]
     until = [*(begin for begin, _ in times[1:]), FOR_EVER]
+    uncertainties: dict[str, dict[str, Any]] = {}
+    for stated in statements(evaluation):
+        name = f"{stated.when}_{stated.line}_U_um"
+        uncertainties.setdefault(stated.direction, {})[name] = stated.expanded_uncertainty * 1e6
     return [
-        StrokeRow(**facts, stroke=number, **_columns(evaluation, *one))
+        StrokeRow(**facts, stroke=number, **_columns(evaluation, *one), **uncertainties.get(one[0].direction, {}))
         for number, one in enumerate(zip(strokes, times, until, strict=True), 1)
     ]
 

@@ -5,6 +5,7 @@ Its plots: a figure from day to day, a profile over x then and now, and over x a
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime
@@ -26,6 +27,7 @@ from straightcomp_ros.analysis.html_page import (
     line_figure,
 )
 from straightcomp_ros.analysis.judgement import IN_ORDER
+from straightcomp_ros.analysis.metrics import LINES
 from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import (
     BASELINE,
@@ -43,6 +45,8 @@ from straightcomp_ros.fleet.maintenance.level_change import SLACK, WEEK, LevelCh
 if TYPE_CHECKING:
     import pyarrow
 
+_LATEST = 20
+"""Strokes whose straightness is shown."""
 _SHOWN = 20
 """Bags in a list."""
 _TREND_DAYS = 91
@@ -79,6 +83,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
         *((title, blocks.plots([html_plot(figure)])) for title, figure in drawn if figure is not None),
         ("Figures from day to day", blocks.plots(plots, "pair")),
         ("Trends of the last quarter", blocks.table(_trends(levels, changes)) + slopes),
+        (f"Straightness (ISO 230-1) of the last {_LATEST} strokes", blocks.table(_straightness(strokes))),
         ("Faults over time", "" if faults is None else blocks.plots([html_plot(faults)])),
         *_bags(strokes),
     ]
@@ -101,6 +106,20 @@ def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
         remedy = f"What helps: {one.remedy}." if one.due else "Nothing to do: it is back where it was."
         cards += blocks.card(one.text, remedy, not one.due, note, html_plot(evidence(levels, one), bar=False))
     return f"What needs attention: {sum(one.due for one in advice)}", cards
+
+
+def _straightness(strokes: pyarrow.Table) -> list[dict[str, Any]]:
+    """For each direction and line the medians of the last strokes and of their expanded uncertainties."""
+    last, rows = strokes.slice(max(0, strokes.num_rows - _LATEST)), list[dict[str, Any]]()
+    directions = np.array(last["direction"].to_pylist())
+    for direction, line in itertools.product(np.unique(directions).tolist(), LINES):
+        row: dict[str, Any] = {"straightness": f"{direction}, {line.replace('_', ' ')}"}
+        for when, part in itertools.product(("before", "after"), ("", "_U")):
+            values = np.array(last[f"{when}_{line}{part}_um"].to_pylist(), np.float64)[directions == direction]
+            known = values[np.isfinite(values)]
+            row[f"{when}{' U (k = 2)' * bool(part)} / µm"] = float(np.median(known)) if known.size else None
+        rows.append(row)
+    return rows
 
 
 def _trends(levels: DayLevels, changes: dict[str, list[LevelChange]]) -> list[dict[str, Any]]:

@@ -273,7 +273,7 @@ def _map(options: argparse.Namespace) -> None:
     if output is not None:
         proposal.built.write(output)
     if plot is not None:
-        from straightcomp_ros.analysis.pictures import plot_map
+        from straightcomp_ros.analysis.map_page import plot_map
 
         plot_map(proposal.built, plot)
     if options.json:

@@ -102,7 +102,7 @@ def _build(options: argparse.Namespace) -> None:
     if output is not None:
         built.write(output)
     if plot is not None:
-        from straightcomp_ros.analysis.pictures import plot_map
+        from straightcomp_ros.analysis.map_page import plot_map
 
         plot_map(built, plot)
     if options.json:
@@ -438,6 +438,8 @@ def _align(options: argparse.Namespace) -> None:
         print_json({**figures, "output": options.output if told else None})
     else:
         console.print(figures_table(f"Survey {options.survey} in the machine", figures))
+    if found.lag is None:
+        notes.print("the strokes go one way only: a delay of the sensor is in the shift; record both directions")
     if found.changed:
         notes.print("more is left than the noise of sensor and survey: the guide has changed, or the sensor drifts")
     if found.ambiguous is not None:

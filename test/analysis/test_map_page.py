@@ -1,0 +1,86 @@
+"""The page of a map: what its panels and its facts show."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis import map_page
+from straightcomp_ros.analysis.map_building import Choices, as_it_is, build
+from straightcomp_ros.straightness.guide_map import MapParameters
+from straightcomp_ros.straightness.survey import Run, Survey
+
+X = np.linspace(0.0, 0.4, 41)
+CHOICES = Choices(step=10e-3, limit=6.0, level=False)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    figures = []
+    monkeypatch.setattr(map_page, "save_whole", lambda figure, path: figures.append(figure))
+    return figures
+
+
+def run(name, way, shift):
+    return Run(name, way, X, 5e-6 * np.sin(10.0 * X) + shift)
+
+
+def lines(axes):
+    return {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
+
+
+def facts(figure):
+    return [text.get_text() for text in figure.texts]
+
+
+def test_the_panels_show_runs_means_and_bands_and_what_is_left_of_the_mean(drawn):
+    built = build(
+        Survey((run("1", "forward", 1e-7), run("2", "forward", -1e-7), run("1", "backward", 3e-7))),
+        Path(__file__),
+        CHOICES,
+    )
+    map_page.plot_map(built, Path("map.png"))
+    upper, lower, lowest = drawn[0].axes
+    shown = [np.asarray(line.get_ydata()) for line in upper.get_lines()]
+    for one in built.survey.runs:
+        assert any(len(um) == 41 and um == pytest.approx(one.deviation * 1e6) for um in shown)
+    assert lines(upper)["forward, mean of 2"] == pytest.approx((built.mean - 0.15e-6) * 1e6)
+    # Forward lies 0.15 µm below the mean of both directions, backward as much above.
+    assert lines(lower)["forward, mean"] == pytest.approx(-0.15)
+    assert lines(lower)["backward, mean"] == pytest.approx(0.15)
+    # A single run has no standard deviation: the band is that of the two forward ones, s = 0.1 √2 µm.
+    (band,) = lower.collections
+    low, high = band.get_paths()[0].get_extents().intervaly
+    assert (low, high) == pytest.approx((-0.15 - 0.2 * np.sqrt(2.0), -0.15 + 0.2 * np.sqrt(2.0)))
+    # Without noise the map goes through every mean.
+    assert lines(lowest)["mean of the runs"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_rejected_runs_and_points_are_drawn_where_they_were_measured(drawn):
+    random = np.random.default_rng(0)
+    runs = [run(str(k), "forward", random.normal(0.0, 3e-8, X.size)) for k in range(6)]
+    spike = np.where(np.arange(X.size) == 20, 2e-6, 0.0)
+    runs[1] = replace(runs[1], deviation=runs[1].deviation + spike)
+    runs[4] = replace(runs[4], deviation=runs[4].deviation + np.where(X > 0.2, 3e-6, 0.0))
+    built = build(Survey(tuple(runs)), Path(__file__), CHOICES)
+    assert (built.rejected_runs, built.rejected_points) == (["4 forward"], [("1 forward", X[20])])
+    map_page.plot_map(built, Path("map.png"))
+    lower = lines(drawn[0].axes[1])
+    assert lower["rejected point"] == pytest.approx([2.0], abs=0.1)
+    assert lower["rejected run"][-5:] == pytest.approx(3.0, abs=0.1)
+    assert "6 forward" not in (page := facts(drawn[0])) and "5 forward, 0 backward; rejected: 1" in page
+
+
+def test_the_page_names_machine_instrument_runs_spacing_and_each_straightness_with_its_uncertainty(drawn):
+    built = as_it_is(MapParameters())
+    built = replace(built, provenance={"instrument": "probe $7$", "encoder reference": "index 3"})
+    map_page.plot_map(built, Path("map.png"), "stage 7")
+    page = facts(drawn[0])
+    for text in ("stage 7", r"probe \$7\$", "index 3", "3 forward, 3 backward; rejected: 0", "Signature"):
+        assert text in page
+    assert "177, spacing 10 mm; rejected: 0" in page
+    for line in ("least squares", "end points", "minimum zone"):
+        text = page[page.index(line) + 1]
+        value, _, _, uncertainty, *_ = text.split()
+        assert 15.0 < float(value) < 25.0 and 0.0 < float(uncertainty) < 0.1 and "U" in text
