@@ -26,7 +26,7 @@ from straightcomp_ros.straightness.residual import (
     peak_to_peak,
 )
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
 from straightcomp_ros.straightness.survey_runs import Repeatability, on_common_grid, repeatability
 
 GAUSSIAN = 1.4826
@@ -155,7 +155,7 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
 def as_it_is(guide: MapParameters) -> BuiltMap:
     """The map of ``guide`` with its survey, of which nothing is rejected; SurveyError as :func:`load_map` raises it."""
     straightness = load_map(guide)
-    survey = read_survey(straightness.source, min_points=guide.min_points, max_gap=guide.max_gap)
+    survey = straightness.survey
     return BuiltMap(survey, straightness, [], [], survey.facts, survey)
 
 

@@ -131,11 +131,10 @@ def _guide_findings(
     good = beyond <= 1e-6 and quiet
     yield judged("survey", good, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
 
-    if straightness.mark or stage.guide.reference:
-        known = f"x is counted from {(straightness.mark or stage.guide.reference)!r}"
+    if mark := straightness.survey.mark or stage.guide.reference:
         remedy = "Align the survey, or home the machine to the reference that it was made with."
         wrong = straightness.mismatch()
-        yield judged("reference", not wrong, wrong or known, remedy, "fail")
+        yield judged("reference", not wrong, wrong or f"x is counted from {mark!r}", remedy, "fail")
 
     detail = (
         f"correction of {found.correction * 1e6:.1f} µm to each side; travel {stage.guide.travel * 1e6:g} µm, "

@@ -67,7 +67,6 @@ class StraightnessMap:
     moves straight along the line that the survey was measured against.
 
     Attributes:
-        source, mark: of the survey.
         survey: that it was built from.
         report: agreement of the runs.
         noise: what the survey's noise leaves in the map.
@@ -81,7 +80,7 @@ class StraightnessMap:
     def __init__(self, survey: Survey, parameters: MapParameters = MapParameters()) -> None:
         self.survey = survey
         x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
-        self.source, self.mark, self._reported = survey.source, survey.mark, parameters.reference
+        self._reported = parameters.reference
         self.report = repeatability(survey, x, values)
         first, last = self.span = (float(x[0]), float(x[-1]))
         spline, self.noise = smoothed(survey, x, values, self.report.mean, parameters.smooth)
@@ -126,10 +125,11 @@ class StraightnessMap:
         """What is wrong where the machine's x is counted from another reference of the encoder than the survey's:
         ``reported`` by the machine, or by its description. Empty where they agree, or one is not known."""
         reported = self._reported if reported is None else reported
-        if not (self.mark and reported) or self.mark == reported:
+        mark = self.survey.mark
+        if not (mark and reported) or mark == reported:
             return ""
         return (
-            f"survey {self.source}: x is counted from {self.mark!r}, the machine's from {reported!r}: the map is "
+            f"survey {self.survey.source}: x is counted from {mark!r}, the machine's from {reported!r}: the map is "
             "shifted; straightcomp map align finds by how much"
         )
 

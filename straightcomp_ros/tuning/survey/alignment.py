@@ -134,7 +134,7 @@ def align(straightness: StraightnessMap, strokes: Sequence[Run], reach: float) -
         SurveyError: the strokes cover less than half of the survey, or the best shift is at the end of the reach.
     """
     first, last = straightness.span
-    middle, source = (first + last) / 2.0, straightness.source
+    middle, source = (first + last) / 2.0, straightness.survey.source
     x, readings = (np.concatenate([getattr(run, name) for run in strokes]) for name in ("x", "deviation"))
     numbers = np.repeat(np.arange(len(strokes)), [run.x.size for run in strokes])
     ways = np.where([run.direction == "forward" for run in strokes], 1.0, -1.0)[numbers]
