@@ -26,7 +26,7 @@ from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budge
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
 from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import Judge
+from straightcomp_ros.tuning.design.judged_gains import UNEVEN, Judge
 from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
 from straightcomp_ros.tuning.sweep.many_trials import LawSummary, summarise, sweep
@@ -131,8 +131,12 @@ def design_gains(
 
     def cost(one: Found) -> float:
         """Of a finalist, on the whole stroke: short strokes may have flattered it."""
-        pp = spread(run.pp for run in runs(one.gains)).median
-        return one.judgement.cost + math.log(pp / one.judgement.pp) if math.isfinite(pp) else math.inf
+        pp = spread(run.pp for run in runs(one.gains))
+        if not math.isfinite(pp.max):
+            return math.inf
+        # Gains that are good from some starts only are worth what they are from the worst.
+        uneven = max(1.0, pp.max / (UNEVEN * pp.median))
+        return one.judgement.cost + math.log(uneven * pp.median / one.judgement.pp)
 
     kept: tuple[LawSummary, Mapping[str, float]] | None = None
     rounds, held, begin = 0, demands, starts(law, start)

@@ -14,7 +14,7 @@ from straightcomp_ros.tuning.design.error_budget import error_budget
 from straightcomp_ros.tuning.design.gain_search import search
 from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
 from straightcomp_ros.tuning.design.judged_gains import Judge, Judgement, extreme_machines
-from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
+from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import StabilityCheck
 
 LAW = "smc_observer"
@@ -123,6 +123,24 @@ def test_gains_that_are_hopeless_or_unstable_are_not_simulated_further_and_quiet
     assert judge.judge(slow).work < judge.judge(fast).work
     loud, quiet = (one.judge(slow).cost - one.judge(fast).cost for one in (judge, Judge(shipped, LAW, 1.0)))
     assert quiet < loud
+
+
+@pytest.mark.parametrize(("worst", "starts"), [(1.4, 3), (2.5, 9)])
+def test_gains_whose_error_depends_on_the_start_are_judged_from_more_starts(shipped, judge, begin, worst, starts):
+    class Uneven:
+        """The second of three starts leaves ``worst`` times the error."""
+
+        plant, asked = judge.stage.plant, 0
+
+        def run(self, law, delay, start=0, plant=None):
+            self.asked += 1
+            pp = 1e-7 * (worst if start % 3 == 1 else 1.0)
+            return RunFigures(pp, pp / 6.0, 1e-3, 0.0, 0.0, 0.0)
+
+    one = Judge(shipped, LAW, 0.0)
+    one._stroke = Uneven()
+    found = one.judge(begin)
+    assert one._stroke.asked == starts and found.pp == pytest.approx(1e-7 * (2.0 + worst) / 3.0)
 
 
 @pytest.mark.parametrize("wrong", [{"law": "pid"}, {"quiet": 1.5}, {"quiet": math.nan}])
