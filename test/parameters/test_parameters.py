@@ -124,6 +124,7 @@ driver | can.log=frames.txt | can.log |
 driver | can.options=bitrate | can.options |
 driver | stage.platform.stop=0.002 | stage.platform.stop | stage.actuator.air_gap
 driver | stage.friction.static=0.1 | stage.friction.static | stage.friction.coulomb
+driver | stage.friction.coulomb=0.0 | stage.friction.static | stage.friction.coulomb
 cell | stage.motion.speed=1.5 | stage.motion.highest_speed | stage.motion.speed
 feedforward | stage.guide.smooth=some | stage.guide.smooth |
 controller | control.law=smc control.smc.rho=0.2 | control.smc.rho | control.smc.enforce_reaching
