@@ -31,13 +31,14 @@ from straightcomp_ros.analysis.record import (
     ReferenceMap,
     Stroke,
     StrokeRecord,
+    group_means,
     motion_of,
     runs_of,
 )
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 
 if TYPE_CHECKING:
     from straightcomp_ros.offline.promise import Promise
@@ -101,6 +102,8 @@ _LACKS = 0.05
 _SIGMAS = 8.0
 """Standard deviations, p-p, of what the noise of a survey leaves in its map: of 1,000 surveys with 200 points, one
 exceeds it."""
+_PIECES, _READINGS = 200, 5
+"""Pieces of x over which the readings of a displacement sensor are averaged, and the least mean number in each."""
 _MAP_COUNTS = 2.0
 """Counts of the encoder, p-p, below which an error of the map is not seen."""
 _ACCURATE = 0.5
@@ -125,6 +128,7 @@ class GuideFit(NamedTuple):
     guide_pp: float
     left_pp: float
     cause: str = ""
+    noise: float = 0.0  # standard deviation of the sensor's noise that is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +211,8 @@ class JudgedMotion:
     @property
     def largest_of_map(self) -> float:
         """Largest deviation of the guide from the map in m, p-p."""
-        return max(_MAP_COUNTS * self.count, _SIGMAS * self.map_noise)
+        noise = math.hypot(self.map_noise, self.fit.noise if self.fit else 0.0)
+        return max(_MAP_COUNTS * self.count, _SIGMAS * noise)
 
     @cached_property
     def strokes(self) -> Sequence[Stroke]:
@@ -249,10 +254,12 @@ def judged_run(
     straightness: StraightnessMap | None = None,
     stalls: Sequence[Stall] = (),
     latency: Array | None = None,
+    sensor: Array | None = None,
 ) -> Verdict:
     """The verdict on ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if that
     is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
-    :func:`late_commands`. MetricsError if the stage does not move."""
+    :func:`late_commands`, ``sensor`` the guide's deviation (n,) in m by a displacement sensor at the record's samples,
+    up to a constant, NaN where it has none. MetricsError if the stage does not move."""
     run = record.moving
     truth, first, last = run.true_error(reference), run.time[0], run.time[-1]
     return verdict_of(
@@ -265,7 +272,7 @@ def judged_run(
             error=run.r - run.y if truth is None else truth,
             count=encoder_count(run.y),
             by_encoder=truth is None,
-            fit=_guide_fit(record, reference, straightness),
+            fit=_guide_fit(record, reference, straightness, sensor),
             stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
             promise=lambda: _promise(record, parameters, straightness),
             **bounds_of(parameters, straightness),
@@ -315,13 +322,29 @@ def _promise(
     return promise_of(record, parameters, straightness)
 
 
-def _guide_fit(record: StrokeRecord, reference: ReferenceMap, straightness: StraightnessMap | None) -> GuideFit | None:
-    if record.true_x is None or record.guide is None:
-        return None
-    followed = record.guide + reference.evaluate(record.true_x)[0]
-    guide, left = (residual_over(record.true_x, values, record) for values in (record.guide, followed))
-    cause = causes.of_map(record.true_x[record.motion.samples()], left, reference.deviations, straightness)
-    return GuideFit(peak_to_peak(guide), peak_to_peak(left), cause)
+def _guide_fit(
+    record: StrokeRecord, reference: ReferenceMap, straightness: StraightnessMap | None, sensor: Array | None
+) -> GuideFit | None:
+    if record.true_x is not None and record.guide is not None:
+        x, noise, followed = (
+            record.true_x[record.motion.samples()],
+            0.0,
+            record.guide + reference.evaluate(record.true_x)[0],
+        )
+        guide, left = (residual_over(record.true_x, values, record) for values in (record.guide, followed))
+    else:
+        moving = record.motion.samples()
+        known = moving[:0] if sensor is None else moving[np.isfinite(sensor[moving])]
+        if sensor is None or known.size < _READINGS * _PIECES:
+            return None
+        # Means over pieces of x have little of the sensor's noise, and what they have is known from its spread.
+        x, readings = record.x[known], sensor[known]
+        piece = np.minimum(((x - x.min()) / np.ptp(x) * _PIECES).astype(np.intp), _PIECES - 1)
+        (x, guide), square = group_means(x, readings, piece), group_means(x, readings**2, piece)[1]
+        noise = float(np.sqrt(np.mean(np.maximum(square - guide**2, 0.0)) * guide.size / known.size))
+        guide, left = (least_squares_residual(x, one) for one in (guide, guide + reference.evaluate(x)[0]))
+    cause = causes.of_map(x, left, reference.deviations, straightness)
+    return GuideFit(peak_to_peak(guide), peak_to_peak(left), cause, noise)
 
 
 def verdict_of(motion: JudgedMotion) -> Verdict:

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from straightcomp_ros.analysis.causes import of_map
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
 from straightcomp_ros.analysis.run_verdict import (
@@ -15,6 +16,9 @@ from straightcomp_ros.analysis.run_verdict import (
     late_commands,
     verdict_of,
 )
+from straightcomp_ros.offline.promise import Promise
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import Run, Survey
 
 T = 5e-4
 TIME = np.arange(16_000) * T
@@ -52,6 +56,21 @@ def stalled(*error: object, **changes) -> JudgedMotion:
 MANY = tuple(Stall(t, t + 0.01) for t in np.arange(0.0, 8.0, 0.1).tolist())
 PUSHED, SHORTLY = np.where(TIME < 1.0, 0.9, 0.1), np.where(np.abs(TIME - 4.0) < 0.1, 0.9, 0.1)
 OTHER, NEARLY_RIGHT = GuideFit(20e-6, 27e-6, "shift it"), GuideFit(20e-6, 0.3e-6, "survey more points")
+SPEED = 0.5 * np.abs(np.sin(np.pi * TIME / 4.0))
+THERE_AND_BACK = np.cumsum(np.where(TIME < 4.0, SPEED, -SPEED)) * T
+WAVES = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.01)
+STEPS = 0.5e-6 * np.cumsum(
+    np.where(np.arange(TIME.size) % 200 == 0, np.where(np.arange(TIME.size) % 400 == 0, 1, -1), 0)
+)
+SLOW = 0.4e-6 * np.sin(2.0 * np.pi * 0.31 * TIME + 1.0)
+NOISE = np.random.default_rng(1).normal(0.0, 0.05e-6, TIME.size)
+AT_TURNS = sum(bump(turn, 0.5e-6) for turn in np.arange(0.5, 4.8, 1.0) / 0.6)
+
+
+def promised(smooth: float, as_mapped: float = 0.0):
+    return lambda: Promise(smooth * 1e-6, (as_mapped or smooth) * 1e-6)
+
+
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
 NEARLY = 0.02 * R
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
@@ -127,6 +146,48 @@ CASES = {
         ("in_order", "", motion(HIDDEN, count=1e-9)),
         ("oscillates", "", motion(HIDDEN, r=0.1 * R, count=1e-9, fit=None)),
     ],
+    "a line of the mains is told from one of the loop by its frequency, and by its phase if it wanders": [
+        ("mains", r"hum of 50\.\d Hz", motion(SMALL + 0.3e-6 * sine(50.05))),
+        ("mains", r"hum of 360\.\d Hz", motion(SMALL + 0.3e-6 * sine(360.1))),
+        ("oscillates", "51 Hz", motion(SMALL + 0.3e-6 * sine(51.0))),
+        ("oscillates", "", motion(SMALL + 0.3e-6 * np.sin(2.0 * np.pi * 50.0 * TIME + 5.0 * SMALL / 0.05e-6))),
+    ],
+    "waves over x are locked to it, whatever their frequency": [
+        ("locked_to_x", "every 9.99.* mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
+        ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=THERE_AND_BACK)),
+    ],
+    "a platform that stands and jumps sticks and slips": [
+        ("stick_slip", "stage.friction.static", motion(STEPS, promise=promised(0.05))),
+        ("in_order", "", motion(STEPS, promise=promised(0.3))),
+    ],
+    "a line at a described mode is the mode's": [
+        ("resonance", "mode at 135 Hz", motion(SMALL + 0.3e-6 * sine(137.0), modes=(80.0, 135.0))),
+        ("oscillates", "", motion(SMALL + 0.3e-6 * sine(137.0), modes=(80.0,))),
+    ],
+    "an error is judged by what the description leaves, with the friction's range and the encoder's counts": [
+        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.31))),
+        (
+            "inaccurate",
+            "the described stage leaves 0.29 µm.*allowed: 0.78 µm",
+            motion(8.0 * SMALL, promise=promised(0.29)),
+        ),
+        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.29), by_encoder=True)),
+        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2), friction=3.0)),
+        ("in_order", "", motion(2.9 * SMALL, promise=promised(0.0))),
+        ("inaccurate", "", motion(0.55 * R, promise=promised(100.0))),
+    ],
+    "an error that the noise of the map asks for is the map's": [
+        ("inaccurate", "noise of its survey.*stage.guide.smooth", motion(8.0 * SMALL, promise=promised(0.1, 0.7))),
+        ("inaccurate", "^(?!.*noise)", motion(8.0 * SMALL, promise=promised(0.1, 0.3))),
+    ],
+    "an error that is too large goes with something": [
+        ("inaccurate", "changes slowly", motion(SLOW, promise=promised(0.1))),
+        ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
+    ],
+    "a sensor's own noise is no error of the map": [
+        ("in_order", "", motion(fit=GuideFit(20e-6, 0.3e-6, "", 0.04e-6))),
+        ("wrong_guide", "", motion(fit=GuideFit(20e-6, 0.3e-6, "", 0.02e-6))),
+    ],
     "an error of half the uncompensated deviation is inaccurate": [
         ("in_order", "", motion(0.45 * R)),
         ("inaccurate", "", motion(0.55 * R)),
@@ -194,3 +255,24 @@ def test_a_verdict_says_that_commands_came_later_than_the_stage_describes():
     for error, word in ((SMALL, "in_order"), (R, "inaccurate")):
         found = verdict_of(motion(error, late=words))
         assert found.verdict == word and found.reason.endswith(words)
+
+
+def guide_map(deviation, step: float) -> StraightnessMap:
+    x = np.arange(0.0, 1.7601, step)
+    return StraightnessMap(Survey((Run("1", "forward", x, deviation(x)),)), MapParameters(max_gap=0.2, min_points=5))
+
+
+def test_a_map_that_does_not_fit_its_guide_is_explained_by_what_was_done_to_it():
+    true, x = load_map(MapParameters(file="config/guide_synthetic.csv")).deviations, np.linspace(0.02, 1.74, 2000)
+    surveys = {
+        "shift its x by -3 mm": lambda at: true(at - 3e-3),
+        "opposite sign": lambda at: -true(at),
+        "multiplied by 2": lambda at: 0.5 * true(at),
+        "bowed by 2 µm": lambda at: true(at) + 2e-6 * ((at - 0.88) / 0.86) ** 2,
+        "use a survey of this guide": lambda at: 9e-6 * np.sin(2.0 * np.pi * 3.3 * at / 1.76 + 1.0),
+    }
+    for said, deviation in surveys.items():
+        map_ = guide_map(deviation, 0.01)
+        assert said in of_map(x, true(x) - map_.deviations(x), map_.deviations, map_), said
+    sparse = guide_map(true, 0.11)
+    assert "110 mm apart: survey more points" in of_map(x, true(x) - sparse.deviations(x), sparse.deviations, sparse)

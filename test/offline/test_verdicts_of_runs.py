@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from straightcomp_ros.cell.demonstration import Demonstration
 from straightcomp_ros.cli import demo
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.offline.promise import promise_of
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import first_cycle
 from straightcomp_ros.offline.what_if import what_if
@@ -39,8 +41,8 @@ def verdict(**changes) -> Verdict:
     return judged_run(record, straightness, by_node(values), straightness)
 
 
-def survey(path: Path, deviation, length: float = 1.76) -> str:
-    x = np.linspace(0.0, length, round(length / 0.01) + 1)
+def survey(path: Path, deviation, length: float = 1.76, step: float = 0.01) -> str:
+    x = np.linspace(0.0, length, round(length / step) + 1)
     write_survey(path, Survey((Run("1", "forward", x, deviation(x)),)))
     return str(path)
 
@@ -131,6 +133,41 @@ def test_a_survey_of_another_guide_is_recognised(tmp_path, law):
         assert found.verdict == "wrong_guide", name
     same = survey(tmp_path / "same.csv", lambda x: guide.deviations(x) + 0.06e-6 * np.sin(20.0 * x) + 5e-6 * x)
     assert verdict(**whole, **{"feedforward.stage.guide.file": same}).in_order
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_a_survey_with_a_zero_that_is_off_is_found_by_the_truth_and_by_a_sensor(tmp_path, truth):
+    guide = load_map(MapParameters(file=GUIDE))
+    file = survey(tmp_path / "shifted.csv", lambda x: guide.deviations(x - 2e-3))
+    values = {
+        "driver": {},
+        "feedforward": {"stage.guide.file": file},
+        "controller": {},
+        "stage": {"motion.stroke": 1.7},
+    }
+    record, straightness = first_cycle(values)
+    sensor = None
+    if not truth:
+        noise = np.random.default_rng(1).normal(0.0, 0.05e-6, record.x.size)
+        sensor = guide.deviations(record.x) + noise
+        sensor[::7] = np.nan
+        record = replace(record, true_x=None, true_y=None, guide=None)
+    found = judged_run(record, straightness, by_node(values), straightness, sensor=sensor)
+    assert found.verdict == "wrong_guide" and "shift its x by -2 mm" in found.reason, found
+    if sensor is not None:
+        own = straightness.deviations(record.x) + noise
+        assert judged_run(record, straightness, by_node(values), straightness, sensor=own).in_order
+
+
+def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_noisy_map(tmp_path):
+    guide, random = load_map(MapParameters(file=GUIDE)), np.random.default_rng(1)
+    file = survey(tmp_path / "noisy.csv", lambda x: guide.deviations(x) + random.normal(0.0, 0.3e-6, x.size), step=1e-3)
+    values = {"driver": {}, "feedforward": {"stage.guide.file": file}, "controller": {}, "stage": dict(CYCLE)}
+    record, straightness = first_cycle({**values, "driver": {"simulated.truth.mass": 4.0}})
+    found = promise_of(record, by_node(values), straightness)
+    assert found.smooth < 0.3e-6 < 1e-6 < found.as_mapped
+    assert promise_of(record, {"driver": {}}, straightness) is promise_of(record, by_node(values), None) is None
+    assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
 
 
 def test_a_run_without_compensation_is_in_order(tmp_path):
