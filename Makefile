@@ -108,11 +108,17 @@ docs: setup
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
 	echo "site/index.html"
 
+# One line that changes, where it goes to a terminal. Errors of pip are on standard error.
+PIP_PROGRESS := if [ -t 1 ]; then awk '{ line = "" } /^Collecting/ { line = ++n " packages: " $$2 } \
+  /^Building|^Preparing|^Installing/ { line = "unpacking " n " packages" } \
+  line { printf "\r\033[K  %s", line; fflush() } END { printf "\r\033[K" }'; else cat > /dev/null; fi
+
 setup: $(INSTALLED)
 
 $(INSTALLED): $(MADE) setup.py setup.cfg package.xml pyproject.toml
 	@echo "Installing the package and what it needs into .venv: one to three minutes the first time ..."
-	.venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[$(if $(JAZZY),,ros$(comma))test]'
+	.venv/bin/python -m pip install --disable-pip-version-check --editable '.[$(if $(JAZZY),,ros$(comma))test]' | $(PIP_PROGRESS)
+	echo "Compiling the control laws ..."
 	.venv/bin/python scripts/prepare.py
 	touch $@
 

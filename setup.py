@@ -14,7 +14,7 @@ FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
-SERVO_VERBS = "bench can completion demo doctor dsp evaluate recover replay simulate stage view"
+SERVO_VERBS = "bench can completion demo doctor dsp evaluate incident recover replay simulate stage view"
 TUNING_VERBS = "commission design frequency-response friction reproduce robustness"
 
 

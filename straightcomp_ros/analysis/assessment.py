@@ -14,7 +14,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.metrics import LINES, MetricsError, evaluate, stroke_figures
 from straightcomp_ros.analysis.record import Array, runs_of
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import STILL, judged_run
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
@@ -48,6 +48,7 @@ class Assessment:
         self.metrics = evaluate(record, reference)
         self.strokes = [stroke_figures(one, reference, direction) for one, direction in strokes]
         self.straightness = [one.to_display() for one in statements(evaluation, sensor)]
+        self.uncompensated = float(np.ptp(moving.r)) <= STILL
         # Of the compensation error as the encoder sees it, while the stage moves.
         self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
         # Samples that the clock took and the bag lacks.

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
 
 import numpy as np
 import plotly.graph_objects as go
@@ -12,9 +13,13 @@ from straightcomp_ros.analysis import html_page as page
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
+from straightcomp_ros.analysis.run_verdict import is_simulated
 from straightcomp_ros.analysis.straightness_statement import budget_rows
+from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.survey import Direction
 
+_FIRST_YEAR = 2001
+"""Stamps of this year and before are simulated time."""
 _POINTS = 6000
 """Points that a curve is drawn with: each pixel column still shows its smallest and its largest value."""
 _BINS = 200
@@ -33,7 +38,7 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
         ("Control current", _current(assessment)),
         ("Loop timing", _timing(assessment)),
     )
-    notes = [(bag, "note"), (f"Verdict: {verdict}", "note" if verdict.in_order else "fail")]
+    notes = [(_whose(assessment), "note"), (f"Verdict: {verdict}", "note" if verdict.in_order else "fail")]
     notes += [(text, "fail") for text in assessment.warnings]
     limits = [{"verdict": one.passed, "limit": str(one)} for one in checks]
     runs = {"this run": assessment.figures()} | ({} if other is None else {str(other.bag): other.figures()})
@@ -54,6 +59,19 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
             ("Figures", page.blocks.table(figures, columns=other is None)),
         ],
     )
+
+
+def _whose(assessment: Assessment) -> str:
+    """Bag, stage and machine, when the run began, and what made the report."""
+    evaluation, made_by = assessment.evaluation, origin()
+    driver = evaluation.parameters.get("driver", {})
+    serial = f", serial number {driver['stage.serial']}" if driver.get("stage.serial") else ""
+    machine = f"{'simulated' if is_simulated(driver) else 'real'} machine" if driver else "machine not recorded"
+    # Stamps of simulated time have no date.
+    began = datetime.fromtimestamp(evaluation.begin_ns * 1e-9, timezone.utc)
+    date = f"; began {began:%Y-%m-%d %H:%M} UTC" if began.year > _FIRST_YEAR else ""
+    stage = f"stage “{driver.get('stage.name', 'unknown')}”{serial}, {machine}{date}"
+    return f"{assessment.bag}: {stage}; report by {made_by['package']} {made_by['version']} ({made_by['revision']})"
 
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:

@@ -58,7 +58,7 @@ def bounds_of(
     if "controller" in parameters:
         limits.append(parameters["controller"].get("stage.actuator.current_limit", shipped.actuator.current_limit))
     driver = parameters.get("driver", {"hardware": "unknown"})
-    if driver.get("hardware", "simulated") == "simulated" or driver.get("can.simulated_stage", False):
+    if is_simulated(driver):
         bounds["stop"] = float(driver.get("stage.platform.stop", shipped.platform.stop))
         limits.append(recorded_drive(driver).largest_current)
     if limits:
@@ -73,6 +73,11 @@ def bounds_of(
         modes = (parameters["controller"].get(f"stage.platform.modes.{one}.frequency") for one in ("first", "second"))
         bounds["modes"] = tuple(float(one) for one in modes if one)
     return bounds
+
+
+def is_simulated(driver: Mapping[str, Any]) -> bool:
+    """Whether the driver with these parameters by dotted name has a simulated stage, if need be behind a board."""
+    return driver.get("hardware", "simulated") == "simulated" or bool(driver.get("can.simulated_stage", False))
 
 
 def recorded_drive(driver: Mapping[str, Any]) -> DriveParameters:
@@ -115,7 +120,7 @@ _OF_LOOP = 0.0125
 what then is left of a disturbance has no line either."""
 _HUNTS = 0.02
 """Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
-_STILL = 0.1e-6
+STILL = 0.1e-6
 """Travel in m of a reference that asks for nothing: the run is uncompensated. Twenty times less than the best guide."""
 _STILL_SHARE = 0.01
 """The same relative to the true guide's deviation."""
@@ -186,7 +191,7 @@ class JudgedMotion:
     def still(self) -> bool:
         """Whether the reference asks for nothing: the run is uncompensated."""
         guide = self.fit.guide_pp if self.fit else 0.0
-        return self.travel <= max(_STILL, self.count, _STILL_SHARE * guide)
+        return self.travel <= max(STILL, self.count, _STILL_SHARE * guide)
 
     @cached_property
     def promised(self) -> Promise | None:

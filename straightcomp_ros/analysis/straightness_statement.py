@@ -135,6 +135,12 @@ class Statement(NamedTuple):
         }
 
 
+def with_uncertainty(value: float, expanded: float, unit: str = "µm") -> str:
+    """A value and its expanded uncertainty, both to two digits of the latter (GUM 7.2.6)."""
+    digits = 3 if not expanded > 0.0 else max(0, 1 - math.floor(math.log10(float(f"{expanded:.1e}"))))
+    return f"({value:.{digits}f} ± {expanded:.{digits}f}) {unit}"
+
+
 def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """A row for each statement in the form of :meth:`Statement.to_display`: value and uncertainty, and as a column each
     contribution to the standard uncertainty; in brackets one that does not count."""

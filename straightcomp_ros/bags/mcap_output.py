@@ -175,6 +175,10 @@ class McapOutput:
         self._append(data_end + self._end_of_file(self.size + len(data_end)))
         os.fsync(self._file.fileno())
 
+    def sync(self) -> None:
+        """Bring all that is written to the disk; the open chunk is not."""
+        os.fdatasync(self._file.fileno())
+
     def close(self) -> None:
         """Close the file, finished or not."""
         self._file.close()

@@ -14,7 +14,7 @@ import numpy as np
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter, Message
+from straightcomp_ros.bags.writer import FLUSH_AGE, SYNC_INTERVAL, BagWriter, Message
 from straightcomp_ros.messages.cdr import NANOSECONDS
 
 BREAK: Message = ("", b"", 0, 0)
@@ -260,6 +260,7 @@ class Recorder:
                     self._splitting.clear()
                     self._bag.split()
                 self._bag.flush_older(FLUSH_AGE)
+                self._bag.sync_older(SYNC_INTERVAL)
             self._write(intake)
         except (OSError, BagError) as error:
             self.failure = error

@@ -7,6 +7,7 @@ sound chunk, wherever it starts.
 
 import shutil
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -77,9 +78,12 @@ class Recovery:
         return not (self.gaps or self.unfinished or self.not_copied or lost)
 
 
-def recover(bag: Path, output: Path) -> Recovery:
+def recover(
+    bag: Path, output: Path, *, since_ns: int = 0, edit: Callable[[str, bytes], bytes] = lambda name, data: data
+) -> Recovery:
     """Copy all messages, attachments and metadata that are sound in ``bag`` to a new bag ``output`` of one file; the
-    original is only read. Raises BagError when there is no MCAP file, or the new bag cannot be written."""
+    original is only read. ``since_ns`` leaves out messages that were recorded before, ``edit`` changes attachments,
+    given their name and content. Raises BagError when there is no MCAP file, or the new bag cannot be written."""
     bag, output = Path(bag), Path(output)
     paths, missing_files = found_files(bag)
     if paths[0].suffix == ".db3":
@@ -92,7 +96,7 @@ def recover(bag: Path, output: Path) -> Recovery:
         with writer:
             for path in paths:
                 with McapInput(path) as file:
-                    _Copy(file, writer, result).run()
+                    _Copy(file, writer, result, since_ns, edit).run()
             for name in missing_files:
                 result.gaps.append((name, 0, 0, "the file is missing"))
                 result.lost = None
@@ -109,8 +113,16 @@ def recover(bag: Path, output: Path) -> Recovery:
 class _Copy:
     """Copies the sound records of one file."""
 
-    def __init__(self, file: McapInput, writer: BagWriter, result: Recovery) -> None:
+    def __init__(
+        self,
+        file: McapInput,
+        writer: BagWriter,
+        result: Recovery,
+        since_ns: int,
+        edit: Callable[[str, bytes], bytes],
+    ) -> None:
         self._file, self._writer, self._result = file, writer, result
+        self._since_ns, self._edit = since_ns, edit
         self._saved: Counter[int] = Counter()
         self._topics: dict[int, str | None] = {}
         self._known = Summary()
@@ -148,7 +160,8 @@ class _Copy:
         if opcode == Opcode.ATTACHMENT:
             attachment, _ = measured(Attachment, content)
             if attachment.name != "metadata.yaml":
-                self._writer.attach(attachment.name, attachment.media_type, attachment.data)
+                data = self._edit(attachment.name, attachment.data)
+                self._writer.attach(attachment.name, attachment.media_type, data)
         elif opcode == Opcode.METADATA:
             metadata, _ = measured(Metadata, content)
             if metadata.name != "rosbag2":
@@ -211,8 +224,10 @@ class _Copy:
         data = record[MESSAGE.size :]
         if not self._saved[channel_id] and (compression := COMPRESSIONS.get(data[:4])):
             raise BagError(f"bag {self._file.path}: topic '{topic}': {compressed_messages(compression)}")
-        self._writer.write(topic, data, log_time, publish_time)
         self._saved[channel_id] += 1
+        if log_time < self._since_ns:
+            return
+        self._writer.write(topic, data, log_time, publish_time)
         result = self._result
         result.saved[topic] += 1
         result.first_ns = log_time if result.first_ns is None else min(result.first_ns, log_time)

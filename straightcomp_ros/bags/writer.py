@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -15,7 +16,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
 from straightcomp_ros.bags.topics import Topic, TopicQos
-from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.output_files import sync_names, write_whole
 
 Message = tuple[str, bytes, int, int]
 """Topic, serialised message, time of reception and of its source in ns since the epoch."""
@@ -24,13 +25,16 @@ CHUNK_SIZE = 512 * 1024
 FLUSH_AGE = 0.15
 """Age in s at which a recording writes its open chunk, full or not. With the delays of fetching and writing on a busy
 machine, a SIGKILL takes less than half a second."""
+SYNC_INTERVAL = 0.2
+"""Time in s from one sync of a recording to the next: with :data:`FLUSH_AGE`, the delays and the sync itself, a power
+cut takes less than a second."""
 
 
 class BagWriter:
     """A new bag. Not for several threads at once.
 
-    As a context manager it finishes the bag whatever ends the block, Ctrl-C too. Without the finish (SIGKILL,
-    power loss) all chunks but the open one stay readable.
+    As a context manager it finishes the bag whatever ends the block, Ctrl-C too. Without the finish all chunks but the
+    open one stay readable after a SIGKILL, and all up to the last :meth:`sync_older` after a power cut.
 
     Args:
         directory: the bag's folder; made if absent, must be empty.
@@ -72,7 +76,7 @@ class BagWriter:
         self._topics: dict[str, Topic] = {}
         self._channel_ids: dict[str, int] = {}
         self._custom_data: dict[str, str] = {}
-        self._closed = False
+        self._closed, self._synced, self._named = False, 0.0, set[Path]()
         with self._disk(f"bag {directory} cannot be made"):
             self.directory.mkdir(parents=True, exist_ok=True)
             if any(self.directory.iterdir()):
@@ -191,6 +195,20 @@ class BagWriter:
         if not self._closed and self._output.chunk_age >= age:
             self.flush()
 
+    def sync_older(self, age: float) -> None:
+        """Bring what is written to the disk when the last sync began ``age`` seconds ago; call it often, from a thread
+        that may wait for the disk."""
+        if self._closed or self._file_finished or time.monotonic() - self._synced < age:
+            return
+        self._synced = time.monotonic()
+        with self._disk(f"bag {self.path} cannot be written"):
+            self._output.sync()
+            if self.path not in self._named:
+                # A file without a name is lost, and so is one in a folder without.
+                sync_names(self.directory)
+                sync_names(self.directory.absolute().parent)
+                self._named.add(self.path)
+
     def close(self) -> None:
         """Finish the bag; a second call does nothing. When the disk is full, the bag is finished without its last chunk
         if possible, and BagError says how many messages are lost."""
@@ -235,6 +253,7 @@ class BagWriter:
         for file in self._finished_files:
             with open(self.directory / file.name, "rb") as written:
                 os.fsync(written.fileno())
+        sync_names(self.directory)
         information = bag_information(self._finished_files, self._topics.values(), self._custom_data)
         write_whole(self.directory / "metadata.yaml", as_yaml({ROOT_KEY: information}))
 

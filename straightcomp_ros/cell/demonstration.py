@@ -32,13 +32,26 @@ from straightcomp_ros.parameters.node_parameters import Values, by_node, node_pa
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
+from straightcomp_ros.timing.node_timing import (
+    NORMAL,
+    REFUSED,
+    NodeTiming,
+    amplifier_on,
+    blamed,
+    held_up,
+    summarise,
+)
 
 _USER, _PASSWORD = "demo", "STRAIGHTCOMP_OPCUA_PASSWORD"
 
 
 class DemonstrationFailed(RuntimeError):
-    """The run failed or its bag is incomplete; the message names the node or the figure, and the reason."""
+    """The run failed or its bag is incomplete; the message names the node or the figure, and the reason. ``held_up``
+    says what delayed the nodes in the loop meanwhile; empty if nothing did for long."""
+
+    def __init__(self, message: str, held_up: str = "") -> None:
+        super().__init__(message)
+        self.held_up = held_up
 
 
 @dataclass(frozen=True)
@@ -75,6 +88,12 @@ class Demonstration:
     def held_up(self) -> str:
         """What delayed the nodes in the loop while the amplifier was on; empty if nothing did for long."""
         return blamed({node: timing.held_up for node, timing in self.timing.items() if node in IN_THE_LOOP})
+
+    @property
+    def by_priority(self) -> bool:
+        """Whether the system gave real-time priority to every node in the loop."""
+        loop = [timing for node, timing in self.timing.items() if node in IN_THE_LOOP]
+        return bool(loop) and all(timing.held_up.scheduling not in ("", NORMAL, REFUSED) for timing in loop)
 
 
 def demonstrate(
@@ -137,7 +156,7 @@ def recorded(
                 composed=composed,
             )
     except LaunchError as error:
-        raise DemonstrationFailed(f"{error} (logs in {logs})") from error
+        raise DemonstrationFailed(f"{error} (logs in {logs})", _held_up(bag)) from error
 
 
 def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequence[str] = ()) -> Demonstration:
@@ -173,6 +192,15 @@ def _cycle(values: Values, opcua_strokes: int) -> tuple[float, StraightnessMap]:
     cell = node_parameters("cell", values)
     duration = cycles(cell.stage.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
     return duration, load_map(cell.stage.guide)
+
+
+def _held_up(bag: Path) -> str:
+    """What delayed the nodes of a run that failed, as far as its bag shows."""
+    try:
+        reports = read_reports(bag)
+    except BagError:
+        return ""
+    return blamed({node: held_up([one.values for one in reports.get(node, [])]) for node in IN_THE_LOOP})
 
 
 @contextmanager

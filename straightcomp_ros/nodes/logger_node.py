@@ -20,6 +20,7 @@ from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
 from straightcomp_ros.parameters.yaml_text import dump_yaml
+from straightcomp_ros.runtime.fault_incidents import FaultIncidents
 from straightcomp_ros.runtime.graph_client import RemoteParameters
 from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.managed import ManagedNode
@@ -48,7 +49,7 @@ class LoggerComponent:
         """Topics that have had no message yet."""
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
-        self._recorder = Recorder(_options(parameters), stamped, self._describe)
+        self._recorder = recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
             self._record(stream.topic, stream.layout.type_name, stream_qos(parameters.queue_depth), stream)
         self._record(STAGE_TRAJECTORY, "trajectory_msgs/msg/JointTrajectory", QoSProfile(depth=10))
@@ -59,6 +60,8 @@ class LoggerComponent:
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
+        if parameters.incidents:
+            FaultIncidents(node, parameters.incidents, lambda: recorder.folder if recorder.recording else None)
         if parameters.record_at_start:
             self._start()
 

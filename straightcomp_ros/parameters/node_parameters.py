@@ -177,6 +177,12 @@ class LoggerNodeParameters:
     min_free_bytes: int = parameter(
         200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf)"
     )
+    incidents: int = parameter(
+        0,
+        "Incidents that are kept beside the bag: at a latched fault its last minute is packed into one file with all "
+        "that explains it, by `straightcomp incident`; the oldest is removed; 0: none",
+        "[0, 1000]",
+    )
     nodes: str = parameter(
         "driver feedforward controller", "Nodes whose parameters are attached to the bag, separated by blanks"
     )

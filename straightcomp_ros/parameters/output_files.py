@@ -64,9 +64,13 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
             # The user knows this name, not that of the part.
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
-    # The folder's names, too, where its file system can do that.
+    sync_names(target.parent)
+
+
+def sync_names(folder: Path) -> None:
+    """Bring the names in a folder to the disk, where its file system can do that."""
     with suppress(OSError):
-        descriptor = os.open(target.parent, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
         try:
             os.fsync(descriptor)
         finally:

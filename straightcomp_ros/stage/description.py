@@ -23,8 +23,9 @@ from straightcomp_ros.parameters.declaration import ParameterError, RefusedParam
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 
 T = TypeVar("T", ActuatorParameters, LuGreParameters)
-_CHANGEABLE = ("motion.", "guide.", "actuator.current_limit")
-"""Facts that may differ between nodes: the strokes, and what a single node may be given anew while it runs."""
+_CHANGEABLE = ("motion.", "guide.", "actuator.current_limit", "serial")
+"""Facts that may differ between nodes: the strokes, what a single node may be given anew while it runs, and what no
+node computes with."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,7 @@ class StageParameters:
     """The description of a stage; its defaults are those of the shipped synthetic one."""
 
     name: str = parameter("synthetic", "Name of the stage, for reports")
+    serial: str = parameter("", "Serial number of the machine, for its certificate; empty: not given")
     rate: int = parameter(DEFAULT_RATE, "Samples and control cycles per second", "[10, 20000] Hz")
     motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
     guide: MapParameters = group(MapParameters, "Map of the guide")

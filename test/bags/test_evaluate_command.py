@@ -68,6 +68,12 @@ def test_two_bags_are_put_side_by_side(bag, capsys):
     assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
 
 
+def test_a_comparison_with_an_uncompensated_run_says_which_figures_compare(capsys):
+    bags = Path(__file__).resolve().parents[2] / "bags"
+    assert main(["evaluate", str(bags / "smc"), "--compare", str(bags / "uncompensated")]) == 0
+    assert "uncompensated is uncompensated: its error is that of a platform at rest" in capsys.readouterr().err
+
+
 def test_nothing_heavy_is_imported():
     program = (
         "import sys; from straightcomp_ros.cli.main import main\n"

@@ -3,7 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
 from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
 from straightcomp_ros.contract import DISPLACEMENT
-from straightcomp_ros.fleet.history.strokes_of_bag import binned, recorded_facts, recorded_name, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import binned, date_of_zero, recorded_facts, recorded_name, rows_of
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -210,3 +210,10 @@ def test_the_guide_has_changed_where_the_sensor_saw_it(coarse):
         inside = (middles > 50) & (middles < 70)
         assert np.allclose(change[inside] - np.median(change), BUMP_UM, atol=0.05)
         assert np.abs(change[~inside] - np.median(change)).max() < 0.05
+
+
+def test_strokes_in_simulated_time_have_the_date_at_which_their_bag_was_made(evaluation, rows):
+    zero = date_of_zero(BAG, evaluation.begin_ns)
+    dated = rows_of(evaluation, recorded_facts(BAG, "key", evaluation)[1], zero)
+    assert [one.start - zero for one in dated] == [one.start for one in rows]
+    assert dated[0].start.year == 2026 and date_of_zero(BAG, 1_700_000_000_000_000_000) == timedelta(0)

@@ -2,10 +2,12 @@
 
 import re
 import time
+import zipfile
 
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from participant import Participant
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, Range
@@ -15,7 +17,7 @@ from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.topics import TopicQos, definition
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.contract import ENCODER, SAFETY_STATE
 from straightcomp_ros.runtime.other_topics import definition_of_class, stored
 
 pytestmark = pytest.mark.keeps_time
@@ -57,6 +59,27 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, 
     assert logger.wait(120) == 1
     assert "min_free_bytes" in single.log("logger").read_text()
     assert (bag / "metadata.yaml").exists()
+
+
+def test_a_latched_fault_packs_an_incident_and_the_oldest_is_removed(graph, participant, tmp_path):
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    state = participant.node.create_publisher(DiagnosticStatus, SAFETY_STATE, latched)
+    encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
+    graph.start("logger", {"output": str(tmp_path / "bag"), "incidents": 1, "nodes": "logger"})
+    folder = tmp_path / "bag_incidents"
+
+    def packed(fault):
+        encoder.publish(ENCODER.layout.pack(time.time_ns(), 0.0, 0.0, 0.0, 0.0))
+        return [one for one in folder.glob("*.zip") if fault in one.name]
+
+    for number, fault in enumerate(("x_jump", "tripped")):
+        values = [KeyValue(key="time_ns", value=str(number))]
+        state.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name=fault, values=values))
+        participant.until(lambda fault=fault: packed(fault))
+    (file,) = folder.iterdir()
+    with zipfile.ZipFile(file) as archive:
+        assert {"INCIDENT.txt", "bag/bag_0.mcap", "doctor.json"} < set(archive.namelist())
+    assert graph.stop(["logger"])["logger"] == 0
 
 
 def test_recording_starts_stops_and_splits_by_service_and_stores_how_each_topic_was_offered(graph, tmp_path):

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from straightcomp_ros.analysis import evaluation
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.cell.demonstration import Demonstration
+from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed
 from straightcomp_ros.cli import demo
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS
@@ -24,6 +25,7 @@ from straightcomp_ros.offline.what_if import what_if
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
+from straightcomp_ros.timing.node_timing import HeldUp, Report, summarise
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 CYCLE = {"motion.stroke": 0.3, "motion.settle": 0.1, "motion.pause": 0.1}
@@ -194,10 +196,10 @@ def test_a_recorded_run_is_in_order_with_each_law(law):
     assert [run.verdict.verdict for run in runs] == ["in_order"] * 3
 
 
-def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float = 0.0) -> Path:
-    """A bag of a short cycle. In ``stall`` (s) nineteen of twenty samples are lost, and the platform is off by up to
-    ``kick`` in m."""
-    values = {"driver": {}, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
+def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float = 0.0, **driver) -> Path:
+    """A bag of a short cycle, with parameters of the ``driver``. In ``stall`` (s) nineteen of twenty samples are lost,
+    and the platform is off by up to ``kick`` in m."""
+    values = {"driver": driver, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
     simulation = Simulation(values)
     begin, end = stall
     with SimulatedRun(folder, by_node(values), simulation.delay) as bag:
@@ -240,6 +242,14 @@ def test_a_recording_that_a_stall_spoilt_is_starved_and_one_that_it_did_not_is_i
     assert '<p class="fail">Verdict: starved: the servo works, the computer was busy: ' in report.read_text(
         encoding="utf-8"
     )
+
+
+def test_a_run_in_lockstep_that_took_longer_than_its_own_time_is_not_interrupted(tmp_path, monkeypatch):
+    late = {"driver": [Report(3_600_000_000_000, {})]}
+    monkeypatch.setattr(evaluation, "reports_in", lambda *_: late)
+    for lockstep in (False, True):
+        bag = recorded(tmp_path / f"{lockstep}", lockstep=lockstep)
+        assert (evaluate_bag(bag).partial() is None) == lockstep
 
 
 def test_limits_alone_decide_the_exit_code_of_an_evaluation(spoilt, tmp_path, capsys):
@@ -319,16 +329,56 @@ def test_an_interrupted_demonstration_says_where_its_recording_is(tmp_path, caps
     assert (tmp_path / "unfinished" / "bag").is_dir()
 
 
-def test_a_demonstration_that_is_not_in_order_prints_its_figures_and_fails(
+def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_to(
     spoilt, harmless, tmp_path, capsys, monkeypatch
 ):
-    map_ = load_map(MapParameters())
-    for code, bag in enumerate((harmless, spoilt)):
+    map_, oscillates = load_map(MapParameters()), Verdict("oscillates", "the loop oscillates")
+    held = HeldUp(scheduling="FIFO 40")
+    priority = dict.fromkeys(("driver", "feedforward", "controller"), replace(summarise([]), held_up=held))
+    for bag, timing, strict, other, code in (
+        (harmless, {}, False, None, 0),
+        (spoilt, {}, False, None, 0),
+        (spoilt, {}, True, None, 1),
+        (spoilt, priority, False, None, 1),
+        (spoilt, {}, False, oscillates, 1),
+    ):
         found = evaluate_bag(bag)
-        result = Demonstration(bag, found, map_, evaluate(found.record, map_), {}, judged(bag))
+        verdict = other or judged(bag)
+        result = Demonstration(bag, found, map_, evaluate(found.record, map_), timing, verdict)
         monkeypatch.setattr(demo, "demonstrate", lambda *_, result=result, **__: result)
-        assert main(["demo", "-o", str(tmp_path / "out"), "--json"]) == code
-        assert (json.loads(capsys.readouterr().out)["verdict"] == "in_order") == (code == 0)
-        assert main(["demo", "-o", str(tmp_path / "out")]) == code
+        words = ["demo", "-o", str(tmp_path / "out"), *["--strict"] * strict]
+        assert main([*words, "--json"]) == code
+        assert json.loads(capsys.readouterr().out)["verdict"] == verdict.verdict
+        assert main(words) == code
         printed = capsys.readouterr().out
-        assert (" ! " in printed) == (code == 1) and f"Verdict: {result.verdict.verdict.replace('_', ' ')}" in printed
+        assert (" ! " in printed) == (not verdict.in_order)
+        assert f"Verdict: {verdict.verdict.replace('_', ' ')}" in printed
+        assert f"Picture: {(tmp_path / 'out' / 'run.png').as_uri()}\n" in printed
+        saw = {"in_order": "ROS 2 nodes moved", "starved": "the servo works, the computer was busy\n"}
+        assert f"What you saw: {saw.get(verdict.verdict, 'a run that failed')}" in printed
+
+
+def test_a_demonstration_that_lost_the_platform_for_want_of_a_cpu_runs_again_in_lockstep(
+    harmless, tmp_path, capsys, monkeypatch
+):
+    map_, found, runs = load_map(MapParameters()), evaluate_bag(harmless), []
+    result = Demonstration(harmless, found, map_, evaluate(found.record, map_), {}, judged(harmless))
+    causes = []
+
+    def demonstrate(values, *_, **__):
+        runs.append(bool(values["driver"].get("lockstep")))
+        if not runs[-1]:
+            raise DemonstrationFailed("amplifier off in mid-cycle", causes[-1])
+        return result
+
+    monkeypatch.setattr(demo, "demonstrate", demonstrate)
+    words = ["demo", "-o", str(tmp_path / "out")]
+    for cause, more, code, tried in (
+        ("the driver got no CPU for 11 ms", [], 0, [False, True]),
+        ("the driver got no CPU for 11 ms", ["--strict"], 1, [False]),
+        ("", [], 1, [False]),
+    ):
+        runs.clear()
+        causes.append(cause)
+        assert main([*words, *more]) == code and runs == tried
+        assert ("once more in lockstep" in capsys.readouterr().err) == (code == 0)

@@ -29,6 +29,7 @@ history add --store | history add smc -o store --jobs 1 | history add uncompensa
 history advise --output | history add smc -o store --jobs 1; history advise store -o out
 history report --output | history add smc -o store --jobs 1; history report store -o out
 map align --output || map align s.csv survey --invert -o p.yaml --force
+incident --output || incident smc -o new.zip --force
 map build --output --plot || map build survey -o p.yaml --plot r.png --force
 map convert --output | map export -o t.cal | map convert t.cal -o p.yaml --force
 map reverse --output --edge || map reverse s.csv s.csv -o p.yaml --edge t.cal --force
@@ -51,7 +52,7 @@ LIVE = {"demo --output", "replay --output"}
 EMPTY = {"bench graph --output"}
 """It writes into a new or empty folder."""
 READ = re.compile(
-    "--(bag|board|certificates|check-survey|compare|firmware|limits|maintenance|map|params-file|server-certificate|"
+    "--(bag|board|certificates|check-survey|compare|firmware|limits|logs|maintenance|map|params-file|server-certificate|"
     "socket|stage|survey)|bag|bags|file|log|sources?|stage|store|survey"
 )
 PATHS = {"BAG", "BAG2", "CSV", "DIR", "FILE", "FOLDER", "LOG", "PATH", "SOURCE", "STAGE", "STORE"}

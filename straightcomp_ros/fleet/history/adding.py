@@ -20,7 +20,7 @@ from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, checksum_of, parquet
 from straightcomp_ros.fleet.history.store import Store
-from straightcomp_ros.fleet.history.strokes_of_bag import recorded_facts, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import date_of_zero, recorded_facts, rows_of
 from straightcomp_ros.offline.workers import spread
 
 _BLOCK = 1 << 20
@@ -110,7 +110,7 @@ def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[
                 _check_finished(files)
                 evaluation = evaluate_bag(bag, remap)
                 stage, facts = recorded_facts(bag, str(row.checksum), evaluation)
-                strokes = rows_of(evaluation, facts)
+                strokes = rows_of(evaluation, facts, date_of_zero(bag, evaluation.begin_ns))
                 month = f"{strokes[0].start:%Y-%m}"
                 data = parquet(StrokeRow, strokes)
                 return replace(row, stage=stage, month=month, strokes=len(strokes)), data

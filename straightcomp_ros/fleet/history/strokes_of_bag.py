@@ -6,11 +6,13 @@ import json
 import math
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
@@ -25,6 +27,7 @@ from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.bags import MAP_ATTACHMENT
 from straightcomp_ros.bags.folder import found_files, split_number
 from straightcomp_ros.bags.information import ORIGIN_METADATA
+from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.fleet.history.rows import BIN_MM, StrokeRow, checksum_of, stored_name
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
@@ -36,6 +39,8 @@ _STAGE = "stage."
 Array = NDArray[np.float64]
 _WIDTH = 1e-3 * BIN_MM
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_SIMULATED_NS = 10**18
+"""Stamps before September 2001, long before this package, are simulated time."""
 _AROUND = 0.05
 """Time in s before and after a stroke that its verdict sees: there its motion is recognised as in the whole run."""
 
@@ -62,8 +67,20 @@ def binned(x: Array, columns: Mapping[str, Array | None]) -> dict[str, Any]:
     return {"bins_from_mm": first * BIN_MM, **found}
 
 
-def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any]) -> list[StrokeRow]:
-    """The rows of a run, in the order of its strokes; ``facts`` are the columns that all have in common.
+def date_of_zero(bag: Path, begin_ns: int) -> timedelta:
+    """What to add to the stamps of ``bag``, the first of which is ``begin_ns``: simulated time has no date, so that a
+    simulated run counts as begun when its bag was made. Zero for stamps that have a date."""
+    files, _ = found_files(bag)
+    if begin_ns >= _SIMULATED_NS or files[0].suffix != ".mcap":
+        return timedelta(0)
+    with McapInput(files[0]) as opened:
+        made = [opened.attachment(record).create_time for record in opened.records(Opcode.ATTACHMENT)]
+    return timedelta(microseconds=(min(made) - begin_ns) // 1000 if made else 0)
+
+
+def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta = timedelta(0)) -> list[StrokeRow]:
+    """The rows of a run, in the order of its strokes; ``facts`` are the columns that all have in common, ``zero`` is
+    the date of stamp 0 since the epoch.
 
     Raises:
         MetricsError: the stage does not move, or a number within the motion is not finite.
@@ -81,10 +98,11 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any]) -> list[StrokeR
     for stated in statements(evaluation):
         name = f"{stated.when}_{stated.line}_U_um"
         uncertainties.setdefault(stated.direction, {})[name] = stated.expanded_uncertainty * 1e6
-    return [
+    rows = [
         StrokeRow(**facts, stroke=number, **_columns(evaluation, *one), **uncertainties.get(one[0].direction, {}))
         for number, one in enumerate(zip(strokes, times, until, strict=True), 1)
     ]
+    return [replace(row, start=row.start + zero) for row in rows]
 
 
 def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], until_ns: int) -> dict[str, Any]:

@@ -63,7 +63,8 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     levels = day_levels(strokes)
     advice = advice_of(levels)
     begin, end = levels.date(0), levels.date(-1)
-    count = f"{strokes.num_rows} strokes on {len(levels.day)} days, {begin} to {end}"
+    span = f"{begin} to {end}" if end > begin else f"{begin}"
+    count = f"{_counted(strokes.num_rows, 'stroke')} on {_counted(len(levels.day), 'day')}, {span}"
     changes: dict[str, list[LevelChange]] = {name: [] for name in levels.figures}
     for change in (change for one in advice for change in one.changes):
         changes[change.figure].append(change)
@@ -74,6 +75,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     ]
     faults = faults_over_time(strokes["start"].to_pylist(), strokes["faults"].to_pylist())
     slopes = blocks.paragraph("Median of all slopes between weeks (Theil and Sen) with its 95 % interval.")
+    trends, stated = _trends(levels, changes), _straightness(strokes)
     drawn = [
         ("Error r − y over x and time, by the encoder", over_time(levels, levels.profiles[ERROR_BINS])),
         ("Change of the guide over x and time, by the displacement sensor", over_time(levels, levels.shifts)),
@@ -81,21 +83,25 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     sections = [
         _advice(levels, advice),
         *((title, blocks.plots([html_plot(figure)])) for title, figure in drawn if figure is not None),
-        ("Figures from day to day", blocks.plots(plots, "pair")),
-        ("Trends of the last quarter", blocks.table(_trends(levels, changes)) + slopes),
-        (f"Straightness (ISO 230-1) of the last {_LATEST} strokes", blocks.table(_straightness(strokes))),
+        ("Figures from day to day", blocks.plots(plots, "pair") if plots else ""),
+        ("Trends of the last quarter", blocks.table(trends) + slopes if trends else ""),
+        (f"Straightness (ISO 230-1) of the last {_LATEST} strokes", blocks.table(stated) if stated else ""),
         ("Faults over time", "" if faults is None else blocks.plots([html_plot(faults)])),
         *_bags(strokes),
     ]
-    return html_page(f"{stage}, {begin} to {end}", f"Stage “{stage}”", blocks.paragraph(count), sections)
+    drawn_at_all = any("Plotly.newPlot" in content for _, content in sections)
+    return html_page(f"{stage}, {span}", f"Stage “{stage}”", blocks.paragraph(count), sections, with_plots=drawn_at_all)
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
     """Title and content of the first section."""
     if len(levels.day) <= BASELINE:
-        text = (
-            f"{len(levels.day)} days with strokes: the first {BASELINE} make the baseline, changes are found after it"
-        )
+        days = _counted(len(levels.day), "day")
+        text = f"{days} with strokes: the first {BASELINE} make the baseline, changes are found after it"
         return "", blocks.card("", text, True)
     if not advice:
         return "", blocks.card("Nothing changed.", "All figures are as in the first weeks.", True)
@@ -170,7 +176,7 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
             for row in found[:_SHOWN]
         ]
         more = blocks.paragraph(f"and {len(found) - _SHOWN} before") if len(found) > _SHOWN else ""
-        yield f"{title}: {len(found)}", blocks.table(shown) + more
+        yield f"{title}: {len(found)}", blocks.table(shown) + more if shown else ""
 
 
 def history_plot(levels: DayLevels, name: str, changes: Sequence[LevelChange]) -> go.Figure:

@@ -1,4 +1,8 @@
-"""Step `certificate`: an HTML file that prints well without a network, the same as JSON, and the tuned parameters."""
+"""Step `certificate`: an HTML file that prints well without a network, the same as JSON, and the tuned parameters.
+
+Its first line is the conclusion, then follow the machine, a summary, and the evidence. A tolerance is kept if the
+straightness is within it with its expanded uncertainty (ISO 14253-1: who states it bears the uncertainty).
+"""
 
 import base64
 import datetime
@@ -11,7 +15,7 @@ from typing import Any
 from markupsafe import Markup
 
 from straightcomp_ros.analysis.html_page import blocks, html_page, with_code
-from straightcomp_ros.analysis.straightness_statement import budget_rows
+from straightcomp_ros.analysis.straightness_statement import budget_rows, with_uncertainty
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
@@ -20,12 +24,15 @@ from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP
 from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.design.error_budget import BudgetEntry, remarks
 
 _LATER = "In `limits.yaml`, for `straightcomp evaluate --limits`."
 _BUDGET = """\
 Simulated with the machine as found: what would be left if a cause were gone. The error of the survey adds to each:
 {:.3g} µm RMS at each of its points (`stage.uncertainty.map_noise`). The platform follows it, and no encoder of this
 stage sees it."""
+_LINE = "minimum_zone"
+"""The reference line of the summary: ISO 230-1:2012, 3.4 defines straightness by it."""
 _STRAIGHTNESS = """\
 By the map and the encoder, with the expanded uncertainty (k = 2; GUM) and the standard uncertainties that it is made
 of. "?": not known, and not in it. In brackets: not counted, since a larger one contains it."""
@@ -48,7 +55,8 @@ _TIMING = {
 
 
 def certificate(work: Work) -> Outcome:
-    """Write `certificate.html`, `certificate.json` and `tuned.yaml`, if every figure is within its limits."""
+    """Write `certificate.html`, `certificate.json` and `tuned.yaml`, if every figure is within its limits; whether a
+    required tolerance is kept, the certificate itself says."""
     folder, checks = work.folder, list(_checks(work))
     beyond = [one for one in checks if not one.passed]
     if beyond:
@@ -57,9 +65,19 @@ def certificate(work: Work) -> Outcome:
         return Outcome(False, f"beyond the limits: {names}; when the cause is removed, repeat the step ({steps})")
     accepted, stage, described = work.outcomes["acceptance"].figures, work.stage, to_mapping(work.description)
     write_whole(folder / TUNED, as_parameter_file(work.described()))
+    straightness = _straightness(accepted.get("straightness", []))
+    passed, conclusion = _conclusion(straightness.get("after"), work.require)
     content = plain(
         {
+            "passed": passed,
+            "conclusion": conclusion,
             "stage": stage.name,
+            "machine": "simulated" if work.machine.simulated else "real",
+            "serial_number": stage.serial,
+            "law": work.values["controller"].get("control.law"),
+            "gains": work.outcomes["design"].gains,
+            "required_um": work.require,
+            "straightness": straightness,
             "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
             "made_by": origin(),
             "sha256": {
@@ -78,7 +96,37 @@ def certificate(work: Work) -> Outcome:
     pictures = {"The loop, measured and modelled": folder / LOOP, "The stroke of the acceptance": folder / STROKE}
     write_whole(folder / FIGURES, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     write_whole(folder / PAGE, _page(content, pictures))
-    return Outcome(True, f"{folder / PAGE}, {FIGURES} and {TUNED} are written")
+    return Outcome(passed, f"{conclusion}; {folder / PAGE}, {FIGURES} and {TUNED} are written")
+
+
+def _straightness(displayed: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Before and after compensation: the direction with the larger value and uncertainty; what is not stated lacks."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in displayed:
+        upper = one["value_um"] + one["expanded_uncertainty_um"]
+        if one["line"] == _LINE and upper > found.get(one["when"], {}).get("upper_um", -1.0):
+            kept = ("value_um", "expanded_uncertainty_um", "direction", "unknown")
+            found[one["when"]] = {"upper_um": upper, **{name: one[name] for name in kept}}
+    return found
+
+
+def _conclusion(after: Mapping[str, Any] | None, require: float | None) -> tuple[bool, str]:
+    """Whether the tolerance ``require`` in µm is kept, and the first sentence of the certificate."""
+    if after is None:
+        unknown = "the straightness is not stated, since the stroke is too short"
+        return (
+            require is None,
+            f"Passed without a tolerance: {unknown}" if require is None else f"Not passed: {unknown}",
+        )
+    stated = f"straightness after compensation {with_uncertainty(after['value_um'], after['expanded_uncertainty_um'])}"
+    if require is None:
+        return True, f"Passed: every figure is within its limits; {stated}; no tolerance was required (--require)"
+    spare = require - after["upper_um"]
+    words = f"required: at most {require:g} µm; {abs(spare):.2g} µm"
+    return (
+        spare >= 0.0,
+        f"Passed: {stated}, {words} to spare" if spare >= 0.0 else f"Not passed: {stated}, {words} too much",
+    )
 
 
 def _files(work: Work) -> Iterator[tuple[str, Path]]:
@@ -142,7 +190,10 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
 
     connection, identification, response = map(figures, ("connection", "identification", "frequency_response"))
     measured = {**connection, **figures("signs_and_scales")}
-    section("Steps", (("step", "finding"), [(name.replace("_", " "), one["sentence"]) for name, one in steps.items()]))
+    section("The machine", (("", " "), _identity(content)))
+    section("Summary", (("figure", "value", "allowed"), list(_summary(content))))
+    found = [(name.replace("_", " "), blocks.list(_ideas(one["sentence"]))) for name, one in steps.items()]
+    section("Findings", (("step", "finding"), found))
     checks = [tuple(one[key] for key in ("name", "value", "allowed", "passed")) for one in content["checks"]]
     section("Figures and their limits", (("figure", "measured", "allowed", ""), checks))
     if stated := budget_rows(figures("acceptance").get("straightness", [])):
@@ -150,8 +201,11 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
         section("Straightness (ISO 230-1)", table, note=_STRAIGHTNESS)
     later = [tuple(one[key] for key in ("name", "value", "limit")) for one in content["later_limits"]]
     section("Limits for later strokes", (("figure", "this stroke", "later strokes: at most"), later), note=_LATER)
-    budget = [(one["cause"], one["pp_um"], one["rms_um"]) for one in figures("design").get("budget", [])]
-    note = _BUDGET.format(content["map_noise_um"])
+    budget = [
+        (one["cause"].replace("as described", "as found"), one["pp_um"], one["rms_um"])
+        for one in figures("design").get("budget", [])
+    ]
+    note = " ".join([*remarks([BudgetEntry(*one) for one in budget]), _BUDGET.format(content["map_noise_um"])])
     section("Where the error comes from", (("machine", "p-p [µm]", "RMS [µm]"), budget), note=note)
     if timing := figures("acceptance").get("timing"):
         section("What late commands cost", *_timing(timing, connection.get("latency_histogram", [])))
@@ -171,9 +225,60 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
             sections.append((caption, blocks.picture(base64.b64encode(path.read_bytes()).decode(), caption)))
     digests = [(name, with_code(f"`{digest}`")) for name, digest in content["sha256"].items()]
     section("Files", (("file", "SHA-256"), digests))
-    made_by = ", ".join(f"{name} {value}" for name, value in content["made_by"].items())
-    heading = blocks.paragraph(f"Commissioned {content['date']}; {made_by}")
-    return html_page(content["stage"], f"Stage “{content['stage']}”", heading, sections, with_plots=False)
+    verdict = blocks.card(content["conclusion"], _whose(content), content["passed"])
+    return html_page(
+        content["stage"], f"Certificate of stage “{content['stage']}”", verdict, sections, with_plots=False
+    )
+
+
+def _whose(content: Mapping[str, Any]) -> str:
+    """The machine of a certificate in one line."""
+    serial = f", serial number {content['serial_number']}" if content["serial_number"] else ", no serial number given"
+    kind = "Simulated machine: it says nothing of a real one" if content["machine"] == "simulated" else "Real machine"
+    return f"{kind}. Stage “{content['stage']}”{serial}, law `{content['law']}`."
+
+
+def _identity(content: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Rows that say what was certified, when and by what."""
+    gains = {name.rpartition(".")[2]: value for name, value in content["gains"].items() if isinstance(value, float)}
+    return [
+        ("stage", content["stage"]),
+        ("machine", content["machine"]),
+        ("serial number", content["serial_number"] or "not given (`stage.serial`)"),
+        ("control law", content["law"]),
+        ("gains", ", ".join(f"{name} {value:.4g}" for name, value in gains.items())),
+        ("commissioned", content["date"]),
+        ("by", ", ".join(f"{name} {value}" for name, value in content["made_by"].items())),
+    ]
+
+
+def _summary(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """What a customer reads: figure, value and what is allowed."""
+    required, stated = content["required_um"], content["straightness"]
+    for when, one in stated.items():
+        kept = f"≤ {required:g} µm" if when == "after" and required is not None else ""
+        value = with_uncertainty(one["value_um"], one["expanded_uncertainty_um"])
+        unknown = f"; without {', '.join(one['unknown'])}, which is not known" if one["unknown"] else ""
+        yield f"straightness {when} compensation, minimum zone, {one['direction']}", f"{value} (k = 2){unknown}", kept
+    figures = {name: one["figures"] for name, one in content["steps"].items()}
+    margins, timing = figures["frequency_response"]["margins"], figures["acceptance"].get("timing", {})
+    yield "phase margin", f"{margins['phase_deg']:.0f}°", f"≥ {LEAST_PHASE:g}°"
+    for name, words, allowed in (
+        ("gain_low", "the loop's gain may fall to", f"≤ {1.0 / LEAST_GAIN:.2f} times"),
+        ("gain_high", "the loop's gain may rise to", f"≥ {LEAST_GAIN:.2f} times"),
+    ):
+        value = margins[name]
+        yield words, "beyond what was measured" if value is None else f"{value:.2f} times", allowed
+    if latency := timing.get("latency_us"):
+        acts = f"acts after {timing['due_us']:.0f} µs"
+        yield "latency of a command", f"{latency['p50']:.0f} µs, p99 {latency['p99']:.0f} µs", acts
+    if "longest_stall_survived_ms" in timing:
+        yield "longest stall of the host that is survived", f"{timing['longest_stall_survived_ms']} ms", ""
+
+
+def _ideas(sentence: str) -> list[str]:
+    """The parts of a step's finding, one idea each."""
+    return [f"{one[:1].upper()}{one[1:]}." for one in sentence.rstrip(".").split("; ")]
 
 
 _Tables = Iterator[tuple[Sequence[str], Sequence[Sequence[Any]]]]

@@ -103,7 +103,8 @@ def identification(work: Work) -> Outcome:
     return Outcome(
         True,
         f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
-        f"{f'; {found.centre}' if found.centre else ''}; what it cannot identify: {' '.join(found.not_identifiable)}",
+        f"{f'; {found.centre}' if found.centre else ''}; {len(found.not_identifiable)} facts stay open, which the "
+        "certificate names",
         figures,
         stage=facts_found(found, stage),
     )

@@ -53,6 +53,10 @@ class Series:
 class Machine(Protocol):
     """A machine under commissioning."""
 
+    @property
+    def simulated(self) -> bool:
+        """Whether there is no real one."""
+
     def listen(self, seconds: float) -> Series:
         """Samples with the amplifier off."""
 
@@ -86,6 +90,8 @@ class SimulatedMachine(Machine):
     name, with the whole description. ``wiring`` puts something between the machine and its driver, for trials with
     broken machines.
     """
+
+    simulated = True
 
     def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] = sound) -> None:
         self._wiring = wiring

@@ -56,11 +56,12 @@ class Procedure:
         machines: int,
         learning_strokes: int = 0,
         check_survey: Survey | None = None,
+        require: float | None = None,
     ) -> None:
         self._values, self._folder = values, folder
         description = node_parameters("controller", values).stage
         self._work = Work(
-            machine, values, description, folder, evaluations, machines, {}, learning_strokes, check_survey
+            machine, values, description, folder, evaluations, machines, {}, learning_strokes, check_survey, require
         )
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
@@ -117,6 +118,7 @@ class Procedure:
     def _write(self) -> None:
         record: dict[str, Any] = {
             "description": self._identity,
+            "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
         write_whole(self._folder / RECORD, json.dumps(plain(record), indent=1, ensure_ascii=False) + "\n")
@@ -137,4 +139,7 @@ class Procedure:
             raise CommissioningError(
                 f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
             )
+        if record.get("simulated", self._work.machine.simulated) != self._work.machine.simulated:
+            kind = "a simulated" if record["simulated"] else "a real"
+            raise CommissioningError(f"record {path}: is of {kind} machine; name another folder, or remove it")
         return outcomes

@@ -39,6 +39,7 @@ class Work:
     outcomes: Mapping[str, Outcome]  # of the steps that are done, by name
     learning_strokes: int = 0  # cycles in which the law's reference is corrected before the acceptance
     check_survey: Survey | None = None  # an independent measurement of the guide, by which the map is checked
+    require: float | None = None  # largest straightness after compensation in µm, with its uncertainty
     progress: Callable[[float], None] = lambda fraction: None  # called with the fraction of the step that is done
 
     @property

@@ -6,7 +6,7 @@ would be faster without the cause, the gains that are rates are made faster in t
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,24 @@ class BudgetEntry(NamedTuple):
     cause: str
     pp: float
     rms: float
+
+
+_NOTED = 1.5
+"""Ratio to the stage's own figure from which a cause is remarked on: a p-p moves by as much from stroke to stroke."""
+
+
+def remarks(budget: Sequence[BudgetEntry], unit: float = 1.0) -> list[str]:
+    """What a budget shows against its design, a sentence each; ``unit`` makes µm of its figures."""
+    own, *others = budget or (BudgetEntry("", 0.0, 0.0),)
+    found = []
+    for one in others:
+        if max(one.pp / own.pp, one.rms / own.rms) <= _NOTED:
+            continue
+        figures = f"{one.pp * unit:.2g} µm p-p instead of {own.pp * unit:.2g}, {one.rms * unit:.2g} RMS instead of "
+        figures += f"{own.rms * unit:.2g}"
+        reason = "the gains cost accuracy there" if one.cause.startswith("with ") else "the gains rely on what is gone"
+        found.append(f"“{one.cause}” would leave more: {figures}; {reason}, so that a machine like that needs its own.")
+    return found
 
 
 class _Run(NamedTuple):

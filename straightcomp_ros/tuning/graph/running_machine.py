@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from std_srvs.srv import SetBool, Trigger
 
+from straightcomp_ros.analysis.run_verdict import is_simulated
 from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
 from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
@@ -68,6 +69,7 @@ class RunningMachine:
         self._client, self._values, self._folder = client, values, folder
         self._logger = {name: logger[name] for name in _RECORDING}
         self._travel = values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
+        self.simulated = is_simulated(values.get("driver", {}))
         self._given: dict[str, dict[str, Any]] = {}
         if client.safety.amplifier_on:
             raise CommissioningError("the amplifier is on: another client uses the machine; stop that first")

@@ -191,7 +191,7 @@ def recovery(machine: Machine) -> PaperFigure:
     releases = {law: response(one, FAR * machine.gap) for law, one in machines.items()}
 
     title = "Beyond Fig. 4: where each law brings the platform back from, |$i_c$| ≤ $I_0$"
-    figure, axes = sheet(title, "abc;def", size=(12.0, 8.0))
+    figure, axes = sheet(title, "abc;dee", size=(12.0, 8.0))
     for place, law in zip(axes, data.peaks, strict=False):
         _plane(place, data, law)
     stop = data.machine.stop / data.machine.gap

@@ -25,6 +25,8 @@ from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
+from straightcomp_ros.tuning.design.error_budget import remarks
+from straightcomp_ros.tuning.design.gains import SEARCHED
 
 SUMMARY = "design the gains of a law for a stage"
 PURPOSE = "tune"
@@ -52,6 +54,9 @@ def run(options: argparse.Namespace) -> int:
     for name in ("machines", "evaluations"):
         check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
     check_range("--seed", options.seed, 0, 2**31)
+    if options.law not in SEARCHED:
+        allowed = f"allowed: {', '.join(SEARCHED)}, or one with an entry in SEARCHED (tuning/design/gains.py)"
+        raise CommandFailed(f"--law {options.law}: its gains are not searched; {allowed}", exit_code=2)
     source = Path(options.file)
     values = stage_values(options)
     output = output_file(options, "--output", updates=options.file)
@@ -152,6 +157,8 @@ def _print(design: Design, name: str) -> None:
     budget = ((one.cause, f"{one.pp * 1e6:.3f}", f"{one.rms * 1e6:.4f}") for one in design.budget)
     title = "What limits it, one cause changed at a time"
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
+    for remark in remarks(design.budget, 1e6):
+        console.print(remark, soft_wrap=True, highlight=False)
     for state, limit in design.limits.items():
         console.print(
             f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, of the amplifier "

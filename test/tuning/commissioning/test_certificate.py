@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from roughly_known import values_of, work_on
 
-from straightcomp_ros.analysis.straightness_statement import Contribution, Statement
+from straightcomp_ros.analysis.straightness_statement import Contribution, Statement, with_uncertainty
 from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
 from straightcomp_ros.tuning.commissioning.step import Outcome
@@ -120,3 +120,53 @@ def test_the_page_states_the_straightness_with_its_uncertainty_and_what_that_is_
         json.loads((tmp_path / "certificate.json").read_text())["steps"]["acceptance"]["figures"]["straightness"]
         == stated
     )
+
+
+@pytest.mark.parametrize(
+    ("require", "passed", "words"),
+    [
+        (
+            None,
+            True,
+            "Passed: every figure is within its limits; straightness after compensation (0.111 ± 0.026) µm; no ",
+        ),
+        (
+            0.5,
+            True,
+            "Passed: straightness after compensation (0.111 ± 0.026) µm, required: at most 0.5 µm; 0.36 µm to ",
+        ),
+        (
+            0.12,
+            False,
+            "Not passed: straightness after compensation (0.111 ± 0.026) µm, required: at most 0.12 µm; 0.017",
+        ),
+    ],
+)
+def test_the_first_line_says_whether_the_tolerance_is_kept_with_the_uncertainty_and_for_which_machine(
+    tmp_path, require, passed, words
+):
+    encoder, survey = Contribution("encoder", 29e-9, 5e-9, -90e-9), Contribution("map", 10e-9, 12e-9, 1e-9)
+    stated = [Statement("after", way, "minimum_zone", 1, 0.2e-6, (encoder, survey)) for way in ("forward", "backward")]
+    budget = [("as described", 0.131, 0.02), ("ideal encoder", 0.1, 0.02), ("a hundredth of the friction", 0.491, 0.04)]
+    work = done(
+        tmp_path,
+        acceptance={"straightness": [one.to_display() for one in stated]},
+        design={"budget": [{"cause": name, "pp_um": pp, "rms_um": rms} for name, pp, rms in budget]},
+    )
+    work.values["stage"]["serial"] = "A 17"
+    outcome = certificate(dataclasses.replace(work, require=require))
+    page, content = (tmp_path / "certificate.html").read_text(), json.loads((tmp_path / "certificate.json").read_text())
+    assert outcome.passed == content["passed"] == passed and outcome.sentence.startswith(content["conclusion"])
+    assert content["conclusion"].startswith(words) and content["machine"] == "simulated"
+    first = re.sub("<[^>]*>", " ", page[page.index("</h1>") : page.index("<section>")])
+    assert content["conclusion"] in first and "Simulated machine" in first and "serial number A 17, law" in first
+    assert "“a hundredth of the friction” would leave more: 0.49 µm p-p instead of 0.13" in page
+    assert "“ideal encoder”" not in page
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "text"),
+    [(22.4012, 0.0236, "(22.401 ± 0.024) µm"), (0.2, 0.0996, "(0.20 ± 0.10) µm"), (312.4, 25.0, "(312 ± 25) µm")],
+)
+def test_a_value_has_the_digits_of_its_uncertainty(value, expanded, text):
+    assert with_uncertainty(value, expanded) == text

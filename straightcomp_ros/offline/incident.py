@@ -1,0 +1,398 @@
+"""An incident in one file, for whoever is to say from elsewhere what happened: a zip archive.
+
+It has the bag (a sound copy of it, or of its end), the parameters of all nodes, the map, the certificate, the last
+diagnostics and the faults, what the doctor found on that computer, the nodes' logs, and versions. Secrets are left out
+and named. To read one neither ROS nor the machine is needed.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import re
+import shutil
+import stat
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.assessment import Assessment
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
+from straightcomp_ros.analysis.metrics import MetricsError
+from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.information import origin
+from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.recorded_nodes import read_reports
+from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.doctor import Finding
+from straightcomp_ros.offline.audit import audit
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.output_files import plain, write_whole
+from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
+from straightcomp_ros.safety.faults import LABELLED
+
+SUMMARY, DETAILS, BAG = "INCIDENT.txt", "incident.json", "bag"
+LARGEST = 1 << 30
+"""Bytes of an incident when it is unpacked: half an hour of all streams, ten times over."""
+_MOST = 500
+"""Files in it."""
+_LOG = 1 << 20
+"""Bytes of the end of a log: some ten thousand lines."""
+_FARTHEST, _PERIOD_NS = 10.0, 20_000_000
+"""What is kept before the last seconds at most, relative to them, so that commands can be computed again from the
+amplifier's switch-on; and time in ns before that, some samples."""
+_CERTIFICATE = ("certificate.html", "certificate.json")
+_ABOVE = 3
+"""Folders above a bag in which its certificate may be: a commission has its bags in `bags/`."""
+_NAME = re.compile(
+    rf"{SUMMARY}|{DETAILS}|{PARAMETERS_ATTACHMENT}|{MAP_ATTACHMENT}|diagnostics\.json|doctor\.json|versions\.json|"
+    r"certificate\.(html|json)|(bag|logs)/[\w-][\w.-]{0,200}"
+)
+"""Names of files in an incident: none leaves the folder that it is unpacked to."""
+_SECRET = re.compile(r"passw|secret|token|credential|private_key|api_?key", re.IGNORECASE)
+_SECRET_IN_TEXT = re.compile(
+    r"(?P<name>[\w.]*(?:passw|secret|token|credential|api_?key)\w*[\"']?\s*[=:]\s*)(?P<value>[^\s,;]+)"
+    r"|(?P<user>://[^\s/:@]+:)(?P<password>[^\s/@]+)(?=@)",
+    re.IGNORECASE,
+)
+_LEFT_OUT = "(left out)"
+_PACKAGES = ("numpy", "scipy", "numba", "mcap", "rclpy", "rmw-fastrtps-cpp", "python-can", "asyncua")
+
+
+class IncidentError(ValueError):
+    """A file is no incident, or may not be unpacked; the message names it and the reason."""
+
+
+@dataclass
+class Judged:
+    """What a bag says of its run: the cause in a line, the verdict, and the audit of its commands."""
+
+    cause: str
+    verdict: str
+    audit: str
+    faults: Sequence[LatchedFault] = ()
+    reports: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    evaluation: BagEvaluation | None = None
+    assessment: Assessment | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The texts, and the faults."""
+        faults = [one._asdict() for one in self.faults]
+        return {"cause": self.cause, "verdict": self.verdict, "audit": self.audit, "faults": faults}
+
+
+def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
+    """Judge a bag, whatever is wrong with it; ``logs`` are the nodes' by name."""
+    found = Judged("", "", "")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found.reports = read_reports(bag)
+            found.faults = latched_faults(found.reports, 0)
+        except BagError:
+            pass
+        try:
+            found.evaluation = evaluate_bag(bag)
+            found.assessment = Assessment(bag, found.evaluation)
+            found.verdict = str(found.assessment.verdict)
+        except (BagError, MetricsError, ParameterError) as error:
+            found.verdict = f"none: {error}"
+        try:
+            one = audit(bag)
+            counts = f"{one.different} differ in a bit, {one.unverified} cannot be verified"
+            found.audit = f"{one.commands} commands computed again: {counts}"
+        except (BagError, ParameterError) as error:
+            found.audit = f"none: {error}"
+    found.cause = _cause(found, logs)
+    return found
+
+
+def _cause(found: Judged, logs: Mapping[str, str]) -> str:
+    """The earliest fault in the bag; where the recording itself failed, that of a log; else the verdict."""
+    faults = [(one.label, one.reason) for one in found.faults if one.label in LABELLED]
+    if not faults:
+        # A node that ends, or a disk that is full, no longer reports.
+        words = "|".join(LABELLED)
+        for text in logs.values():
+            faults += re.findall(rf"^.*?\b({words})\b:? *(.*)$", text, re.MULTILINE)[:1]
+        faults += [("recording_stopped", line) for text in logs.values() for line in _stopped(text)]
+        faults += [(one.label, one.reason) for one in found.faults]
+    if faults:
+        label, reason = faults[0]
+        return f"fault {label}: {reason.strip() or 'without a reason'}"
+    return f"no fault; verdict {found.verdict}"
+
+
+def _stopped(log: str) -> list[str]:
+    return re.findall(r"recording stopped: (.*)$", log, re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """An incident that was written: its cause, its size in bytes, and what is not in it, each with the reason."""
+
+    file: Path
+    cause: str
+    size: int
+    left_out: Sequence[str]
+
+
+def pack(
+    bag: Path, output: Path, findings: Iterable[Finding], *, last: float = 0.0, logs: Path | None = None
+) -> Packed:
+    """Write the incident of ``bag``, finished or not, to the file ``output``, whole or not at all.
+
+    ``findings`` are the doctor's. ``last`` keeps the last seconds of the bag only, and before them what follows the
+    amplifier's last switch-on, if that is not too long ago; 0 keeps all. ``logs`` is a folder with the nodes' logs; by
+    default that beside the bag.
+
+    Raises:
+        BagError: the bag cannot be read.
+        IncidentError: the incident would be larger than one that can be opened.
+        OSError: the file cannot be written.
+    """
+    left_out: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="straightcomp_incident_") as place:
+        copy = _copied(bag, Path(place), last, left_out)
+        contents = dict(_texts(bag, copy, logs, left_out))
+        texts = {name: data.decode(errors="replace") for name, data in contents.items() if name.startswith("logs/")}
+        found = judged(copy, texts)
+        doctor = [asdict(one) for one in findings]
+        contents["doctor.json"] = _json(doctor)
+        contents["diagnostics.json"] = _json(
+            {node: one[-1]._asdict() for node, one in found.reports.items() if one}
+            | {"faults": found.to_json()["faults"]}
+        )
+        contents["versions.json"] = _json(_versions())
+        files = {f"{BAG}/{one.name}": one.read_bytes() for one in sorted(copy.iterdir())}
+        contents |= files
+        if (size := sum(map(len, contents.values()))) > LARGEST:
+            raise IncidentError(f"incident of {bag}: {size} bytes; allowed: {LARGEST}; pack the end of it with --last")
+        made = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        details = {
+            "made": made,
+            "bag": bag.name,
+            **found.to_json(),
+            "left_out": left_out,
+            "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
+        }
+        contents[DETAILS] = _json(details)
+        contents[SUMMARY] = _summary(details, doctor, contents).encode()
+        archive = Path(place) / "incident.zip"
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
+            for name in (SUMMARY, *(name for name in contents if name != SUMMARY)):
+                # A bag is compressed already.
+                how = zipfile.ZIP_STORED if name.endswith(".mcap") else zipfile.ZIP_DEFLATED
+                target.writestr(name, contents[name], how)
+        write_whole(output, archive.read_bytes())
+    return Packed(output, found.cause, output.stat().st_size, left_out)
+
+
+def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
+    """A copy of the bag in the folder ``place``: its own files, or a recovered bag where something is left out."""
+    copy = place / BAG
+    paths, missing = found_files(bag)
+    secrets: list[str] = []
+    try:
+        _without_secrets(PARAMETERS_ATTACHMENT, read_attachments(bag).get(PARAMETERS_ATTACHMENT, b""), secrets)
+        sound = not missing
+    except BagError as error:
+        left_out.append(f"what is damaged in the bag: {error}")
+        sound = False
+    if sound and not secrets and not last and all(_NAME.fullmatch(f"{BAG}/{one.name}") for one in paths):
+        copy.mkdir()
+        for one in [*paths, paths[0].with_name("metadata.yaml")]:
+            if one.is_file() and (bag.is_dir() or one in paths):
+                shutil.copyfile(one, copy / one.name)
+        return copy
+
+    def edit(name: str, data: bytes) -> bytes:
+        return _without_secrets(name, data, left_out) if name == PARAMETERS_ATTACHMENT else data
+
+    whole = recover(bag, copy, edit=edit)
+    left_out += [f"bag: {name} was not finished, what had not reached the disk is lost" for name in whole.unfinished]
+    if whole.last_ns is None or whole.first_ns is None or not last:
+        return copy
+    since = _law_start(copy, whole.last_ns - round(last * 1e9), round(_FARTHEST * last * 1e9))
+    if since <= whole.first_ns:
+        return copy
+    kept, gone = ((end - begin) * 1e-9 for begin, end in ((since, whole.last_ns), (whole.first_ns, since)))
+    left_out.append(f"bag: the first {gone:.1f} s; the last {kept:.1f} s are there")
+    (place / "last").mkdir()
+    recover(copy, place / "last" / BAG, since_ns=since)
+    return place / "last" / BAG
+
+
+def _law_start(bag: Path, since_ns: int, most_ns: int) -> int:
+    """``since_ns``, or when the amplifier was last switched on before that, if it was at most ``most_ns`` earlier: from
+    there on each command can be computed again."""
+    samples = read_streams(bag, {ENCODER.topic: ENCODER.layout}).get(ENCODER.topic)
+    if samples is None:
+        return since_ns
+    on = np.isfinite(samples.columns["coil_current"])
+    starts = samples.log_time[1:][on[1:] & ~on[:-1]]
+    before = starts[starts <= since_ns]
+    # The sample before the switch-on shows that the amplifier was off.
+    start = int(before[-1]) - _PERIOD_NS if before.size else int(samples.log_time[0])
+    return start if start >= since_ns - most_ns else since_ns
+
+
+def _texts(bag: Path, copy: Path, logs: Path | None, left_out: list[str]) -> Iterator[tuple[str, bytes]]:
+    """Files of an incident by name, other than the bag's own and what is computed."""
+    attached = read_attachments(copy)
+    for name, what in ((PARAMETERS_ATTACHMENT, "parameters"), (MAP_ATTACHMENT, "map")):
+        if name in attached:
+            yield name, attached[name]
+        else:
+            left_out.append(f"{what}: not attached to the bag")
+    places = list(bag.absolute().parents)[:_ABOVE]
+    certificate = next((one for one in places if (one / _CERTIFICATE[0]).is_file()), None)
+    for name in _CERTIFICATE if certificate else ():
+        if certificate and (certificate / name).is_file():
+            yield name, (certificate / name).read_bytes()
+    if certificate is None:
+        left_out.append("certificate: none above the bag's folder")
+    folder = logs or bag.absolute().parent / "logs"
+    found = sorted(one for one in folder.glob("*.log") if one.is_file()) if folder.is_dir() else []
+    for log in found[: _MOST // 2]:
+        with log.open("rb") as opened:
+            opened.seek(max(0, log.stat().st_size - _LOG))
+            data = opened.read(_LOG)
+        name = f"logs/{re.sub(r'[^A-Za-z0-9_.-]', '_', log.name).lstrip('.')[:100]}"
+        yield name, _without_secrets(name, data, left_out)
+    if not found:
+        left_out.append(f"logs: none in {folder.name}/ beside the bag")
+
+
+def _without_secrets(name: str, data: bytes, left_out: list[str]) -> bytes:
+    """The text without values of names that look like secrets, and without passwords in addresses; what was found is
+    added to ``left_out``, by name alone."""
+
+    def replaced(match: re.Match[str]) -> str:
+        known = match["name"]
+        left_out.append(f"secret: {known.strip(' =:') if known else 'a password in an address'} in {name}")
+        return f"{known or match['user']}{_LEFT_OUT}"
+
+    if not name.endswith(".yaml"):
+        return _SECRET_IN_TEXT.sub(replaced, data.decode(errors="replace")).encode()
+
+    def cleaned(tree: Any, path: str) -> Any:
+        if isinstance(tree, Mapping):
+            return {key: cleaned(one, f"{path}.{key}" if path else str(key)) for key, one in tree.items()}
+        if tree not in ("", None) and _SECRET.search(path.rpartition(".")[2]):
+            left_out.append(f"secret: {path.rpartition('ros__parameters.')[2]} in {name}")
+            return _LEFT_OUT
+        return _SECRET_IN_TEXT.sub(replaced, tree) if isinstance(tree, str) else tree
+
+    try:
+        tree = load_yaml(data)
+    except YamlError:
+        left_out.append(f"{name}: cannot be read")
+        return b""
+    before = len(left_out)
+    changed = cleaned(tree, "")
+    # Unchanged to the byte where nothing is secret.
+    return dump_yaml(changed).encode() if len(left_out) > before else data
+
+
+def _versions() -> dict[str, str]:
+    """This package, its dependencies and the system."""
+    found = {**origin(), "python": platform.python_version(), "system": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _json(value: Any) -> bytes:
+    return (json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _summary(details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], contents: Mapping[str, bytes]) -> str:
+    lines = [
+        str(details["cause"]),
+        "",
+        f"packed: {details['made']}, bag {details['bag']}",
+        f"verdict: {details['verdict']}",
+        f"audit: {details['audit']}",
+        *(f"doctor, {one['state']}: {one['name']}: {one['detail']}" for one in doctor if one["state"] != "ok"),
+        *(f"left out: {one}" for one in details["left_out"]),
+        f"in it: {', '.join(sorted(contents))}",
+        "",
+        "open it with: straightcomp incident open FILE",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def unpack(file: Path, folder: Path) -> dict[str, Any]:
+    """Unpack an incident into the empty ``folder``; returns its details.
+
+    Nothing is written but files of the names that an incident has, and no more than :data:`LARGEST` bytes.
+
+    Raises:
+        IncidentError: the file is no incident, or was changed; nothing of a refused file is used.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = archive.infolist()
+            _check(file, entries)
+            left = LARGEST
+            for entry in entries:
+                target = folder / entry.filename
+                target.parent.mkdir(exist_ok=True)
+                with archive.open(entry) as source, target.open("xb") as copy:
+                    # An entry may be longer than it says.
+                    while block := source.read(1 << 20):
+                        if (left := left - len(block)) < 0:
+                            raise IncidentError(f"{file}: is more than {LARGEST} bytes when it is unpacked")
+                        copy.write(block)
+        details = json.loads((folder / DETAILS).read_text(encoding="utf-8"))
+        digests = dict(details["sha256"])
+    except IncidentError:
+        raise
+    except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise IncidentError(f"{file}: is no incident, or is damaged: {error}") from error
+    except Exception as error:  # zlib and lzma have errors of their own
+        raise IncidentError(f"{file}: is no incident, or is damaged: {type(error).__name__}: {error}") from error
+    named = {entry.filename for entry in entries} - {SUMMARY, DETAILS}
+    changed = sorted(
+        name
+        for name in named | set(digests)
+        if name not in named or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digests.get(name)
+    )
+    if changed:
+        raise IncidentError(f"{file}: was changed after it was packed: {', '.join(changed[:5])}")
+    return dict(details)
+
+
+def _check(file: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
+    """Raise IncidentError for an archive that is none of ours, before anything of it is written."""
+    names = [entry.filename for entry in entries]
+    size = sum(entry.file_size for entry in entries)
+    wrong = next((name for name in names if not _NAME.fullmatch(name)), None)
+    if len(entries) > _MOST:
+        raise IncidentError(f"{file}: has {len(entries)} files; allowed: {_MOST}")
+    if wrong is not None:
+        raise IncidentError(f"{file}: has a file {wrong!r}, which no incident has")
+    if len(set(names)) < len(names):
+        raise IncidentError(f"{file}: has two files of one name")
+    if any(stat.S_ISLNK(entry.external_attr >> 16) for entry in entries):
+        raise IncidentError(f"{file}: has a link")
+    if any(entry.flag_bits & 1 for entry in entries):
+        raise IncidentError(f"{file}: is encrypted")
+    if size > LARGEST:
+        raise IncidentError(f"{file}: is {size} bytes when it is unpacked; allowed: {LARGEST}")
+    if not {SUMMARY, DETAILS} <= set(names):
+        raise IncidentError(f"{file}: is no incident: it has no {DETAILS}")

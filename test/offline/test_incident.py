@@ -1,0 +1,139 @@
+"""An incident names its cause, opens anywhere, tells no secret, and a file that only looks like one is refused."""
+
+import shutil
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.doctor import Finding
+from straightcomp_ros.offline import incident
+from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, judged, pack, unpack
+from straightcomp_ros.safety.faults import Fault
+from trials.incidents import one_incident
+
+BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
+USUAL = (Fault.Y_OUT_OF_RANGE, Fault.HEARTBEAT_LOST)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param(one, marks=[] if one in USUAL else pytest.mark.nightly) for one in Fault],
+    ids=lambda one: one.label,
+)
+def test_the_first_line_names_the_fault_and_a_computer_without_ros_computes_the_same_commands(fault, tmp_path):
+    row = one_incident(fault, tmp_path)
+    assert row["named"] and row["same"], row
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    """An incident of a run with logs, a secret in the parameters and in a log, a certificate and a doctor's warning."""
+    folder = tmp_path_factory.mktemp("machine")
+
+    def edit(name: str, data: bytes) -> bytes:
+        secret = b"/broker:\n  ros__parameters:\n    broker_password: hunter2\n"
+        return data + secret * (name == "parameters.yaml")
+
+    recover(BAG, folder / "bags" / "run", edit=edit)
+    (folder / "bags" / "logs").mkdir()
+    text = "listening\nlogin at opc.tcp://robot:s3same@cell failed, API_KEY=abc123, next\n"
+    (folder / "bags" / "logs" / "opcua.log").write_text(text)
+    (folder / "certificate.html").write_text("<p>Passed</p>")
+    found = [Finding("cores", "warn", "2", "Use more."), Finding("python", "ok", "3.12")]
+    return pack(folder / "bags" / "run", folder / "incident.zip", found, last=1.0)
+
+
+def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(packed, tmp_path, capsys):
+    with zipfile.ZipFile(packed.file) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    there = {"parameters.yaml", "map.csv", "certificate.html", "diagnostics.json", "doctor.json", "versions.json"}
+    assert there < set(contents) and next(iter(contents)) == SUMMARY
+    assert contents[SUMMARY].decode().split("\n")[0] == packed.cause
+    assert b"robot:(left out)@cell" in contents["logs/opcua.log"]
+    folder = tmp_path / "opened"
+    assert main(["incident", "open", str(packed.file), "-o", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert said.split("\n")[0] == packed.cause and "doctor there, warn: cores: 2\n" in said
+    assert "0 differ in a bit" in said and "on the computer that packed it" not in said
+    assert (folder / "run.png").stat().st_size > 10_000
+    secrets = (b"hunter2", b"s3same", b"abc123")
+    attached = read_attachments(folder / "bag")["parameters.yaml"]
+    assert not [one for one in secrets for data in (*contents.values(), attached) if one in data]
+    for named in ("broker_password", "API_KEY in logs/opcua.log", "a password in an address in logs/opcua.log"):
+        assert any(one.startswith("secret: ") and named.split(" in ")[0] in one for one in packed.left_out), named
+
+
+def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_out(tmp_path):
+    pack(BAG, tmp_path / "a.zip", [])
+    (file,) = BAG.glob("*.mcap")
+    with zipfile.ZipFile(tmp_path / "a.zip") as archive:
+        assert archive.read(f"bag/{file.name}") == file.read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore:.*was not finished")
+def test_a_run_that_was_cut_off_is_still_cut_off_in_its_incident(tmp_path):
+    found = pack(BAG.with_name("cut_off"), tmp_path / "a.zip", [])
+    (tmp_path / "opened").mkdir()
+    unpack(tmp_path / "a.zip", tmp_path / "opened")
+    assert found.cause == judged(tmp_path / "opened" / "bag", {}).cause and "verdict interrupted: " in found.cause
+
+
+def changed(source: Path, target: Path, change) -> Path:
+    """The archive with its entries by name as ``change`` leaves them."""
+    with zipfile.ZipFile(source) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    entries = change(contents) or list(contents.items())
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in entries:
+            archive.writestr(name, data)
+    return target
+
+
+def link():
+    entry = zipfile.ZipInfo("logs/a.log")
+    entry.external_attr = 0o120777 << 16
+    return entry
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        *((lambda c, name=name: [*c.items(), (name, b"x")], "which no incident has")
+          for name in ("../out", "/etc/out", "logs/../../out", "bag/a/b", "logs\\..\\out", "run.sh", "bag/")),
+        (lambda c: [*c.items(), (link(), b"/etc/passwd")], "has a link"),
+        (lambda c: [*c.items(), ("map.csv", b"x")], "two files of one name"),
+        (lambda c: [*c.items(), *((f"logs/{k}.log", b"") for k in range(600))], "files; allowed: 500"),
+        (lambda c: [*c.items(), ("logs/bomb.log", bytes(60_000_000))], "when it is unpacked"),
+        (lambda c: [*c.items(), ("logs/new.log", b"x")], "was changed after it was packed: logs/new.log"),
+        (lambda c: [(n, d) for n, d in c.items() if n != "map.csv"], "was changed after it was packed: map.csv"),
+        (lambda c: [(n, d) for n, d in c.items() if n != DETAILS], "it has no incident.json"),
+        (lambda c: [(n, b"[" if n == DETAILS else d) for n, d in c.items()], "is damaged"),
+        (lambda c: [(n, b"[1]" if n == DETAILS else d) for n, d in c.items()], "is damaged"),
+    ],
+)  # fmt: skip
+def test_an_archive_that_is_no_incident_is_refused_and_nothing_of_it_is_left(
+    packed, tmp_path, monkeypatch, change, words
+):
+    monkeypatch.setattr(incident, "LARGEST", 50_000_000)
+    file = changed(packed.file, tmp_path / "evil.zip", change)
+    inside = tmp_path / "a" / "b"
+    inside.mkdir(parents=True)
+    with pytest.raises(IncidentError, match=words):
+        unpack(file, inside)
+    shutil.rmtree(inside)
+    assert sorted(one.name for one in tmp_path.rglob("*")) == ["a", "evil.zip"]
+    assert main(["incident", "open", str(file), "-o", str(tmp_path / "c")]) == 2 and not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize("keep", [0, 10, 0.5, 0.999])
+def test_a_file_that_is_cut_or_no_archive_is_refused_in_a_sentence(packed, tmp_path, keep):
+    data = packed.file.read_bytes()
+    file = tmp_path / "cut.zip"
+    file.write_bytes(data[: keep if isinstance(keep, int) else int(len(data) * keep)])
+    with pytest.raises(IncidentError, match="is no incident, or is damaged"):
+        unpack(file, tmp_path)
