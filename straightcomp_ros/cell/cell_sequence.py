@@ -12,7 +12,7 @@ from typing import Protocol
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
-from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, goals, jog, move
 
 MOST_STROKES = 1_000_000
 AMPLIFIER_OFF = "the amplifier went off"
@@ -32,6 +32,9 @@ _REPORTED_WITHIN_S = 1.5
 """Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
+_AT_START_M = 1e-6
+"""From the start of a trajectory, which the driver allows."""
+_FARTHEST_JOG_UM = 20_000_000
 _ARRIVED_SHARE = 0.9995
 """Fraction of a movement's time: in lockstep the last sample may come before the end of the motion."""
 _NS = 1e9
@@ -50,6 +53,9 @@ class Machine(Protocol):
     def switch_off(self) -> None: ...
     def reset_faults(self) -> None: ...
     def move(self, waypoints: Sequence[Waypoint]) -> None: ...
+    def hold(self, on: bool) -> None: ...
+    def end_motion(self) -> None: ...
+    def override(self, fraction: float, then: Answer) -> None: ...
     def reload_map(self, then: Answer) -> None: ...
     def center(self, middle: bool, then: Answer) -> None: ...
 
@@ -59,17 +65,17 @@ class WorkFailed(Exception):
 
 
 class StageMovements:
-    """The movements of the stage in a cycle, each stroke forward and back by ``motion``.
+    """The movements of the stage in a cycle by ``motion``; a stroke is a whole cycle of it.
 
     With ``as_one`` all strokes are one trajectory, timed by the driver; otherwise the stage gets one movement after the
-    other, so that the cycle can be held and stopped between them.
+    other, and needs no time in common with the driver. ParameterError: the file of positions is refused.
     """
 
     strokes: int  # requested
     strokes_done: int
 
     def __init__(self, motion: MotionParameters, as_one: bool) -> None:
-        self._motion, self.as_one = motion, as_one
+        self._motion, self.as_one, self._goals = motion, as_one, goals(motion)
         self._begin_ns = self._duration_ns = 0
         self._goal = self._latest = 0.0
         self.begin(0)
@@ -86,15 +92,21 @@ class StageMovements:
     def next(self, seen: Observation, now: float) -> Sequence[Waypoint]:
         """Waypoints of the next movement, which begins at ``now`` (clock, s).
 
-        One by one they are a rest and a move, forward and back in turn; only the rest if the stage is at its goal.
+        One by one they are a rest and a move, to each position in turn; only the rest if the stage is at its goal. A
+        stage that stands elsewhere goes to the start first.
         """
+        motion = self._motion
         if self.as_one:
-            waypoints = cycles(self._motion, self.strokes)
+            waypoints = cycles(motion, self.strokes)
+            if abs(seen.x - motion.start) > _AT_START_M:
+                way = jog(motion, seen.x, motion.start - seen.x)
+                end_ns = way[-1].time_ns
+                waypoints = [*way, *(point._replace(time_ns=point.time_ns + end_ns) for point in waypoints[1:])]
         else:
-            rest = self._motion.pause if self._number else self._motion.settle
-            goal = self._motion.start + (0.0 if self._number % 2 else self._motion.stroke)
+            rest = motion.pause if self._number else motion.settle
+            goal = self._goals[self._number % len(self._goals)]
             waypoints = [Waypoint(0, seen.x, 0.0), Waypoint(round(rest * _NS), seen.x, 0.0)]
-            waypoints += trapezoid(waypoints[-1], goal, self._motion.speed, self._motion.acceleration)
+            waypoints += move(waypoints[-1], goal, motion.speed, motion.acceleration, motion.jerk)
         self._duration_ns, self._goal, _ = waypoints[-1]
         self._begin_ns, self._latest = seen.stamp_ns, now + self._duration_ns / _NS + _ARRIVE_WITHIN_S
         self._under_way = True
@@ -105,18 +117,20 @@ class StageMovements:
         if not self._under_way:
             return 0.0
         # In lockstep there is no sample before the movement.
-        return (seen.stamp_ns - (self._begin_ns or seen.first_ns)) / max(self._duration_ns, 1)
+        return (seen.stamp_ns - seen.behind_ns - (self._begin_ns or seen.first_ns)) / max(self._duration_ns, 1)
 
     def arrived(self, seen: Observation, now: float) -> bool:
-        """Whether no movement is running; counts one that has just ended.
+        """Whether no movement is running; counts one that has just ended. One that is held is running.
 
         WorkFailed: the stage stands elsewhere 5 s after the end of the movement.
         """
         there = self.as_one or (seen.still and abs(seen.x - self._goal) < _ARRIVED_M)
-        if there and self.progress(seen) > _ARRIVED_SHARE:
+        if seen.behind_ns or seen.stage in ("stopping", "held"):
+            self._latest = max(self._latest, now + _ARRIVE_WITHIN_S)
+        elif there and self.progress(seen) > _ARRIVED_SHARE:
             self.forget()
             self._number += 1
-            self.strokes_done = self.strokes if self.as_one else self._number // 2
+            self.strokes_done = self.strokes if self.as_one else self._number // len(self._goals)
         elif self._under_way and seen.still and now > self._latest and not self.as_one:
             self.forget()
             raise WorkFailed(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m")
@@ -171,14 +185,15 @@ class CellSequence:
         self._enter(ACCEPTED[command][self.state], f"command {name(command)}")
         return ""
 
-    def order(self, order: Order, middle: bool, then: Answer) -> None:
-        """Request another reference: with Center that of the ``middle`` of the travel (True) or of the map (False).
+    def order(self, order: Order, argument: int, then: Answer) -> None:
+        """Request another reference, or another motion of the stage.
 
-        ``then`` is called with the reason for a refusal, or an empty text, now or when the node has answered.
+        ``argument`` is with Center whether it is the reference of the middle of the travel (1) or of the map (0), with
+        Override the speed in %, and with Jog the distance in µm. ``then`` is called with the reason for a refusal, or an
+        empty text, now or when the node has answered.
         """
-        reason = refusal(order, self.state)
-        if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.movements.strokes:
-            reason = "Center(true) is not accepted while strokes are run; accepted after Hold, or with 0 strokes"
+        middle = bool(argument) and order is Order.CENTER
+        reason = refusal(order, self.state) or self._order_refusal(order, argument)
         if reason:
             self.message = reason
             then(reason)
@@ -194,10 +209,30 @@ class CellSequence:
 
         if order is Order.RELOAD_MAP:
             self.machine.reload_map(answered)
+        elif order is Order.OVERRIDE:
+            self.machine.override(argument * 1e-2, answered)
+        elif order is Order.JOG:
+            self.machine.move(jog(self.motion, self.seen.x, argument * 1e-6))
+            answered("")
         else:
             # No stroke may begin before the answer.
             self.centred = before or middle
             self.machine.center(middle, answered)
+
+    def _order_refusal(self, order: Order, argument: int) -> str:
+        strokes = self.state is State.EXECUTE and self.movements.strokes
+        if order is Order.CENTER and argument and strokes:
+            return "Center(true) is not accepted while strokes are run; accepted after Hold, or with 0 strokes"
+        if order is Order.OVERRIDE and not 0 <= argument <= 100:
+            return f"override {argument} % is out of range; allowed: 0 to 100 %"
+        if order is Order.JOG:
+            if self.state is not State.EXECUTE or strokes:
+                return "Jog is not accepted while strokes are run, or without them; accepted in Execute with 0 strokes"
+            if not self.seen.still or self.seen.stage != "rest":
+                return "Jog is not accepted while the stage moves"
+            if self.centred or not 0 < abs(argument) <= _FARTHEST_JOG_UM:
+                return f"Jog by {argument} µm; allowed: 1 to {_FARTHEST_JOG_UM} either way, with the map's reference"
+        return ""
 
     def tick(self, seen: Observation) -> None:
         """Continue with the graph as ``seen`` now."""
@@ -271,6 +306,8 @@ class CellSequence:
             elif self._due():
                 # Another client may have left the reference in the middle. Retried if refused during another change.
                 self.machine.center(False, self._back_on_the_map)
+                # And a motion held, which would go on when the stage is released.
+                self.machine.end_motion()
             if self.now - ready_since >= _SETTLE_S:
                 return
             yield
@@ -303,8 +340,18 @@ class CellSequence:
         return self.movements.arrived(self.seen, self.now)
 
     def _holding(self) -> Iterator[None]:
-        while not (self._arrived() and self.seen.still):
+        # A machine that takes no such order is waited for, until its movement ends.
+        while not (self._overdue(_RECEIVED_S) and self.seen.stands):
+            if self._due():
+                self.machine.hold(True)
             yield
+
+    def _unholding(self) -> Iterator[None]:
+        yield from self._asking(
+            lambda: self.machine.hold(False),
+            lambda: self.seen.stage not in ("stopping", "held") and self._overdue(_RECEIVED_S),
+            lambda: "the stage remains held",
+        )
 
     def _completing(self) -> Iterator[None]:
         # The stage's last movement has ended; another client may still be moving the stage.
@@ -313,8 +360,11 @@ class CellSequence:
         yield from self._switching_off()
 
     def _stopping(self) -> Iterator[None]:
-        # Without samples the end of the movement cannot be seen.
-        while self.seen.fresh and not self._arrived():
+        self.movements.forget()
+        # Without samples it cannot be seen that the stage stands.
+        while self.seen.fresh and not (self._overdue(_RECEIVED_S) and self.seen.stage == "rest" and self.seen.still):
+            if self._due():
+                self.machine.end_motion()
             yield
         yield from self._switching_off()
 

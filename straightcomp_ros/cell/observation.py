@@ -29,6 +29,9 @@ class Observation:
     first_ns: int = 0  # stamp of the first sample seen
     x: float = math.nan  # newest position of the stage in m; NaN before the first
     y: float = math.nan  # of the platform
+    stage: str = "rest"  # condition of the stage's motion as the driver reports it: rest, moving, stopping, held
+    override: float = 1.0  # fraction of the speed of the stage's motions
+    behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest
     still: bool = True  # the stage has not moved for a tenth of a second
     error: float = math.nan  # newest compensation error in m
     sliding_variable: float = math.nan  # newest, m/s
@@ -70,6 +73,11 @@ class Observation:
     def occupied(self) -> str:
         """That commissioning is at work, and at what; empty if not."""
         return f"the machine is being commissioned: {self.commissioning}" if self.commissioning else ""
+
+    @property
+    def stands(self) -> bool:
+        """Whether the stage stands and will not move by itself: it is held, or its motion has ended."""
+        return self.still and self.stage in ("rest", "held")
 
     @property
     def obstacle(self) -> str:

@@ -40,10 +40,12 @@ class Command(IntEnum):
 
 
 class Order(Enum):
-    """A command that changes the reference and keeps the state; the value is the name of its OPC UA method."""
+    """A command that changes reference or motion and keeps the state; the value is the name of its OPC UA method."""
 
     RELOAD_MAP = "ReloadMap"
     CENTER = "Center"
+    OVERRIDE = "Override"
+    JOG = "Jog"
 
 
 _ABORTABLE = sorted(set(State) - {State.ABORTING, State.ABORTED})
@@ -80,7 +82,7 @@ FAILED: Mapping[State, State] = {
     # Resetting has switched nothing on: an amplifier that is on then is another client's.
     State.RESETTING: State.STOPPED,
     State.STARTING: State.STOPPING,
-    **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.COMPLETING, State.STOPPING), State.ABORTING),
+    **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.UNHOLDING, State.COMPLETING, State.STOPPING), State.ABORTING),
 }
 """The state that follows when a state's work fails."""
 

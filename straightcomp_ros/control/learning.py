@@ -12,7 +12,8 @@ where T is unknown. γ falls as 1/(k + 2) with the updates k down to `gain`, whi
 (Saab, IEEE Trans. Automatic Control 46(6), 2001).
 
 Near rest, where the direction means nothing, the correction fades with the speed squared. A pass is not learned from if
-the amplifier was off, samples were missing, or its beginning was not seen.
+the amplifier was off, samples were missing, its beginning was not seen, or the stage's motion was cut short: held, ended
+or overridden. A pass that is cut short is corrected like any other: the reference keeps its rates.
 """
 
 import math
@@ -74,7 +75,7 @@ class Learning:
 
     A law is corrected only by what was learned with the same ``law``, by name. ``run`` runs the update at the end of a
     pass, some 3 ms of work, at once or soon; one after the other. ``tables`` are the learned corrections: forward at
-    True, backward at False.
+    True, backward at False. ``cut`` is to be True while the stage's motion is cut short.
 
     Raises:
         LearningFileError: the file is refused.
@@ -99,12 +100,13 @@ class Learning:
             read_tables(Path(parameters.file), law, self.tables)
         self._tracked = restarted(0.0)
         self._forward = True
+        self.cut = False
         self.interrupt()
 
     def interrupt(self) -> None:
         """Drop the present pass, and correct nothing until the stage has stood still."""
         self._pass = array("d")
-        self._samples, self._stood = 0, False
+        self._samples, self._stood, self._spoiled = 0, False, False
 
     def step(self, stamp_ns: int, x: float, y: float, reference: Reference) -> Reference:
         """The law's reference (m, m/s, m/s²) for a sample: stamp, x and y in m, and the reference asked for."""
@@ -117,6 +119,7 @@ class Learning:
         self._tracked = tracked = updated(_STAGE_BANDWIDTH, self._tracked, (stamp_ns - self._stamp_ns) * 1e-9, x)
         self._stamp_ns = stamp_ns
         self._samples += 1
+        self._spoiled = self._spoiled or self.cut
         v = tracked.v
         forward = v > 0.0
         if -_REST < v < _REST or forward is not self._forward:
@@ -151,11 +154,12 @@ class Learning:
         return {"learned_forward": self.tables[True].updates, "learned_backward": self.tables[False].updates}
 
     def _end_pass(self) -> None:
-        if len(self._pass) >= 5 * _SHORTEST:
+        if len(self._pass) >= 5 * _SHORTEST and not self._spoiled:
             record = np.frombuffer(self._pass).reshape(-1, 5)
             self._run(partial(self._learn, self.tables[self._forward], record))
         if self._pass:
             self._pass = array("d")
+        self._spoiled = False
 
     def _learn(self, table: LearnedTable, record: NDArray[np.float64]) -> None:
         from scipy.signal import sosfiltfilt

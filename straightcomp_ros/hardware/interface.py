@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.safety.faults import Fault
 
 
@@ -49,7 +50,13 @@ class HardwareError(RuntimeError):
 
 
 class Hardware(ABC):
-    """A machine. None of these calls blocks but :meth:`wait`."""
+    """A machine. None of these calls blocks but :meth:`wait`.
+
+    Attributes:
+        motion: of the stage; where the stage is another computer's, a copy that follows what is sent to it.
+    """
+
+    motion: PacedMotion
 
     @abstractmethod
     def start(self, now_ns: int) -> None:
@@ -84,7 +91,11 @@ class Hardware(ABC):
 
     @abstractmethod
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Move the stage along X; raises HardwareError if it takes no commands or does not stand at the first point."""
+        """Move the stage along X; raises HardwareError if it takes no commands, moves, or stands elsewhere."""
+
+    @abstractmethod
+    def pace(self, pace: Pace) -> None:
+        """Ask for another pace of the stage's motion, and of those to come; HardwareError if it takes no commands."""
 
     @property
     @abstractmethod

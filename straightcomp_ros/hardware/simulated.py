@@ -16,7 +16,8 @@ from functools import partial
 import numpy as np
 
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
-from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, PlantState, advance_to_sample, commanded_plant
 from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault
@@ -103,8 +104,7 @@ class SimulatedHardware(Hardware):
             self.unreferenced = "the machine has not been homed since it was switched on"
         self._delay_ns = round(stage.drive.delay * self.period_ns)
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
-        self._trajectory = Trajectory([Waypoint(0, x, 0.0)])
-        self._trajectory_start_ns = 0
+        self.motion = PacedMotion(stage.motion, x)
         self._memory = max(1, round(parameters.sample_memory * stage.rate))
 
     def start(self, now_ns: int) -> None:
@@ -157,10 +157,13 @@ class SimulatedHardware(Hardware):
             self.fault = ""
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        here, first = self._stage_position(self._time_ns), trajectory.position(0)
-        if abs(first - here) > 1e-6:
-            raise HardwareError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
-        self._trajectory, self._trajectory_start_ns = trajectory, start_ns
+        try:
+            self.motion.begin(trajectory, start_ns)
+        except ValueError as error:
+            raise HardwareError(str(error)) from None
+
+    def pace(self, pace: Pace) -> None:
+        self.motion.ask(pace)
 
     @property
     def fault_kind(self) -> Fault | None:
@@ -170,15 +173,12 @@ class SimulatedHardware(Hardware):
     def applied_current(self) -> float:
         return float(self._plant.state[COMMAND])
 
-    def _stage_position(self, time_ns: int) -> float:
-        return self._trajectory.position(time_ns - self._trajectory_start_ns)
-
     def _currents_off(self) -> None:
         self._waiting = 0
         self._plant.currents_off()
 
     def _sample(self, time_ns: int) -> tuple[Sample, Truth]:
-        count, x = self._waiting, self._stage_position(time_ns)
+        count, x = self._waiting, self.motion.position(time_ns)
         taken = self._advance(self._effective_ns, self._asked, count, time_ns, 0.0, x)
         if taken:
             self._waiting = left = count - taken

@@ -1,22 +1,30 @@
-"""Motion of the stage along X: trapezoidal velocity profiles as a trajectory of waypoints.
+"""Motion of the stage along X: its description, and what follows from it as a trajectory of waypoints.
 
-Between waypoints the position is the cubic Hermite polynomial, as in joint trajectory controllers; between the corners
-of a trapezoid that is the exact parabola or line.
+Between waypoints the position is the cubic Hermite polynomial, as in joint trajectory controllers. Between the corners
+of a trapezoid that is the exact parabola or line, and with a limit of the jerk the exact cubic.
 """
 
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.contract import STROKE
-from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
+from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
 
 _NS = 1e9
+_SHORTEST_NS = 10_000
+"""Of a phase: of a shorter one, times rounded to 1 ns say little of the acceleration."""
+_FARTHEST = 100.0
+"""Largest position in m, as of the parameter `start`."""
+_MOST_POSITIONS = 1000
+"""Of a file: as many as of equal steps."""
 _HEADROOM = 1.5
 """Least ratio of the speed that the stage cannot reach to its cruising speed."""
 _MOST_ACCELERATION = 10.0
@@ -33,19 +41,29 @@ class Waypoint(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionParameters:
-    """A cycle of the stage: settle, forward stroke, pause, backward stroke, settle."""
+    """A cycle of the stage: settle, move to each position in turn with a pause at each, move back to the start, settle.
+    The positions are the end of the stroke alone, or equal steps along it, or those of a file."""
 
     start: float = parameter(0.0, "Position at which the stroke starts", "[-100, 100] m")
-    stroke: float = parameter(STROKE, "Length of the stroke", "(0, 100] m")
+    stroke: float = parameter(STROKE, "Length of the stroke; negative: backward first", "[-100, 100] m")
+    steps: int = parameter(1, "Number of equal steps of the stroke; the stage rests for 'pause' after each", "[1, 1000]")
+    file: str = parameter(
+        "", "File of positions that the stage goes to in turn, one number in m a line, in place of the stroke's"
+    )
     speed: float = parameter(0.3, "Cruising speed", "(0, 20] m/s")
     highest_speed: float = parameter(
         2.0, "Speed that the stage cannot reach: a faster change of x is a wrong reading", "(0, 100] m/s"
     )
     acceleration: float = parameter(0.2, "Acceleration and deceleration", "(0, 200] m/s²")
-    settle: float = parameter(1.0, "Time at rest before and after each stroke", "[0, 60] s")
-    pause: float = parameter(0.5, "Time at rest between forward and back", "[0, 60] s")
+    jerk: float = parameter(
+        0.0, "Jerk of strokes, for S-curves of the speed; 0: no limit, which is a trapezoid", "[0, 1e6] m/s³"
+    )
+    settle: float = parameter(1.0, "Time at rest before and after each cycle", "[0, 86400] s")
+    pause: float = parameter(0.5, "Time at rest at each position of a cycle", "[0, 86400] s")
 
     def __post_init__(self) -> None:
+        if self.stroke == 0.0:
+            raise RefusedParameter("stroke", "0.0 m is no stroke; allowed: a length other than 0")
         if self.highest_speed < _HEADROOM * self.speed:
             raise RefusedParameter(
                 "highest_speed",
@@ -72,12 +90,70 @@ def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -
     return [Waypoint(start.time_ns + round(time * _NS), position, velocity) for time, position, velocity in corners]
 
 
+def move(start: Waypoint, goal: float, speed: float, acceleration: float, jerk: float = 0.0) -> list[Waypoint]:
+    """As :func:`trapezoid`, with a limit of the jerk in m/s³ unless that is 0: the corners of seven phases, or of those
+    of them that the distance leaves."""
+    distance = abs(goal - start.position)
+    if jerk == 0.0 or distance == 0.0:
+        return trapezoid(start, goal, speed, acceleration)
+    build = acceleration / jerk  # s, until the acceleration is there
+    peak = 0.5 * acceleration * (math.sqrt(build * build + 4.0 * distance / acceleration) - build)
+    if peak < acceleration * build:  # too short for the whole acceleration
+        peak = (0.25 * distance * distance * jerk) ** (1.0 / 3.0)
+    peak = min(peak, speed)
+    bend = min(build, math.sqrt(peak / jerk))
+    hold = peak / (jerk * bend) - bend
+    ramp, ramp_distance = 2.0 * bend + hold, 0.5 * peak * (2.0 * bend + hold)
+    first = jerk * bend**3 / 6.0, 0.5 * jerk * bend * bend
+    second = first[0] + first[1] * hold + 0.5 * jerk * bend * hold * hold, first[1] + jerk * bend * hold
+    rising = [(bend, *first), (bend + hold, *second), (ramp, ramp_distance, peak)]
+    total = 2.0 * ramp + (distance - 2.0 * ramp_distance) / peak
+    corners = [*rising, *((total - time, distance - way, v) for time, way, v in reversed([(0.0, 0.0, 0.0), *rising]))]
+    sign, points = math.copysign(1.0, goal - start.position), [start]
+    for time, way, v in corners:
+        at_ns = start.time_ns + round(time * _NS)
+        if at_ns > points[-1].time_ns + _SHORTEST_NS:
+            points.append(Waypoint(at_ns, start.position + sign * way, sign * v))
+    return [*points[1:-1], Waypoint(points[-1].time_ns, goal, 0.0)]
+
+
+def jog(motion: MotionParameters, start: float, distance: float) -> list[Waypoint]:
+    """Waypoints of a move at once by ``distance`` (m, either way) from ``start`` at rest, with the speed of strokes; for
+    a time t instead, ``distance`` is ± t times the speed."""
+    here = Waypoint(0, start, 0.0)
+    return [here, *move(here, start + distance, motion.speed, motion.acceleration, motion.jerk)]
+
+
+def goals(motion: MotionParameters) -> list[float]:
+    """The positions of a cycle in m, in order; the last is its start. ParameterError: the file is refused."""
+    if not motion.file:
+        return [*(motion.start + motion.stroke * k / motion.steps for k in range(1, motion.steps + 1)), motion.start]
+    where = f"parameter 'stage.motion.file': {motion.file}"
+    try:
+        lines = Path(motion.file).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    found = []
+    for number, line in enumerate(lines, 1):
+        if text := line.partition("#")[0].strip():
+            try:
+                found.append(float(text))
+            except ValueError:
+                found.append(math.nan)
+            if not abs(found[-1]) <= _FARTHEST:
+                raise ParameterError(f"{where}, line {number}: {text[:80]!r}; allowed: a position, ±{_FARTHEST:g} m")
+    if not 0 < len(found) <= _MOST_POSITIONS:
+        raise ParameterError(f"{where}: {len(found)} positions; allowed: 1 to {_MOST_POSITIONS}")
+    return [*found, motion.start]
+
+
 def forward_and_back(motion: MotionParameters) -> list[Waypoint]:
-    """Waypoints of one cycle, from time 0; it ends at rest where it began."""
+    """Waypoints of one cycle, from time 0; it ends at rest where it began. ParameterError as of :func:`goals`."""
     points = [Waypoint(0, motion.start, 0.0)]
-    for rest, goal in ((motion.settle, motion.start + motion.stroke), (motion.pause, motion.start)):
+    for number, goal in enumerate(goals(motion)):
+        rest = motion.pause if number else motion.settle
         points.append(points[-1]._replace(time_ns=points[-1].time_ns + round(rest * _NS)))
-        points += trapezoid(points[-1], goal, motion.speed, motion.acceleration)
+        points += move(points[-1], goal, motion.speed, motion.acceleration, motion.jerk)
     return [*points, points[-1]._replace(time_ns=points[-1].time_ns + round(motion.settle * _NS))]
 
 
@@ -144,7 +220,7 @@ class Trajectory:
         """Time of the last waypoint, ns."""
         return self._times[-1]
 
-    def position(self, time_ns: int) -> float:
+    def position(self, time_ns: float) -> float:
         """Position in m at ``time_ns`` from the trajectory's start."""
         after = bisect_right(self._times, time_ns)
         if after == 0:
@@ -160,6 +236,28 @@ class Trajectory:
             (1.0 + 2.0 * s) * rest * rest * p0 + s * s * (3.0 - 2.0 * s) * p1 + s * rest * span * (rest * v0 - s * v1)
         )
 
+    def rates(self, time_ns: float) -> tuple[float, float]:
+        """Velocity in m/s and acceleration in m/s² at ``time_ns``; after a corner, those of what follows it."""
+        after = bisect_right(self._times, time_ns)
+        if after == 0 or after == len(self._points):
+            return 0.0, 0.0
+        t0, p0, v0 = self._points[after - 1]
+        t1, p1, v1 = self._points[after]
+        span = (t1 - t0) / _NS
+        s = (time_ns - t0) / (t1 - t0)
+        # Coefficients of the velocity as a polynomial in s.
+        mean = (p1 - p0) / span
+        bend, curl = 6.0 * mean - 4.0 * v0 - 2.0 * v1, 3.0 * (v0 + v1) - 6.0 * mean
+        return v0 + s * (bend + s * curl), (bend + 2.0 * s * curl) / span
+
+    @cached_property
+    def largest_acceleration(self) -> float:
+        """In m/s², of either sign."""
+        h, (before, after) = np.diff(self.times) / _NS, (self.velocities[:-1], self.velocities[1:])
+        mean = np.diff(self.positions) / h
+        ends = np.abs([6.0 * mean - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * mean]) / h
+        return float(np.max(ends[:, np.diff(self.times) > _SHORTEST_NS], initial=0.0))
+
 
 @dataclass(frozen=True)
 class StageLimits:
@@ -173,7 +271,8 @@ class StageLimits:
     @classmethod
     def of(cls, motion: MotionParameters, low: float, high: float) -> "StageLimits":
         """Those of the described strokes, and of the guide from ``low`` to ``high`` (m)."""
-        low, high = min(low, motion.start), max(high, motion.start + motion.stroke)
+        ends = [motion.start, *goals(motion)]
+        low, high = min(low, *ends), max(high, *ends)
         return cls(low, high, motion.highest_speed, _MOST_ACCELERATION * motion.acceleration)
 
     def check(self, trajectory: Trajectory) -> None:

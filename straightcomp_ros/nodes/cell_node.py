@@ -9,15 +9,16 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.cell.cell_sequence import AMPLIFIER_OFF, CellSequence
 from straightcomp_ros.cell.launcher import IN_THE_LOOP
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.cell.packml import Command, State
-from straightcomp_ros.model.motion import cycles
+from straightcomp_ros.cell.packml import Command, State, name
+from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.node_parameters import CellNodeParameters
 from straightcomp_ros.runtime.graph_client import GraphClient
-from straightcomp_ros.runtime.guarded_node import GuardedNode
+from straightcomp_ros.runtime.guarded_node import GuardedNode, Refused
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
@@ -58,9 +59,17 @@ class CellNode(Runnable):
             home=parameters.home,
             recoveries=parameters.recoveries,
         )
+        node.offer(SetBool, "~/hold", lambda on: self._obey(Command.HOLD if on else Command.UNHOLD))
+        node.offer(Trigger, "~/stop", lambda: self._obey(Command.STOP))
         self._failing = False
         self._steps = self._explained(self._cycle())
         node.create_timer(_TICK_S, self._tick)
+
+    def _obey(self, command: Command) -> str:
+        """Hold the cycle where the stage is, let it go on, or end it there: a service of this node."""
+        if reason := self._sequence.command(command):
+            raise Refused(reason)
+        return f"command {name(command)}"
 
     def _explained(self, cycle: Iterator[None]) -> Iterator[None]:
         """Run the cycle. If it fails, add to the message which node does not work any more, or what delayed them."""
@@ -86,7 +95,7 @@ class CellNode(Runnable):
         sequence.command(Command.START, strokes)
         yield from self._until(State.EXECUTE)
         self._graph.expect_samples()
-        log.info(f"stage moves: {cycles(self._parameters.stage.motion, strokes)[-1].time_ns * 1e-9:.1f} s")
+        log.info(f"stage moves: {forward_and_back(self._parameters.stage.motion)[-1].time_ns * strokes * 1e-9:.1f} s")
         yield from self._follow_motion()
         yield from self._until(State.COMPLETE)
         yield from self._all_alive()
@@ -103,7 +112,7 @@ class CellNode(Runnable):
 
     def _follow_motion(self) -> Iterator[None]:
         sequence, recovered = self._sequence, 0
-        while sequence.state is State.EXECUTE:
+        while sequence.state in (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING):
             if self._parameters.progress:
                 print(f"progress {min(sequence.progress, 1.0):.3f}", flush=True)
             if sequence.recovered > recovered:

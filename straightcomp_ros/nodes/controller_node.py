@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool
 
-from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE, STAGE_STATE
 from straightcomp_ros.control.excitation import FrequencyResponseError, Injection, made_injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
@@ -23,7 +24,8 @@ from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, Worke
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.safety_panel import tripper
+from straightcomp_ros.runtime.safety_panel import LATCHED, tripper
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch
 from straightcomp_ros.timing.delays import StampGaps
@@ -35,6 +37,11 @@ _SPARE_REFERENCES = 2
 
 Answer = tuple[int, Command, float]
 """Stamp of the sample in ns, the law's command, age of the reference in s."""
+
+
+
+def _mark_cut(learning: Learning, message: DiagnosticStatus) -> None:
+    learning.cut = StageState.of(message).cut
 
 
 class ControllerComponent:
@@ -55,6 +62,8 @@ class ControllerComponent:
         learning, law, rate = parameters.learning, parameters.control.law, parameters.stage.rate
         self._learning = Learning(learning, law, rate, run) if learning.learn else None
         self._law = self._made(parameters)
+        if self._learning is not None:
+            node.create_subscription(DiagnosticStatus, STAGE_STATE, partial(_mark_cut, self._learning), LATCHED)
         self._servo = Servo(self._law, learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()

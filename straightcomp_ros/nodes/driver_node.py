@@ -5,7 +5,10 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import (
@@ -15,6 +18,7 @@ from straightcomp_ros.contract import (
     POSITION,
     POSITION_EVERY,
     STAGE,
+    STAGE_STATE,
     STAGE_TRAJECTORY,
     TRUTH,
 )
@@ -23,13 +27,17 @@ from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample,
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import StageLimits, Trajectory
+from straightcomp_ros.model.paced_motion import Pace
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
+from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, from_monotonic, now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.safety_panel import SafetyPanel
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyPanel
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
@@ -62,7 +70,7 @@ class DriverComponent:
         self._hardware = hardware or make_hardware(parameters)
         for remark in self._hardware.remarks():
             node.get_logger().warning(remark)
-        period_ns = parameters.stage.period_ns
+        self._period_ns = period_ns = parameters.stage.period_ns
         rate = parameters.stage.rate
         streams = node.streams
         self._publish_sample = streams.publisher(
@@ -84,6 +92,10 @@ class DriverComponent:
         self._lockstep: Lockstep | None = None
         self._stage_limits = stage_limits(parameters)
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
+        node.offer(SetBool, "~/hold", self._on_hold)
+        node.offer(Trigger, "~/end_motion", self._on_end_motion)
+        self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
+        self._reported_stage: StageState | None = None
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
         self._answer_within_ns = _ANSWER_SAMPLES * period_ns
         self._queue = streams.queue(COMMAND)
@@ -99,6 +111,8 @@ class DriverComponent:
         if machine == "can":
             machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
         Diagnostics(node, self._counters, machine, description=parameters.stage.identity)
+        if parameters.override != 1.0:
+            self._hardware.pace(Pace(parameters.override))
 
     def activate(self) -> None:
         """Start sampling, with the amplifier off."""
@@ -117,7 +131,9 @@ class DriverComponent:
         self._publish_state.finish()
 
     def prepare(self, parameters: DriverNodeParameters) -> Callable[[], None]:
-        """Prepare another limit of the control current, or of the travel."""
+        """Prepare another limit of the control current, or of the travel, or another override of the stage's speed."""
+        if parameters.override != self._hardware.motion.pace.override:
+            self._ask_pace(override=parameters.override)
 
         def take_over() -> None:
             self._sample_watch.travel = parameters.watch.travel
@@ -220,9 +236,42 @@ class DriverComponent:
             # Its samples end with the motion, and who follows the stage must see the end.
             self._publish_position(*self._newest[:3])
         if self._newest is not None and self._node.active:
-            finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
+            finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x, self._hardware.motion)
             if finding is not None:
                 self._trip(*finding)
+        self._report_stage()
+
+    def _report_stage(self) -> None:
+        """Publish the state of the stage's motion if it has changed."""
+        state = StageState.of_motion(self._hardware.motion, self._period_ns if self._lockstep else 0)
+        if state != self._reported_stage:
+            self._reported_stage = state
+            self._stage_state.publish(state.message(self._node.get_fully_qualified_name()))
+
+    def _ask_pace(self, **changes: Any) -> None:
+        """Ask for another pace of the stage; ParameterError if it takes no commands."""
+        try:
+            self._hardware.pace(self._hardware.motion.pace._replace(**changes))
+        except HardwareError as error:
+            raise ParameterError(str(error)) from error
+        self._report_stage()
+
+    def _on_hold(self, on: bool) -> str:
+        """Let the stage come to rest within its limits and stand, with the amplifier on; or let it go on."""
+        return self._paced("the stage is held" if on else "the stage goes on", hold=on)
+
+    def _on_end_motion(self) -> str:
+        """Let the stage come to rest within its limits, and end its motion there."""
+        return self._paced("the motion ends", end=True)
+
+    def _paced(self, done: str, **changes: bool) -> str:
+        try:
+            self._ask_pace(**changes)
+        except ParameterError as error:
+            raise Refused(str(error)) from error
+        if self._hardware.motion.condition != "rest":
+            self._node.get_logger().info(done)
+        return done
 
     def _begin_anew(self) -> None:
         """The amplifier is about to be switched on, or a fault to be cleared."""
@@ -259,8 +308,7 @@ class DriverComponent:
         except (ValueError, HardwareError) as error:
             self._node.get_logger().error(f"stage trajectory refused: {error}")
             return
-        if self._newest is not None:
-            self._stage_watch.follow(trajectory, start_ns, self._newest.x)
+        self._report_stage()
 
     def _counters(self) -> dict[str, object]:
         counters: dict[str, object] = {

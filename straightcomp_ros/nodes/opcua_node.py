@@ -83,8 +83,8 @@ class OpcuaNode(Runnable):
             self._answers.append((request, refusal))
 
         if isinstance(request.asked, Order):
-            # The feedforward node gives the answer later.
-            self._sequence.order(request.asked, bool(request.argument), answered)
+            # The node that is asked gives the answer later.
+            self._sequence.order(request.asked, int(request.argument), answered)
         else:
             answered(self._sequence.command(request.asked, request.argument))
 

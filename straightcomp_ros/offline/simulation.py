@@ -4,7 +4,8 @@ It calls what the nodes call, in the order of `lockstep`, so that both give the 
 """
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.feedforward import Feedforward
@@ -74,6 +76,7 @@ class Simulation:
         self,
         progress: Callable[[float], None] = lambda fraction: None,
         observe: Callable[[Sample, Truth, Sequence[float], Command, float], None] | None = None,
+        paces: Mapping[int, Pace] = MappingProxyType({}),
     ) -> StrokeRecord:
         """Run the cycle once, from where the last one ended.
 
@@ -81,6 +84,7 @@ class Simulation:
             progress: called now and then with the fraction that is done.
             observe: called with each sample, its truth, its reference, the answer, and the age in s of the reference
                 that the answer was computed from.
+            paces: asked of the motion after the samples of these numbers; the run then ends with the motion.
         """
         hardware, pairing = self._hardware, self._pairing
         step, reference_at = self._servo.step, self._feedforward.step
@@ -93,8 +97,8 @@ class Simulation:
             hardware.enable()
             hardware.start(0)
         hardware.move(self._trajectory, begin_ns + self._start_ns)
-        self._begin_ns += count * period_ns
-        for index in range(count):
+        index = -1
+        while (index := index + 1) < count or (paces and hardware.motion.lasts(period_ns)):
             sample, truth = hardware.read(begin_ns + index * period_ns)[-1]
             reference = reference_at(sample.stamp_ns, sample.x)
             pairing.add_reference(sample.stamp_ns, reference)
@@ -106,9 +110,15 @@ class Simulation:
             rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
             if observe is not None:
                 observe(sample, truth, reference, command, age_ns * 1e-9)
+            if index in paces:
+                hardware.pace(paces[index])
+            if self._learning is not None:
+                self._learning.cut = hardware.motion.cut
             if index % _PROGRESS_EVERY == 0:
-                progress(index / count)
+                progress(min(index / count, 1.0))
         progress(1.0)
+        count = index
+        self._begin_ns += count * period_ns
         columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(count, -1).T.copy(), strict=True))
         return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self.law, **columns)
 

@@ -43,6 +43,10 @@ _STATUS = {
     "Commissioning": Value(
         T.String, "What commissioning is doing; empty: no cycle is refused for it", lambda s: s.seen.commissioning
     ),
+    "StageState": Value(
+        T.String, "Motion of the stage: rest, moving, stopping, held; pauses are moving", lambda s: s.seen.stage
+    ),
+    "Override": Value(T.Double, "Speed of the stage's motions in % of theirs", lambda s: 100.0 * s.seen.override),
     "FaultCode": Value(T.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code),
     "AmplifierOn": Value(T.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }
@@ -70,18 +74,22 @@ LIMITS: Mapping[str, tuple[str, str]] = {
 _METHODS: Mapping[Command | Order, str] = {
     Command.RESET: "Bring all nodes up; to Idle",
     Command.START: "Amplifier on, so many strokes; 0: compensate until Complete, others move the stage",
-    Command.STOP: "End at the end of the present movement, amplifier off; to Stopped",
-    Command.HOLD: "Rest at the end of the present movement, amplifier on; to Held",
-    Command.UNHOLD: "Go on",
+    Command.STOP: "Bring the stage to rest within its limits and end there, amplifier off; to Stopped",
+    Command.HOLD: "Bring the stage to rest within its limits, amplifier on; to Held",
+    Command.UNHOLD: "Go on with the same movement",
     Command.ABORT: "Amplifier off at once; to Aborted",
     Command.CLEAR: "Reset faults; to Stopped",
     Command.COMPLETE: "End at the end of the present movement, amplifier off; to Complete",
     Order.RELOAD_MAP: "Read the map's file again; the reference goes over to it without a bump",
     Order.CENTER: "Reference to the middle of the travel, or back to the map, without a bump; Reset takes it back too",
+    Order.OVERRIDE: "Speed of the stage, of the present movement too; it changes its speed within its limits",
+    Order.JOG: "Move the stage from where it stands; in Execute with 0 strokes",
 }
 _ARGUMENTS: Mapping[Command | Order, tuple[str, ua.VariantType, str]] = {
     Command.START: ("Strokes", T.UInt32, "Forward and back; 0: until Complete"),
     Order.CENTER: ("Middle", T.Boolean, "false: back to the map"),
+    Order.OVERRIDE: ("Percent", T.UInt32, "0 to 100 % of the speed of its motions; 0: it stands"),
+    Order.JOG: ("Micrometres", T.Int32, "Distance; negative: backward"),
 }
 """Of the methods that take one: name, type and meaning."""
 

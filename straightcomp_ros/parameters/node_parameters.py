@@ -28,7 +28,7 @@ class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
     # Here and below: parameters and groups that may be changed while the node is configured.
-    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit", "watch.travel")
+    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit", "watch.travel", "override")
 
     autostart: bool = _autostart()
     stage: StageParameters = group(StageParameters)
@@ -37,6 +37,11 @@ class DriverNodeParameters:
     )
     lockstep: bool = parameter(
         False, "Advance the simulated machine only when the command for its last sample has arrived, not in real time"
+    )
+    override: float = parameter(
+        1.0,
+        "Fraction of the speed of the stage's motions, also of the present one: it changes its speed within its limits",
+        "[0, 1]",
     )
     simulated: SimulatedParameters = group(SimulatedParameters, "Simulated board")
     can: CanParameters = group(CanParameters, "CAN board")

@@ -148,7 +148,6 @@ class Lockstep:
     ) -> None:
         self.delay_ns = round(delay * period_ns)
         self._hardware, self._period_ns, self._publish = hardware, period_ns, publish
-        self._end_ns = 0
         self._pending: tuple[Sample, Truth | None] | None = None
         self._repeat = False
         node.create_timer(_REPEAT_AFTER_S, self._repeat_pending)
@@ -163,7 +162,6 @@ class Lockstep:
             raise HardwareError("in lockstep a trajectory runs to its end before the next may start")
         self._hardware.start(now_ns)
         self._hardware.move(trajectory, now_ns)
-        self._end_ns = now_ns + trajectory.end_ns
         self._take(now_ns)
 
     def awaits(self, stamp_ns: int) -> bool:
@@ -174,7 +172,7 @@ class Lockstep:
         """Apply the command for the last sample, of ``stamp_ns``, after the delay, and take the next sample."""
         self._hardware.write(current, stamp_ns + self.delay_ns)
         self._pending = None
-        if stamp_ns + self._period_ns < self._end_ns:
+        if self._hardware.motion.lasts(self._period_ns):
             self._take(stamp_ns + self._period_ns)
 
     def _take(self, at_ns: int) -> None:

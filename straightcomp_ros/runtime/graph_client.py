@@ -18,8 +18,9 @@ from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
@@ -36,6 +37,7 @@ from straightcomp_ros.contract import (
     POSITION,
     SAFETY_STATE,
     STAGE,
+    STAGE_STATE,
     STAGE_TRAJECTORY,
     UNCONNECTED,
     Stream,
@@ -45,6 +47,7 @@ from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, count, reporting_node
 
@@ -147,6 +150,10 @@ class GraphClient:
         self._reset = self.service(Trigger, "driver/reset_fault")
         self._reload_map = self.service(Trigger, "feedforward/reload_map")
         self._center = self.service(SetBool, "feedforward/center")
+        self._hold = self.service(SetBool, "driver/hold")
+        self._end_motion = self.service(Trigger, "driver/end_motion")
+        self._set_driver = self.service(SetParameters, "driver/set_parameters")
+        self.stage = StageState()
         self._change_state = {name: self.service(ChangeState, f"{name}/change_state") for name in names}
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self._heartbeats = Heartbeats(node, names, silent_after)
@@ -158,6 +165,7 @@ class GraphClient:
         self._queues |= {stream: self.streams.batches(stream) for stream in batches}
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        node.create_subscription(DiagnosticStatus, STAGE_STATE, self._on_stage_state, LATCHED)
         self._strokes = StrokeErrors()
         self._newest = Observation()
         self._last_came = math.inf if patient else -math.inf
@@ -236,6 +244,24 @@ class GraphClient:
         """Move the stage along ``waypoints``, from now."""
         self._trajectory.publish(message_from_waypoints(waypoints))
 
+    def hold(self, on: bool, then: Answer = _ignored) -> None:
+        self._hold.ask(SetBool.Request(data=on), then)
+
+    def end_motion(self, then: Answer = _ignored) -> None:
+        self._end_motion.ask(Trigger.Request(), then)
+
+    def override(self, fraction: float, then: Answer = _ignored) -> None:
+        if not self._set_driver.ready:
+            then("the driver's parameters are not available")
+            return
+        asked = Parameter("override", value=fraction).to_parameter_msg()
+
+        def answered(response: SetParameters.Response) -> None:
+            (result,) = response.results
+            then("" if result.successful else result.reason or "refused")
+
+        self._set_driver.call(SetParameters.Request(parameters=[asked]), answered)
+
     def expect_samples(self) -> None:
         """Count the absence of a first sample as silence from now on."""
         self._last_came = min(self._last_came, time.monotonic())
@@ -287,6 +313,9 @@ class GraphClient:
             fresh=fresh,
             commissioning=self.commissioning.doing or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
             amplifier_on=fresh and self.safety.amplifier_on,
+            stage=self.stage.condition,
+            override=self.stage.override,
+            behind_ns=self.stage.behind_ns,
             still=self._strokes.still,
             stroke_error_pp=self._strokes.last_pp,
             samples=count(controller, SAMPLES),
@@ -310,6 +339,9 @@ class GraphClient:
             if name in NODE_PARAMETERS:
                 error = status.message[:LONGEST_REASON] if status.level == DiagnosticStatus.ERROR else None
                 self._reports[name] = (time.monotonic(), error, {value.key: value.value for value in status.values})
+
+    def _on_stage_state(self, message: DiagnosticStatus) -> None:
+        self.stage = StageState.of(message)
 
     def _look(self) -> None:
         here = self.node.get_namespace()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from straightcomp_ros.hardware.interface import Sample
-from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.paced_motion import PacedMotion
 from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters
@@ -130,26 +130,22 @@ class StageWatch:
 
     def __init__(self, parameters: WatchParameters) -> None:
         self._distance = parameters.follow_distance
-        self._trajectory: Trajectory | None = None
+        self._number = 0
 
-    def follow(self, trajectory: Trajectory, start_ns: int, x: float) -> None:
-        """The stage at ``x`` (m) starts along a trajectory."""
-        self._trajectory, self._start_ns = trajectory, start_ns
-        self._x, self._stamp_ns, self._moved = x, start_ns, False
-
-    def check(self, stamp_ns: int, x: float) -> Finding | None:
-        """The fault of a sample's x, if any."""
-        if self._trajectory is None:
+    def check(self, stamp_ns: int, x: float, motion: PacedMotion) -> Finding | None:
+        """The fault of a sample's x, if any; ``motion`` is that of the stage."""
+        if not motion.number:
             return None
-        if x != self._x:
-            self._x, self._stamp_ns, self._moved = x, stamp_ns, True
-            return None
-        before, now = (self._trajectory.position(time - self._start_ns) for time in (self._stamp_ns, stamp_ns))
-        if not self._moved or abs(now - before) <= self._distance:
+        expected = motion.position(stamp_ns)
+        if motion.number != self._number:
+            self._number, self._x, self._expected, self._moved = motion.number, x, expected, False
+        elif x != self._x:
+            self._x, self._expected, self._moved = x, expected, True
+        way = expected - self._expected
+        if not self._moved or abs(way) <= self._distance:
             return None
         self._moved = False
-        expected = f"the stage was to move by {(now - before) * 1e3:+.1f} mm meanwhile"
-        return Fault.X_FROZEN, f"x stays at {x * 1e3:.4f} mm; {expected}"
+        return Fault.X_FROZEN, f"x stays at {x * 1e3:.4f} mm; the stage was to move by {way * 1e3:+.1f} mm meanwhile"
 
 
 class ClockWatch:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
-from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.model.motion import MotionParameters, Trajectory
+from straightcomp_ros.model.paced_motion import PacedMotion
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
 TICK_S = 0.05
@@ -26,6 +27,7 @@ class Bench:
         self.moves, self.requests = [], []
         self.answers, self.centred, self.centerings = [], True, []
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
+        self.motion = PacedMotion(MOTION)
         self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now, **options)
 
     def see(self, **changes):
@@ -49,6 +51,17 @@ class Bench:
     def move(self, waypoints):
         assert waypoints[0].position == self.seen.x
         self.moves.append((self.now + waypoints[-1].time_ns * 1e-9, waypoints[-1].position))
+        self.motion.begin(Trajectory(waypoints), round(self.now * 1e9))
+
+    def hold(self, on):
+        self.motion.ask(self.motion.pace._replace(hold=on))
+
+    def end_motion(self):
+        self.motion.ask(self.motion.pace._replace(end=True))
+
+    def override(self, fraction, then):
+        self.motion.ask(self.motion.pace._replace(override=fraction))
+        then("")
 
     def reload_map(self, then):
         self.answers.append(then)
@@ -61,19 +74,20 @@ class Bench:
         else:
             self.answers.append(then)
 
-    def ordered(self, order, middle=False, refusal=""):
+    def ordered(self, order, argument=0, refusal=""):
         """Whether an order was accepted here, and then by the node unless that gives a ``refusal``."""
         got = []
-        self.sequence.order(order, middle, got.append)
+        self.sequence.order(order, argument, got.append)
         if not got:
             self.answers.pop()(refusal)
         return got == [""]
 
     def tick(self):
         self.now += TICK_S
-        end, goal = self.moves[-1] if self.moves else (0.0, self.seen.x)
-        still = self.now >= end
-        self.see(stamp_ns=round(self.now * 1e9), x=goal if still else self.seen.x, still=still)
+        now_ns = round(self.now * 1e9)
+        x, motion = self.motion.position(now_ns), self.motion
+        self.see(stamp_ns=now_ns, x=x, still=abs(x - self.seen.x) < 5e-5, stage=motion.condition)
+        self.see(behind_ns=motion.behind_ns, override=motion.pace.override)
         self.sequence.tick(self.seen)
 
     def ticks(self, count):
@@ -122,22 +136,53 @@ def test_a_cycle_runs_as_many_strokes_as_are_allowed_forward_and_back_and_ends_w
     assert bench.sequence.movements.strokes_done == 2 and not bench.seen.amplifier_on
 
 
-def test_hold_rests_at_the_end_of_the_movement_and_unhold_goes_on_with_the_next():
-    bench = started(1)
-    bench.tick()
-    bench.give(Command.HOLD, State.HELD)
-    assert len(bench.moves) == 1 and bench.seen.x == 0.1 and bench.seen.amplifier_on
-    bench.give(Command.UNHOLD, State.COMPLETE)
-    assert len(bench.moves) == 2
+@pytest.mark.parametrize("as_one", [False, True])
+def test_hold_rests_in_mid_movement_with_the_amplifier_on_and_unhold_goes_on_with_the_same_one(as_one):
+    bench = started(1, as_one=as_one)
+    bench.ticks(12)
+    way = bench.give(Command.HOLD, State.HELD)
+    assert way == [State.HOLDING, State.HELD] and len(bench.moves) == 1
+    assert 0.005 < bench.seen.x < 0.095 and bench.seen.amplifier_on and bench.seen.stage == "held"
+    stands = bench.seen.x
+    bench.ticks(400)
+    assert bench.seen.x == stands and bench.sequence.state is State.HELD
+    way = bench.give(Command.UNHOLD, State.COMPLETE)
+    assert way == [State.UNHOLDING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
+    assert len(bench.moves) == (1 if as_one else 2) and bench.seen.x == pytest.approx(0.0, abs=1e-9)
 
 
-def test_stop_lets_the_movement_end_and_abort_does_not():
-    for command, state, arrived in ((Command.STOP, State.STOPPED, True), (Command.ABORT, State.ABORTED, False)):
-        bench = started(3)
-        bench.tick()
+def test_stop_and_abort_end_the_movement_where_it_can_rest_or_leave_it_and_the_next_cycle_begins_there():
+    for command, state, stands in ((Command.STOP, State.STOPPED, True), (Command.ABORT, State.ABORTED, False)):
+        bench = started(3, as_one=True)
+        bench.ticks(12)
         assert not bench.sequence.command(command)
         bench.until(state)
-        assert (bench.seen.x == 0.1) is arrived and not bench.seen.amplifier_on
+        assert (bench.seen.stage == "rest") is stands and not bench.seen.amplifier_on
+        if stands:
+            assert 0.005 < bench.seen.x < 0.095
+            bench.idle()
+            bench.give(Command.START, State.COMPLETE, 1)
+            assert bench.seen.x == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_slower_movement_is_awaited_however_long_it_takes_and_one_that_is_held_for_an_hour():
+    bench = started(1)
+    assert bench.ordered(Order.OVERRIDE, 5) and bench.motion.pace.override == 0.05
+    bench.until(State.COMPLETE, 120.0)
+    assert len(bench.moves) == 2
+    assert not bench.ordered(Order.OVERRIDE, 101) and "0 to 100 %" in bench.sequence.message
+
+
+def test_a_jog_moves_the_stage_while_the_platform_is_compensated_and_no_stroke_runs():
+    bench = started(1)
+    assert not bench.ordered(Order.JOG, 100) and "0 strokes" in bench.sequence.message
+    bench = started(0)
+    assert bench.ordered(Order.JOG, -1000)
+    bench.tick()
+    assert not bench.ordered(Order.JOG, 100) and "moves" in bench.sequence.message
+    bench.ticks(20)
+    assert bench.seen.x == pytest.approx(-1e-3, abs=1e-9)
+    assert not bench.ordered(Order.JOG, 0) and "allowed" in bench.sequence.message
 
 
 @pytest.mark.parametrize(
@@ -200,11 +245,11 @@ def test_faults_of_a_graph_that_others_run_change_nothing_while_stopped():
 
 
 def test_orders_are_accepted_where_the_nodes_work_and_nothing_else_is_under_way():
-    for order in Order:
+    for order in (Order.RELOAD_MAP, Order.CENTER, Order.OVERRIDE):
         for state in State:
             bench = Bench()
             bench.sequence.state = state
-            assert bench.ordered(order, middle=True) is (state in ORDERED_IN)
+            assert bench.ordered(order, 1) is (state in ORDERED_IN)
             assert bench.sequence.state is state
             if state not in ORDERED_IN:
                 assert "accepted in: Idle, Execute, Held, Complete" in bench.sequence.message
@@ -213,7 +258,7 @@ def test_orders_are_accepted_where_the_nodes_work_and_nothing_else_is_under_way(
 def test_what_a_node_refuses_is_said_and_changes_nothing():
     bench = Bench()
     bench.sequence.state = State.IDLE
-    assert not bench.ordered(Order.CENTER, middle=True, refusal="not finished")
+    assert not bench.ordered(Order.CENTER, 1, refusal="not finished")
     assert bench.sequence.message == "not finished" and not bench.sequence.centred
     assert not bench.ordered(Order.RELOAD_MAP, refusal="no such file")
     assert bench.sequence.message == "no such file"
@@ -221,15 +266,15 @@ def test_what_a_node_refuses_is_said_and_changes_nothing():
 
 def test_with_the_reference_in_the_middle_no_stroke_begins_until_it_is_back():
     bench = started(2)
-    assert not bench.ordered(Order.CENTER, middle=True)
+    assert not bench.ordered(Order.CENTER, 1)
     assert "while strokes are run" in bench.sequence.message
     bench.sequence.command(Command.HOLD)
     bench.until(State.HELD)
-    assert bench.ordered(Order.CENTER, middle=True) and bench.sequence.centred
+    assert bench.ordered(Order.CENTER, 1) and bench.sequence.centred
     assert "Center(false)" in bench.sequence.command(Command.UNHOLD) and bench.sequence.state is State.HELD
-    assert bench.ordered(Order.CENTER, middle=False) and not bench.sequence.command(Command.UNHOLD)
+    assert bench.ordered(Order.CENTER, 0) and not bench.sequence.command(Command.UNHOLD)
     bench.until(State.COMPLETE)
-    assert bench.ordered(Order.CENTER, middle=True)
+    assert bench.ordered(Order.CENTER, 1)
     bench.idle()
     assert not bench.sequence.centred and not bench.centred
     # Nor does one begin before the answer; with 0 strokes it compensates until Complete.

@@ -14,8 +14,11 @@ from straightcomp_ros.model.motion import (
     Waypoint,
     cycles,
     forward_and_back,
+    goals,
+    move,
     trapezoid,
 )
+from straightcomp_ros.parameters.declaration import ParameterError
 
 MOTION = MotionParameters()
 CYCLE = Trajectory(forward_and_back(MOTION))
@@ -130,3 +133,37 @@ def test_the_limits_hold_the_described_strokes_and_the_guide():
     motion = MotionParameters(start=-0.5, stroke=1.0, speed=0.3, acceleration=0.2, highest_speed=2.0)
     assert StageLimits.of(motion, -0.1, 0.9) == StageLimits(-0.5, 0.9, 2.0, 2.0)
     StageLimits.of(motion, 0.0, 0.0).check(Trajectory(cycles(motion, 1000)))
+
+
+@given(st.floats(1e-4, 1.4), st.floats(0.001, 4 / 3), st.floats(0.01, 2.0), st.floats(1e-3, 0.1), st.booleans())
+def test_an_s_curve_keeps_speed_acceleration_and_jerk_and_arrives_at_rest(distance, speed, acceleration, build, back):
+    goal = -distance if back else distance
+    first, limits = Waypoint(7, 0.0, 0.0), StageLimits(-1.5, 1.5, speed * 1.001, acceleration * 1.001)
+    trajectory = Trajectory([first, *move(first, goal, speed, acceleration, acceleration / build)])
+    limits.check(trajectory)
+    assert trajectory.position(trajectory.end_ns) == goal
+    # Between the corners the acceleration is a straight line, and it has no steps.
+    inner = trajectory.times[1:-1].tolist()
+    steps = [trajectory.rates(at)[1] - trajectory.rates(at - 1e-3)[1] for at in inner]
+    assert np.abs(steps).max() < 1e-3 * acceleration
+    slopes = np.diff([trajectory.rates(at)[1] for at in trajectory.times.tolist()]) / (np.diff(trajectory.times) * 1e-9)
+    assert np.abs(slopes).max() < 1.001 * acceleration / build
+
+
+def test_a_cycle_goes_to_equal_steps_or_to_the_positions_of_a_file_and_back_to_its_start(tmp_path):
+    steps = MotionParameters(start=0.1, stroke=-0.09, steps=3)
+    assert goals(steps) == pytest.approx([0.07, 0.04, 0.01, 0.1])
+    cycle = Trajectory(forward_and_back(steps))
+    rests = [point.position for point in cycle.waypoints if point.velocity == 0.0]
+    assert rests == pytest.approx([0.1, 0.1, 0.07, 0.07, 0.04, 0.04, 0.01, 0.01, 0.1, 0.1])
+    file = tmp_path / "positions.txt"
+    file.write_text("0.2  # first\n\n-0.01\n")
+    assert goals(MotionParameters(file=str(file))) == [0.2, -0.01, 0.0]
+    for text, words in (("", "0 positions; allowed: 1 to 1000"), ("0.1\nzwei", "line 2: 'zwei'"), ("nan", "line 1")):
+        file.write_text(text)
+        with pytest.raises(ParameterError, match=f"stage.motion.file.*{words}"):
+            goals(MotionParameters(file=str(file)))
+    with pytest.raises(ParameterError, match="nowhere.*cannot be read"):
+        goals(MotionParameters(file="nowhere"))
+    with pytest.raises(ParameterError, match="stroke"):
+        MotionParameters(stroke=0.0)

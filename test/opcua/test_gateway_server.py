@@ -100,7 +100,7 @@ def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(plain):
     results = probed("shapes", plain.url)
     assert results.pop("Start 4294967295") == "done"
     kinds = {"BadInvalidArgument", "BadTooManyArguments", "BadArgumentsMissing"}
-    assert len(results) == 110 and set(results.values()) <= kinds, results
+    assert len(results) == 132 and set(results.values()) <= kinds, results
     assert plain.commands == [(Command.START, 2**32 - 1)]
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import (
@@ -137,11 +138,11 @@ def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
 
 
 def follow(positions, start_ns=0):
-    """The stage's watch, and its findings by the time in ns since the trajectory began."""
-    stage = StageWatch(WatchParameters())
-    stage.follow(TRAJECTORY, start_ns, 0.0)
-    findings = {at_ns: stage.check(start_ns + at_ns, x) for at_ns, x in positions.items()}
-    return stage, {at_ns: finding for at_ns, finding in findings.items() if finding}
+    """The stage's watch and motion, and the findings by the time in ns since the trajectory began."""
+    stage, motion = StageWatch(WatchParameters()), PacedMotion(MotionParameters())
+    motion.begin(TRAJECTORY, start_ns)
+    findings = {at_ns: stage.check(start_ns + at_ns, x, motion) for at_ns, x in positions.items()}
+    return stage, motion, {at_ns: finding for at_ns, finding in findings.items() if finding}
 
 
 TIMES = range(0, TRAJECTORY.end_ns + SECOND, 50_000_000)
@@ -149,10 +150,10 @@ TIMES = range(0, TRAJECTORY.end_ns + SECOND, 50_000_000)
 
 @pytest.mark.parametrize("start_ns", [0, 10**18])
 def test_x_that_stays_while_the_stage_is_to_move_is_frozen_once(start_ns):
-    assert StageWatch(WatchParameters()).check(start_ns, 0.0) is None
-    assert not follow({at_ns: TRAJECTORY.position(at_ns) for at_ns in TIMES}, start_ns)[1]
+    assert StageWatch(WatchParameters()).check(start_ns, 0.0, PacedMotion(MotionParameters())) is None
+    assert not follow({at_ns: TRAJECTORY.position(at_ns) for at_ns in TIMES}, start_ns)[2]
     stuck = TRAJECTORY.position(2 * SECOND)
-    _, found = follow(
+    *_, found = follow(
         {at_ns: min(TRAJECTORY.position(at_ns), stuck) for at_ns in TIMES if at_ns < 4 * SECOND}, start_ns
     )
     ((at_ns, (fault, words)),) = found.items()
@@ -162,11 +163,24 @@ def test_x_that_stays_while_the_stage_is_to_move_is_frozen_once(start_ns):
 
 
 def test_a_stage_that_has_not_begun_to_move_along_this_trajectory_is_not_frozen():
-    stage, found = follow(dict.fromkeys(TIMES, 0.0))
+    stage, motion, found = follow(dict.fromkeys(TIMES, 0.0))
     assert not found
-    assert stage.check(1_500_000_000, 0.025) is None
-    stage.follow(TRAJECTORY, 0, 0.025)
-    assert stage.check(3 * SECOND, 0.025) is None
+    end_ns = TIMES[-1] + SECOND
+    assert stage.check(end_ns, 0.025, motion) is None
+    motion.begin(TRAJECTORY, end_ns)
+    assert all(stage.check(end_ns + at_ns, 0.025, motion) is None for at_ns in (0, 3 * SECOND))
+
+
+def test_a_stage_that_is_held_may_stand_still():
+    for held in (True, False):
+        watch, motion = StageWatch(WatchParameters()), PacedMotion(MotionParameters())
+        motion.begin(TRAJECTORY, 0)
+        where = [motion.position(at_ns) for at_ns in TIMES if at_ns <= 3 * SECOND]
+        assert not any(watch.check(at_ns, x, motion) for at_ns, x in zip(TIMES, where))
+        motion.ask(Pace(hold=held))
+        stands = motion.position(5 * SECOND) if held else where[-1]
+        found = [watch.check(at_ns, stands, motion) for at_ns in range(5 * SECOND, 8 * SECOND, 50_000_000)]
+        assert any(found) is not held
 
 
 class Clocks:

@@ -1,7 +1,7 @@
 """The board on CAN behind the hardware interface: handshake, monitoring, latched faults."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -11,6 +11,7 @@ from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters
 
@@ -45,6 +46,7 @@ class CanHardware(Hardware):
     ) -> None:
         self._parameters = parameters
         self._clock = clock
+        self._stage, self.motion = stage.motion, PacedMotion(stage.motion)
         self._receiver = Receiver(parameters, stage)
         self._wire = wire = self._receiver.wire
         self._stage_frames = EmulatorFrames(parameters.node, wire) if parameters.simulated_stage else None
@@ -115,11 +117,29 @@ class CanHardware(Hardware):
             self._send(self._newest_number)
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
+        frames = self._frames_for_stage()
+        begun = PacedMotion(self._stage, trajectory.position(0))
+        self._send_to_stage(frames.stage_payloads(trajectory.waypoints))
+        # Where the emulator's stage stands it knows itself.
+        begun.ask(self.motion.pace)
+        begun.begin(trajectory, start_ns)
+        begun.number += self.motion.number
+        self.motion = begun
+
+    def pace(self, pace: Pace) -> None:
+        self._send_to_stage([self._frames_for_stage().pace_payload(pace)])
+        self.motion.position(self._clock())
+        self.motion.ask(pace)
+
+    def _frames_for_stage(self) -> EmulatorFrames:
         if self._stage_frames is None:
             raise HardwareError("the stage takes no orders over CAN; 'can.simulated_stage' is for the emulator's")
-        for identifier, payload in self._stage_frames.stage_payloads(trajectory.waypoints):
+        return self._stage_frames
+
+    def _send_to_stage(self, frames: Iterable[tuple[int, bytes]]) -> None:
+        for identifier, payload in frames:
             if not self._link.send(identifier, payload, fd=False):
-                raise HardwareError(f"stage trajectory was not sent: {self._link.problem or 'transmit queue full'}")
+                raise HardwareError(f"the stage's frames were not sent: {self._link.problem or 'transmit queue full'}")
 
     def close(self) -> None:
         super().close()

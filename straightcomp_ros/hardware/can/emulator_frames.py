@@ -5,6 +5,7 @@ last frame with a checksum starts the motion. These are classic frames on either
 comes right before it, on CAN FD only: it fills the longest frame there is. config/emulator.dbc describes them.
 """
 
+import struct
 import zlib
 from collections.abc import Sequence
 
@@ -13,6 +14,7 @@ from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, Dbc
 from straightcomp_ros.hardware.can.frames import FrameError, Frames
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.parameters.declaration import ParameterError
 
 FILE = "config/emulator.dbc"
@@ -30,7 +32,7 @@ class EmulatorFrames:
         dbc = Dbc(FILE)
         found: list[Frames] = []
         taken = {*wire.identifiers, *(frames.identifier for frames in wire.commands)}
-        for name in ("StageTime", "StageMotion", "StageStart", "Truth"):
+        for name in ("StageTime", "StageMotion", "StageStart", "StagePace", "Truth"):
             message = dbc.message(name)
             identifier = dbc.identifier(message, node)
             if identifier in taken:
@@ -41,9 +43,9 @@ class EmulatorFrames:
             signals = {signal.name: signal for signal in message.signals}
             physical = {name: 1.0 for name, signal in signals.items() if signal.unit}
             found.append(Frames(message, identifier, signals, physical))
-        self._time, self._motion, self._start, self._truth = found
-        self.stage = {frames.identifier: frames for frames in found[:3]}
-        """The frames of a trajectory, by identifier."""
+        self._time, self._motion, self._start, self._pace, self._truth = found
+        self.stage = {frames.identifier: frames for frames in found[:4]}
+        """The frames of a trajectory and of its pace, by identifier."""
         self.truth_id = self._truth.identifier
         crc = self._truth.fields["TruthCrc"]
         self._content = (crc.start + crc.length) // 8
@@ -69,6 +71,11 @@ class EmulatorFrames:
         seal = zlib.crc32(b"".join(payload for _, payload in frames))
         return [*frames, (self._start.identifier, self._start.pack((len(waypoints), seal)))]
 
+    def pace_payload(self, pace: Pace) -> tuple[int, bytes]:
+        """Identifier and payload of the frame that asks for a pace; it has its own checksum."""
+        numbers = pace.override, int(pace.hold), int(pace.end)
+        return self._pace.identifier, self._pace.pack((*numbers, _seal_of_pace(numbers)))
+
     def truth_payload(self, counter: int, truth: Truth) -> bytes:
         """The counter of the sample, CRC-32 of the rest with the counter as start value, and the truth."""
         pack = self._truth.pack
@@ -86,6 +93,11 @@ class EmulatorFrames:
         return counter, Truth(*numbers)
 
 
+def _seal_of_pace(numbers: tuple[float, int, int]) -> int:
+    override, hold, end = numbers
+    return zlib.crc32(struct.pack("<IBB", round(override * 1e4), hold, end))
+
+
 class StageReceiver:
     """Collects the frames of :meth:`EmulatorFrames.stage_payloads` on the simulated machine's side."""
 
@@ -94,16 +106,23 @@ class StageReceiver:
 
     def __init__(self, frames: EmulatorFrames) -> None:
         self._frames = frames.stage
+        self._pace_id = frames.pace_payload(Pace())[0]
         self._points = self._empty()
 
     def _empty(self) -> dict[int, dict[int, tuple[bytes, tuple[int | float, ...]]]]:
         """Payload and values of times and motions by their numbers."""
-        time_id, motion_id, _ = self._frames
+        time_id, motion_id, *_ = self._frames
         return {time_id: {}, motion_id: {}}
 
     def obey(self, identifier: int, payload: bytes, machine: Hardware, at_ns: int) -> None:
         """Take one frame, and move ``machine`` from ``at_ns`` on with the one that starts the motion."""
         try:
+            if identifier == self._pace_id and len(payload) == self._frames[identifier].size:
+                override, hold, end, seal = self._frames[identifier].unpack(payload)
+                if seal != _seal_of_pace((override, int(hold), int(end))):
+                    raise HardwareError("the frame of a pace is damaged")
+                machine.pace(Pace(float(override), bool(hold), bool(end)))
+                return
             trajectory = self.add(identifier, payload)
             if trajectory is not None:
                 machine.move(trajectory, at_ns)

@@ -173,7 +173,7 @@ def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):
     assert all(abs(step - PERIOD) < 100 for step in steps)
     assert world.host.newest_arrival_ns == world.now + 100_000
     truth = world.board.machine
-    assert world.samples[-1].x == pytest.approx(truth._stage_position(world.now), abs=6e-8)
+    assert world.samples[-1].x == pytest.approx(truth.motion.position(world.now), abs=6e-8)
     assert world.samples[-1].x > 1e-4
 
 
