@@ -99,9 +99,9 @@ CLOCK = "/clock"
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: requested motion of the stage (joint `stage_x`)."""
 STAGE_STATE = "stage_state"
-"""diagnostic_msgs/DiagnosticStatus, latched, from the driver at each change: the condition of the stage's motion as name
-(rest, moving, stopping, held); values `override`, `behind_ns` (how far the motion is behind its trajectory), and `cut`
-(whether it had another pace than 1 since it began)."""
+"""diagnostic_msgs/DiagnosticStatus, latched, from the driver at each change: the condition of the stage's motion as
+name (rest, moving, stopping, held); values `override`, `behind_ns` (how far the motion is behind its trajectory), `cut`
+(whether it had another pace than 1 since it began) and `number` (motions begun)."""
 DIAGNOSTICS = "/diagnostics"
 """diagnostic_msgs/DiagnosticArray, 1 Hz, from each node in any namespace; a status is named ``namespace/node``."""
 UNCONNECTED = "unconnected"

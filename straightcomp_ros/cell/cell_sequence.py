@@ -189,8 +189,8 @@ class CellSequence:
         """Request another reference, or another motion of the stage.
 
         ``argument`` is with Center whether it is the reference of the middle of the travel (1) or of the map (0), with
-        Override the speed in %, and with Jog the distance in µm. ``then`` is called with the reason for a refusal, or an
-        empty text, now or when the node has answered.
+        Override the speed in %, and with Jog the distance in µm. ``then`` is called with the reason for a refusal, or
+        an empty text, now or when the node has answered.
         """
         middle = bool(argument) and order is Order.CENTER
         reason = refusal(order, self.state) or self._order_refusal(order, argument)

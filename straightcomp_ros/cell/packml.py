@@ -82,7 +82,10 @@ FAILED: Mapping[State, State] = {
     # Resetting has switched nothing on: an amplifier that is on then is another client's.
     State.RESETTING: State.STOPPED,
     State.STARTING: State.STOPPING,
-    **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.UNHOLDING, State.COMPLETING, State.STOPPING), State.ABORTING),
+    **dict.fromkeys(
+        (State.CLEARING, State.EXECUTE, State.HOLDING, State.UNHOLDING, State.COMPLETING, State.STOPPING),
+        State.ABORTING,
+    ),
 }
 """The state that follows when a state's work fails."""
 

@@ -12,8 +12,8 @@ where T is unknown. γ falls as 1/(k + 2) with the updates k down to `gain`, whi
 (Saab, IEEE Trans. Automatic Control 46(6), 2001).
 
 Near rest, where the direction means nothing, the correction fades with the speed squared. A pass is not learned from if
-the amplifier was off, samples were missing, its beginning was not seen, or the stage's motion was cut short: held, ended
-or overridden. A pass that is cut short is corrected like any other: the reference keeps its rates.
+the amplifier was off, samples were missing, its beginning was not seen, or the stage's motion was cut short: held,
+ended or overridden. A pass that is cut short is corrected like any other: the reference keeps its rates.
 """
 
 import math

@@ -46,7 +46,9 @@ class MotionParameters:
 
     start: float = parameter(0.0, "Position at which the stroke starts", "[-100, 100] m")
     stroke: float = parameter(STROKE, "Length of the stroke; negative: backward first", "[-100, 100] m")
-    steps: int = parameter(1, "Number of equal steps of the stroke; the stage rests for 'pause' after each", "[1, 1000]")
+    steps: int = parameter(
+        1, "Number of equal steps of the stroke; the stage rests for 'pause' after each", "[1, 1000]"
+    )
     file: str = parameter(
         "", "File of positions that the stage goes to in turn, one number in m a line, in place of the stroke's"
     )
@@ -118,8 +120,8 @@ def move(start: Waypoint, goal: float, speed: float, acceleration: float, jerk: 
 
 
 def jog(motion: MotionParameters, start: float, distance: float) -> list[Waypoint]:
-    """Waypoints of a move at once by ``distance`` (m, either way) from ``start`` at rest, with the speed of strokes; for
-    a time t instead, ``distance`` is ± t times the speed."""
+    """Waypoints of a move at once by ``distance`` (m, either way) from ``start`` at rest, with the speed of strokes.
+    Instead of for a time t, move by t times the speed."""
     here = Waypoint(0, start, 0.0)
     return [here, *move(here, start + distance, motion.speed, motion.acceleration, motion.jerk)]
 

@@ -18,8 +18,8 @@ from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint
 _STEP_NS = 500_000
 """Longest step of the integration of u."""
 _BUILD_S = 0.01
-"""Time in s in which the acceleration of a stop builds up on a stage whose strokes have no limit of the jerk: a fifth of
-the 50 ms within which a stop is to end beyond v/A, since its acceleration changes by up to 2 A, and once more by A."""
+"""Time in s in which the acceleration of a stop builds up on a stage whose strokes have no limit of the jerk: a fifth
+of the 50 ms within which a stop is to end beyond v/A, since its acceleration changes by up to 2 A, and by A again."""
 _LEAST_SPEED = 1e-9
 """m/s, in place of zero as a divisor."""
 _RESERVE = 0.5
@@ -37,8 +37,8 @@ class Pace(NamedTuple):
 class PacedMotion:
     """A stage at rest at ``x`` (m) that takes trajectories; times in ns are of one clock and do not go back.
 
-    A motion is cut short from the first request for another pace until it ends; what is learned from one that has always
-    had pace 1 is not learned from it.
+    A motion is cut short from the first request for another pace until it ends. What is to be learned from the error of
+    strokes is not learned from it.
 
     Attributes:
         pace: as asked for last; ``end`` is done, and ``hold`` with it, once the stage stands.

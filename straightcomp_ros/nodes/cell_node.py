@@ -59,14 +59,21 @@ class CellNode(Runnable):
             home=parameters.home,
             recoveries=parameters.recoveries,
         )
-        node.offer(SetBool, "~/hold", lambda on: self._obey(Command.HOLD if on else Command.UNHOLD))
-        node.offer(Trigger, "~/stop", lambda: self._obey(Command.STOP))
+        node.offer(SetBool, "~/hold", self._on_hold)
+        node.offer(Trigger, "~/stop", self._on_stop)
         self._failing = False
         self._steps = self._explained(self._cycle())
         node.create_timer(_TICK_S, self._tick)
 
+    def _on_hold(self, on: bool) -> str:
+        """Bring the stage to rest where it is, with the amplifier on, or let its cycle go on."""
+        return self._obey(Command.HOLD if on else Command.UNHOLD)
+
+    def _on_stop(self) -> str:
+        """Bring the stage to rest where it is, and end the cycle there, with the amplifier off."""
+        return self._obey(Command.STOP)
+
     def _obey(self, command: Command) -> str:
-        """Hold the cycle where the stage is, let it go on, or end it there: a service of this node."""
         if reason := self._sequence.command(command):
             raise Refused(reason)
         return f"command {name(command)}"

@@ -39,7 +39,6 @@ Answer = tuple[int, Command, float]
 """Stamp of the sample in ns, the law's command, age of the reference in s."""
 
 
-
 def _mark_cut(learning: Learning, message: DiagnosticStatus) -> None:
     learning.cut = StageState.of(message).cut
 

@@ -30,7 +30,12 @@ class StageState(NamedTuple):
         """Read a message; what it lacks, or has wrong, is as without a motion."""
         values = {value.key: value.value for value in message.values}
         try:
-            numbers = float(values["override"]), int(values["behind_ns"]), values["cut"] == "true", int(values["number"])
+            numbers = (
+                float(values["override"]),
+                int(values["behind_ns"]),
+                values["cut"] == "true",
+                int(values["number"]),
+            )
         except (KeyError, ValueError):
             return cls()
         return cls(message.name, *numbers)

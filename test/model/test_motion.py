@@ -163,7 +163,7 @@ def test_a_cycle_goes_to_equal_steps_or_to_the_positions_of_a_file_and_back_to_i
         file.write_text(text)
         with pytest.raises(ParameterError, match=f"stage.motion.file.*{words}"):
             goals(MotionParameters(file=str(file)))
-    with pytest.raises(ParameterError, match="nowhere.*cannot be read"):
+    with pytest.raises(ParameterError, match=r"nowhere.*cannot be read"):
         goals(MotionParameters(file="nowhere"))
     with pytest.raises(ParameterError, match="stroke"):
         MotionParameters(stroke=0.0)

@@ -94,7 +94,7 @@ def test_what_the_stage_does_is_said_and_a_moving_stage_takes_no_other_motion():
     motion = begun(MotionParameters(stroke=0.3))
     motion.position(2 * 10**9)
     assert motion.condition == "moving" and motion.moving and not motion.cut
-    with pytest.raises(ValueError, match="stands at|is moving"):
+    with pytest.raises(ValueError, match=r"stands at|is moving"):
         motion.begin(Trajectory(jog(MotionParameters(), motion.position(2 * 10**9), 0.1)), 2 * 10**9)
     motion.ask(HOLD)
     assert motion.condition == "stopping" and motion.cut

@@ -3,14 +3,18 @@
 import math
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from parameters_of_tests import FORGIVING
 from participant import Participant
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_STATE, STAGE_TRAJECTORY
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
-from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, jog
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
+from straightcomp_ros.runtime.safety_panel import LATCHED
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import StreamPublisher, subscribe
 from straightcomp_ros.safety.faults import Fault
 
@@ -108,6 +112,41 @@ def test_trajectories_that_no_stage_can_follow_are_refused_and_samples_still_com
     assert len({stamp_ns % 5_000_000 for stamp_ns, _ in peer.samples}) == 1
     peer.trajectory.publish(message_from_waypoints([rest, Waypoint(second, 1e-3, 0.0)]))
     peer.until(lambda: peer.samples[-1][1][0] == pytest.approx(1e-3))
+
+
+def test_a_motion_is_held_slowed_down_let_go_on_and_ended_with_the_amplifier_on(peer):
+    peer.switch_on()
+    states = []
+    peer.node.create_subscription(DiagnosticStatus, STAGE_STATE, lambda one: states.append(StageState.of(one)), LATCHED)
+
+    def x():
+        return peer.samples[-1][1][0]
+
+    def stands():
+        seen = len(peer.samples)
+        peer.until(lambda: len(peer.samples) > seen + 60)
+        return len({sample[0] for _, sample in peer.samples[-50:]}) == 1
+
+    def hold(on):
+        assert peer.call(SetBool, "driver/hold", SetBool.Request(data=on)).success
+
+    begin = x()
+    peer.trajectory.publish(message_from_waypoints(jog(MotionParameters(speed=0.05), begin, 0.05)))
+    peer.until(lambda: x() > begin + 0.01)
+    hold(True)
+    peer.until(lambda: states[-1].condition == "held")
+    assert stands() and begin + 0.01 < x() < begin + 0.05 and peer.amplifier_on()
+    assert peer.set("driver", {"override": 0.3}).successful
+    hold(False)
+    held = x()
+    peer.until(lambda: x() > held + 0.002)
+    assert states[-1].cut and states[-1].override == 0.3 and states[-1].behind_ns > 0
+    assert peer.trigger("driver/end_motion").success
+    peer.until(lambda: states[-1].condition == "rest")
+    assert stands() and held < x() < begin + 0.05 and peer.amplifier_on()
+    assert peer.set("driver", {"override": 1.0}).successful
+    peer.trajectory.publish(message_from_waypoints(jog(MotionParameters(), x(), -0.0001)))
+    peer.until(lambda: states[-1].condition == "rest" and not states[-1].cut)
 
 
 @pytest.mark.parametrize("switch_off", [lambda peer: peer.enable(False), Peer.trip], ids=["disable", "trip"])

@@ -86,6 +86,14 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     assert "call Center(false) first" in results["start in the middle"]
     assert all(words in results["reload of a spoilt file"] for words in ("BadInvalidState", "survey.csv"))
     assert results["state"] == "Idle"
+    # The map's file was spoilt for the next start alone.
+    found = probed("holds", survey)
+    state, stage, _, amplifier_on, x = found["held"]
+    assert (state, stage, amplifier_on) == ("Held", "held", True) and 0.004 < x < 0.02
+    begins = ["Resetting", "Idle", "Starting", "Execute", "Holding", "Held", "Unholding", "Execute"]
+    assert [name for name in begins if name in found["states"]] == begins
+    assert found["end"][0] == "Complete" and found["end"][2] == pytest.approx(30.0)
+    assert found["end"][4] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("words", [["--opcua", "--lockstep"], ["--strokes", "0"], ["--opcua", "--strokes", "0"]])

@@ -216,6 +216,38 @@ async def orders(url, map_file):
     return results
 
 
+async def holds(url, _):
+    """Runs a stroke at 10 % that it holds in mid-movement, and lets go on at 30 % to its end; what it saw."""
+    made, cell = await connected(url, *OPERATOR)
+    seen = []
+
+    async def until(state, *, x=None):
+        for _ in range(3000):
+            row = [await cell.read(f"Status.{name}") for name in ("StateName", "StageState", "Override", "AmplifierOn")]
+            row.append(await cell.read("Live.X"))
+            if row != (seen or [None])[-1]:
+                seen.append(row)
+            if row[0] == state and (x is None or row[4] > x):
+                return row
+            await asyncio.sleep(0.01)
+        raise CycleFailed(f"{state} never came: {seen[-1]}")
+
+    await cell.command(Command.RESET)
+    await until("Idle")
+    await cell.command(Order.OVERRIDE, 10)
+    await cell.command(Command.START, 1)
+    await until("Execute", x=0.004)
+    await cell.command(Command.HOLD)
+    await until("Held")
+    await asyncio.sleep(0.5)
+    held = await until("Held")
+    await cell.command(Order.OVERRIDE, 30)
+    await cell.command(Command.UNHOLD)
+    await until("Complete")
+    await made.disconnect()
+    return {"held": held, "states": list(dict.fromkeys(row[0] for row in seen)), "end": seen[-1]}
+
+
 async def storm(url, count):
     """Garbage, clients that ask as fast as they can and drop the connection after ten answers, and one that guesses.
 

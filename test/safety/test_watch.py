@@ -176,7 +176,7 @@ def test_a_stage_that_is_held_may_stand_still():
         watch, motion = StageWatch(WatchParameters()), PacedMotion(MotionParameters())
         motion.begin(TRAJECTORY, 0)
         where = [motion.position(at_ns) for at_ns in TIMES if at_ns <= 3 * SECOND]
-        assert not any(watch.check(at_ns, x, motion) for at_ns, x in zip(TIMES, where))
+        assert not any(watch.check(at_ns, x, motion) for at_ns, x in zip(TIMES, where, strict=False))
         motion.ask(Pace(hold=held))
         stands = motion.position(5 * SECOND) if held else where[-1]
         found = [watch.check(at_ns, stands, motion) for at_ns in range(5 * SECOND, 8 * SECOND, 50_000_000)]
