@@ -13,6 +13,7 @@ from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.metrics import LINES, MetricsError, evaluate, stroke_figures
+from straightcomp_ros.analysis.movements import standstill_figures
 from straightcomp_ros.analysis.record import Array, runs_of
 from straightcomp_ros.analysis.run_verdict import STILL, judged_run
 from straightcomp_ros.analysis.straightness_statement import statements
@@ -47,6 +48,7 @@ class Assessment:
         strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
         self.metrics = evaluate(record, reference)
         self.strokes = [stroke_figures(one, reference, direction) for one, direction in strokes]
+        self.standstills = standstill_figures(record, reference)
         self.straightness = [one.to_display() for one in statements(evaluation, sensor)]
         self.uncompensated = float(np.ptp(moving.r)) <= STILL
         # Of the compensation error as the encoder sees it, while the stage moves.
@@ -82,6 +84,13 @@ class Assessment:
             for name in (f"{when}_{line}" for when in ("before", "after") for line in LINES):
                 worst = max((getattr(stroke, name) for stroke in ours), default=None)
                 figures[f"straightness_{name}_{way}_um"] = None if worst is None else worst * 1e6
+        settling = [one.settling for one in self.standstills if one.settling is not None]
+        figures["settling_median_s"] = float(np.median(settling)) if settling else math.nan
+        # A movement that is never settled makes the worst unknown, and a limit of it fails.
+        figures["settling_max_s"] = float(np.max(settling)) if settling else math.nan
+        for name in ("standstill_pp", "reversal_pp"):
+            known = [value for one in self.standstills if (value := getattr(one, name)) is not None]
+            figures[f"{name}_um"] = max(known) * 1e6 if known else None
         for low, high in BANDS:
             figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = self.spectrum.band_rms(low, high) * 1e6
         for name, values in (("latency", evaluation.latency), ("lateness", evaluation.lateness)):
@@ -104,7 +113,10 @@ class Assessment:
             "law": self.record.law,
             **self.verdict._asdict(),
             **self.figures(),
-            "strokes": [stroke.to_display() for stroke in self.strokes],
+            "strokes": [
+                stroke.to_display() | after.to_display()
+                for stroke, after in zip(self.strokes, self.standstills, strict=True)
+            ],
             "straightness": self.straightness,
             "spectrum_peaks": [
                 {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}

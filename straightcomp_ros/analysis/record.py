@@ -21,8 +21,10 @@ MOVING = 0.5e-3
 """Speed in m/s from which the stage counts as moving: reached 2.5 ms after a start at 0.2 m/s²."""
 ARRIVED = 1e-6
 """Distance in m from a stroke's resting ends within which the stage counts as standing: above its jitter."""
-SHORTEST_STROKE = 1e-3
-"""Travel in m below which a movement is no stroke."""
+SHORTEST_STROKE = 0.05e-3
+"""Travel in m below which a movement is no stroke: half of the shortest jog."""
+_LEAST_JUMP = 1e-3
+"""Change of x from sample to sample, in m, below which it is no jump."""
 AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
 _FASTEST_CHANGE = 1000.0
@@ -200,7 +202,7 @@ def strokes_and_jumps(time: Array, x: Array) -> tuple[tuple[Stroke, ...], NDArra
     period = float(np.median(steps))
     regular = steps < 1.5 * period
     moves = np.where(regular, np.diff(x), 0.0)
-    allowed = max(SHORTEST_STROKE, _FASTEST_CHANGE * period**2)
+    allowed = max(_LEAST_JUMP, _FASTEST_CHANGE * period**2)
     change = np.abs(np.diff(moves)) > allowed
     # A jump changes the move twice: into it, and out of it.
     sudden = np.append(change, False) | np.append(False, change)

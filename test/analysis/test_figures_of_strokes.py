@@ -58,9 +58,9 @@ def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_
     assert figures.true_rms == pytest.approx(8e-6 * math.sqrt(8.0 / 15.0), rel=1e-2)
 
 
-def test_a_shift_of_less_than_a_millimetre_is_no_stroke_and_a_longer_one_is():
+def test_a_shift_of_less_than_half_a_jog_is_no_stroke_and_a_longer_one_is():
     time = np.arange(3000) * 1e-3
-    for length, found in ((0.9e-3, False), (1.2e-3, True), (-1.2e-3, True)):
+    for length, found in ((0.04e-3, False), (1.2e-3, True), (-0.11e-3, True)):
         x = length * np.clip((time - 1.0) / 0.2, 0.0, 1.0)
         if not found:
             with pytest.raises(MetricsError, match="does not move"):

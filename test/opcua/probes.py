@@ -232,7 +232,6 @@ async def holds(url, _):
             await asyncio.sleep(0.01)
         raise CycleFailed(f"{state} never came: {seen[-1]}")
 
-    await cell.command(Command.RESET)
     await until("Idle")
     await cell.command(Order.OVERRIDE, 10)
     await cell.command(Command.START, 1)

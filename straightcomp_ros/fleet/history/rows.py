@@ -83,6 +83,15 @@ class StrokeRow:
     after_least_squares_U_um: float | None = column("the same of after_least_squares_um", None)
     after_end_points_U_um: float | None = column("the same of after_end_points_um", None)
     after_minimum_zone_U_um: float | None = column("the same of after_minimum_zone_um", None)
+    settling_s: float | None = column(
+        "time from the stroke's end until the error stays within ±0.1 µm up to the next stroke; null if it does not",
+        None,
+    )
+    standstill_pp_um: float | None = column("error after that, or at rest where it does not settle, p-p", None)
+    standstill_rms_um: float | None = column("the same, RMS about zero", None)
+    reversal_pp_um: float | None = column(
+        "error in 0.1 s before and after the reversal that follows the stroke, p-p; null without one", None
+    )
     control_activity_A: float = column("Σ |Δi_c| of the commands")
     coil_work_A2s: float = column("∫ i_c² dt of the commands: heat in the coils for each ohm")
     friction_A: float | None = column("friction as current: half the hysteresis of the coil current over y")

@@ -21,6 +21,7 @@ from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import FOR_EVER, BagEvaluation, percentile_us, samples_taken
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, stroke_figures
+from straightcomp_ros.analysis.movements import standstill_figures
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run, recorded_drive
 from straightcomp_ros.analysis.straightness_statement import statements
@@ -98,8 +99,18 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
     for stated in statements(evaluation):
         name = f"{stated.when}_{stated.line}_U_um"
         uncertainties.setdefault(stated.direction, {})[name] = stated.expanded_uncertainty * 1e6
+    after: list[dict[str, Any]] = [
+        {name: None if value is None else _known(value) for name, value in one.to_display().items()}
+        for one in standstill_figures(record, record.reference)
+    ]
     rows = [
-        StrokeRow(**facts, stroke=number, **_columns(evaluation, *one), **uncertainties.get(one[0].direction, {}))
+        StrokeRow(
+            **facts,
+            stroke=number,
+            **_columns(evaluation, *one),
+            **uncertainties.get(one[0].direction, {}),
+            **after[number - 1],
+        )
         for number, one in enumerate(zip(strokes, times, until, strict=True), 1)
     ]
     return [replace(row, start=row.start + zero) for row in rows]
