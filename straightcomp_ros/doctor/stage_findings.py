@@ -13,6 +13,7 @@ from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Frames
+from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
@@ -60,7 +61,8 @@ class Consequences:
 
     def __init__(self, stage: StageParameters, control: ControlParameters, straightness: StraightnessMap) -> None:
         actuator, friction, motion, mass = stage.actuator, stage.friction, stage.motion, stage.platform.mass
-        x = motion.start + np.arange(0.0, motion.stroke + _GRID, _GRID)
+        low, high = reach(motion)
+        x = low + np.arange(0.0, high - low + _GRID, _GRID)
         r, slope, curvature = (float(np.abs(values).max()) for values in straightness.evaluate(x))
         self.current_stiffness = actuator.current_stiffness  # K̄_i, N/A, from (3)
         self.position_stiffness = actuator.position_stiffness  # K̄_y, N/m, from (3)
@@ -118,7 +120,7 @@ def _guide_findings(
     """Survey, travel and reference; ``bandwidth`` (Hz) is that of the feedforward's tracking filter."""
     motion, stop = stage.motion, stage.platform.stop
     first, last = straightness.span
-    start, end = motion.start, motion.start + motion.stroke
+    start, end = reach(motion)
     detail = (
         f"survey from {first * 1e3:.1f} to {last * 1e3:.1f} mm, strokes from {start * 1e3:.1f} to {end * 1e3:.1f} mm; "
         f"{straightness.noise}"
@@ -267,7 +269,7 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
     wire, motion, encoder, step = can.make_wire(), stage.motion, stage.encoder, stage.drive.current_step
     names = [frames.name for frames in (*wire.reports.values(), *wire.commands)]
     yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(names)}")
-    ends = motion.start, motion.start + motion.stroke
+    ends = reach(motion)
     stop, limit = stage.platform.stop, stage.actuator.current_limit
     yield _range("wire x", wire.sample, "x", ends, encoder.x_resolution, "m")
     yield _range("wire y", wire.homes["y"], "y", (-stop, stop), encoder.y_resolution, "m")

@@ -149,6 +149,12 @@ def goals(motion: MotionParameters) -> list[float]:
     return [*found, motion.start]
 
 
+def reach(motion: MotionParameters) -> tuple[float, float]:
+    """The least and the greatest position of a cycle in m. ParameterError as of :func:`goals`."""
+    found = goals(motion)
+    return min(found), max(found)
+
+
 def forward_and_back(motion: MotionParameters) -> list[Waypoint]:
     """Waypoints of one cycle, from time 0; it ends at rest where it began. ParameterError as of :func:`goals`."""
     points = [Waypoint(0, motion.start, 0.0)]
@@ -273,8 +279,8 @@ class StageLimits:
     @classmethod
     def of(cls, motion: MotionParameters, low: float, high: float) -> "StageLimits":
         """Those of the described strokes, and of the guide from ``low`` to ``high`` (m)."""
-        ends = [motion.start, *goals(motion)]
-        low, high = min(low, *ends), max(high, *ends)
+        first, last = reach(motion)
+        low, high = min(low, first), max(high, last)
         return cls(low, high, motion.highest_speed, _MOST_ACCELERATION * motion.acceleration)
 
     def check(self, trajectory: Trajectory) -> None:

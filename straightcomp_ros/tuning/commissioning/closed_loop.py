@@ -18,6 +18,7 @@ import numpy as np
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.control.excitation import FrequencyResponseError, MultisineParameters
+from straightcomp_ros.model.motion import reach
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
@@ -79,9 +80,11 @@ def safe_loop(work: Work) -> Outcome:
 def identification(work: Work) -> Outcome:
     """Make one cycle along the excitation under the present law, and identify."""
     stage = work.stage
-    excitation, length = work.folder / "excitation.csv", min(_LENGTH, stage.motion.stroke)
-    write_survey(excitation, excitation_survey(length, stage.motion.start), ("Made up: excites the platform.",))
-    values = with_values(work.values, "stage", {"guide.file": str(excitation), "motion.stroke": length})
+    excitation, (low, high) = work.folder / "excitation.csv", reach(stage.motion)
+    length = min(_LENGTH, high - low)
+    write_survey(excitation, excitation_survey(length, low), ("Made up: excites the platform.",))
+    stroke = {"motion.start": low, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
+    values = with_values(work.values, "stage", {"guide.file": str(excitation), **stroke})
     bag = work.folder / "bags" / "identification"
     try:
         work.machine.stroke(values, bag, work.travel)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.model.motion import Trajectory, forward_and_back
+from straightcomp_ros.model.motion import Trajectory, forward_and_back, reach
 from straightcomp_ros.model.plant import Hold, PlantParameters, PlantState
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.scenario import Scenario
@@ -126,14 +126,15 @@ def shortened(scenario: Scenario, duration: float) -> Trajectory:
     moving = 0.5 * (duration - 2.0 * settle - pause)
     ramp = full.speed / full.acceleration
     length = full.speed * (moving - ramp) if moving > 2.0 * ramp else full.acceleration * (0.5 * moving) ** 2
-    if length >= full.stroke or scenario.trajectory.end_ns * 1e-9 <= duration:
+    low, high = reach(full)
+    if length >= high - low or scenario.trajectory.end_ns * 1e-9 <= duration:
         return scenario.trajectory
     straightness = StraightnessMap(scenario.survey, scenario.description.guide)
-    x = np.linspace(full.start, full.start + full.stroke, 2000)
+    x = np.linspace(low, high, 2000)
     slope, curvature = straightness.evaluate(x)[1:]
     # Reversals of r make friction turn over, slopes make it large: where there is most of both.
     wanted = np.abs(slope) / np.abs(slope).max() + np.abs(curvature) / np.abs(curvature).max()
-    count = max(1, round(length / full.stroke * x.size))
+    count = max(1, round(length / (high - low) * x.size))
     start = float(x[int(np.convolve(wanted, np.ones(count), mode="valid").argmax())])
-    part = dataclasses.replace(full, start=start, stroke=length, settle=settle, pause=pause)
+    part = dataclasses.replace(full, start=start, stroke=length, steps=1, file="", settle=settle, pause=pause)
     return Trajectory(forward_and_back(part))

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> None:
     if options.excitation is not None:
         stroke = node_parameters("cell", values).stage.motion.stroke
         file = output_file(options, "--excitation")
-        write_survey(file, excitation_survey(stroke), _EXCITATION_COMMENTS)
+        write_survey(file, excitation_survey(abs(stroke)), _EXCITATION_COMMENTS)
         if not options.json:
             then = f"straightcomp simulate --set stage.guide.file={quote(str(file))} --bag BAG"
             print_written(file, then=f"{then}, or run it on the machine")
