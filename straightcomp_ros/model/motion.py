@@ -295,8 +295,9 @@ class StageLimits:
             outer = np.concatenate([p, p[:-1] + v0 * h / 3.0, p[1:] - v1 * h / 3.0])
             middle = 3.0 * np.diff(p) / h - v0 - v1
             bend = v0 - 2.0 * middle + v1
-            turn = (v0 - middle) / bend
-            peak = np.where((turn > 0.0) & (turn < 1.0), (v0 * v1 - middle * middle) / bend, 0.0)
+            # Of a long cruise the quotient is noise, but the velocity there is not.
+            turn = np.clip(np.nan_to_num((v0 - middle) / bend), 0.0, 1.0)
+            peak = v0 * (1.0 - turn) ** 2 + 2.0 * middle * turn * (1.0 - turn) + v1 * turn * turn
             speed = np.maximum(np.maximum(abs(v0), abs(v1)), abs(peak) - slack)
             bent = 2.0 * (np.maximum(abs(middle - v0), abs(v1 - middle)) - slack)
             acceleration = np.maximum(bent, abs(v1 - v0)) / (h + 1e-9)
