@@ -95,13 +95,10 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
 
     times = [(stamp(one.start), stamp(one.stop - 1)) for one in strokes]
     until = [*(begin for begin, _ in times[1:]), FOR_EVER]
-<<<<<<< HEAD
     uncertainties: dict[str, dict[str, Any]] = {}
     for stated in statements(evaluation):
         name = f"{stated.when}_{stated.line}_U_um"
         uncertainties.setdefault(stated.direction, {})[name] = stated.expanded_uncertainty * 1e6
-=======
->>>>>>> 448f7d61 (Motions: docs, a rig of random sequences and of step and scan, the reach of any motion)
     after: list[dict[str, Any]] = [
         {name: None if value is None else _known(value) for name, value in one.to_display().items()}
         for one in standstill_figures(record, record.reference)
