@@ -5,7 +5,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from straightcomp_ros.control import sliding_mode, smc_observer
+from straightcomp_ros.control.filters import FilterParameters, Filters, filters_of, oscillators_of, turned_gain
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
@@ -18,6 +21,8 @@ OPEN_LOOP = "open_loop"
 
 _MISFIT_BANDWIDTH = 60.0
 """Hz; lower than the encoder's noise, higher than the reversals of friction."""
+_TRIED_HUM = 1.0
+"""A/m: so small a gain of an oscillator that its pole moves in proportion to it."""
 _MISFIT_MEMORY = 0.3
 """s; some reversals of the map at the shipped speed."""
 
@@ -95,6 +100,7 @@ class ControlParameters:
     )
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
+    filters: FilterParameters = group(FilterParameters)
 
     def check(self, stage: StageParameters) -> None:
         """Raise RefusedParameter if the law's design does not fit ``stage``; the group's name is 'control'."""
@@ -121,18 +127,45 @@ def prepare_all() -> None:
 
 
 def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
-    """The law that the parameters name, for a stage."""
+    """The law that the parameters name, for a stage.
+
+    Raises:
+        ValueError: the mains are to be taken out by a law without a linearisation, or where none does it.
+    """
+    filters = filters_of(parameters.filters, stage.period)
+    count = oscillators_of(parameters.filters, stage.rate)
+    if not count or parameters.law == OPEN_LOOP:
+        return _law(parameters, stage, filters)
+    return _law(parameters, stage, filters_of(parameters.filters, stage.period, _hum_gains(parameters, stage, count)))
+
+
+def _hum_gains(parameters: ControlParameters, stage: StageParameters, count: int) -> tuple[complex, ...]:
+    """The gains of the oscillators for the mains, each found where a small one puts its pole in the described loop."""
+    from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant
+
+    plant, found = sampled_plant(stage, stage.drive.delay * stage.period), []
+    for number in range(count):
+        gains = [0j] * number + [complex(_TRIED_HUM)]
+        law = _law(parameters, stage, filters_of(parameters.filters, stage.period, tuple(gains)))
+        poles = np.linalg.eigvals(closed_loop(plant, linearised(law)))
+        own = np.exp(2j * math.pi * (number + 1) * parameters.filters.mains.frequency * stage.period)
+        pole = complex(poles[np.abs(poles - own).argmin()])
+        found.append(turned_gain(parameters.filters, number, stage.period, _TRIED_HUM, pole))
+    return tuple(found)
+
+
+def _law(parameters: ControlParameters, stage: StageParameters, filters: Filters) -> Law:
     if parameters.law == OPEN_LOOP:
         return Law((), lambda y: (), _open_loop)
     if parameters.law in ("linear", "smc"):
         design, switching = parameters.smc, parameters.law == "smc"
         feedforward = switching and design.feedforward
-        numbers = sliding_mode.gains(design, stage, switching=switching, feedforward=feedforward)
+        numbers = sliding_mode.gains(design, stage, filters, switching=switching, feedforward=feedforward)
         return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
-    return _smc_observer(parameters.smc_observer, stage)
+    return _smc_observer(parameters.smc_observer, stage, filters)
 
 
-def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
+def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filters) -> Law:
     period = stage.period
     loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
     friction, actuator = stage.friction, stage.actuator
@@ -160,13 +193,15 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
         # Friction holds the platform a count beside the balance, with half a step of the converter too much.
         holding=(quantum - 0.5 * converter) / coulomb,
         speed=design.rest_speed,
-        band=band,
+        # The mains push at rest too: a command that is held would not answer them.
+        band=-1.0 if any(filters.hum_1) else band,
         wait=design.rest_wait,
         # The mean is over a quarter of the wait: it must forget the approach.
         weight=1.0 - math.exp(-4.0 * period / design.rest_wait),
         dither=amplitude,
         turn=smc_observer.Dither(math.cos(turn), math.sin(turn)),
         loop=loop,
+        filters=filters,
     )
     first_size = max(gains.smallest, min(design.first_size, gains.largest))
     return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)

@@ -20,9 +20,10 @@ of eigenvalues, because gains may change while the loop runs; how far the loop i
 limit is missed.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.control.law import Law, flat
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, freed, make_law, stiffened
 from straightcomp_ros.model.friction import LuGreParameters
+from straightcomp_ros.model.modes import modes_of, off
 from straightcomp_ros.stage.description import StageParameters
 
 _STEPS = (1e-9, 1e-12)
@@ -103,30 +105,53 @@ def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) ->
     from scipy.linalg import expm
 
     actuator, mass, period = stage.actuator, stage.platform.mass, stage.period
-    rate = 2.0 * math.pi * stage.drive.bandwidth
-    continuous = np.zeros((4, 4))
+    rate, modes = 2.0 * math.pi * stage.drive.bandwidth, stage.platform.modes.present
+    # State: y, ẏ, i, each mode's q and q̇; then the commands that have not acted yet, the oldest first.
+    own = 3 + 2 * len(modes)
+    continuous = np.zeros((own + 1, own + 1))
+    at_coil, at_encoder = np.zeros((2, own + 1))
+    at_coil[0] = at_encoder[0] = 1.0
+    driven = np.zeros(own + 1)
+    driven[1] = 1.0
     continuous[0, 1] = 1.0
-    continuous[1, 0] = (actuator.position_stiffness - stage.platform.stiffness) / mass
-    continuous[1, 1] = -(damping + stage.platform.damping) / mass
-    continuous[1, 2] = actuator.current_stiffness / mass
-    continuous[2, 2], continuous[2, 3] = -rate, rate
+    for number, mode in enumerate(modes):
+        q, omega = 3 + 2 * number, 2.0 * math.pi * mode.frequency
+        at_coil[q], at_encoder[q], driven[q + 1] = mode.coil, mode.encoder, mode.coil
+        continuous[q, q + 1] = 1.0
+        continuous[q + 1, q : q + 2] = -omega * omega, -2.0 * mode.damping * omega
+    # Forces act where the coils are: the magnets' by place and current, the damping by velocity.
+    force = (actuator.position_stiffness - stage.platform.stiffness) * at_coil
+    force -= (damping + stage.platform.damping) * np.roll(at_coil, 1)
+    force[2] = actuator.current_stiffness
+    continuous += np.outer(driven, force) / mass
+    continuous[2, 2], continuous[2, own] = -rate, rate
     whole = int(delay / period)
     rest = delay - whole * period
     with_old, with_new = expm(continuous * rest), expm(continuous * (period - rest))
-    # State: y, ẏ, i, then the commands that have not acted yet, the oldest first.
-    n = 4 + whole
+    n = own + 1 + whole
     a, b, c = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((2, n))
-    a[:3, :3] = with_new[:3, :3] @ with_old[:3, :3]
-    a[:3, 3] = with_new[:3, :3] @ with_old[:3, 3]
+    a[:own, :own] = with_new[:own, :own] @ with_old[:own, :own]
+    a[:own, own] = with_new[:own, :own] @ with_old[:own, own]
     if whole:
-        a[:3, 4] = with_new[:3, 3]
+        a[:own, own + 1] = with_new[:own, own]
     else:
-        b[:3, 0] = with_new[:3, 3]
-    for place in range(3, n - 1):
+        b[:own, 0] = with_new[:own, own]
+    for place in range(own, n - 1):
         a[place, place + 1] = 1.0
     b[n - 1] = 1.0
-    c[0, 0] = c[1, 2] = 1.0
+    c[0, :own], c[1, 2] = at_encoder[:own], 1.0
     return StateSpace(a, b, c, np.zeros((2, 1)))
+
+
+def with_modes_off(stage: StageParameters) -> dict[str, StageParameters]:
+    """The stage with its modes at the ends of their uncertainty, least damped and most seen, by a name in words; empty
+    without modes. All modes are off to the same side, or to opposite ones."""
+    present, found = stage.platform.modes.present, {}
+    for sides in itertools.product((-1.0, 0.0, 1.0), repeat=len(present)) if present else ():
+        modes = [off(mode, side, -1.0, 1.0) for mode, side in zip(present, sides, strict=True)]
+        name = ", ".join(f"{mode.frequency:.0f} Hz" for mode in modes)
+        found[name] = replace(stage, platform=replace(stage.platform, modes=modes_of(*modes)))
+    return found
 
 
 def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
@@ -318,6 +343,10 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
         for measured, how in ((False, ""), (True, ", with the coils' current measured")):
             stable = partial(_stable, plant, linearised(law, with_current=measured))
             yield from _gains_missed(stable, f"{where}{how}," if where or how else "", gains)
+        for modes, machine in with_modes_off(stage).items():
+            late = sampled_plant(machine, stage.drive.delay * stage.period)
+            if not _stable(late, linearised(law)):
+                yield f"is{where} unstable with the platform's modes at {modes}, within 'stage.platform.modes'"
     linear, period = linearised(quiet), stage.period
     latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
 

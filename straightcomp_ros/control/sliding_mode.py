@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.control.filters import EMPTY, NONE, Filters, Memory, filtered
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.model.compiled import compilable
@@ -100,17 +101,21 @@ class Gains(NamedTuple):
     k_switching: float
     boundary_layer: float
     current_limit: float
+    filters: Filters
 
 
 class State(NamedTuple):
-    """∫(y − r) in m·s, last reading in m, velocity estimate in m/s."""
+    """∫(y − r) in m·s, last reading in m, velocity estimate in m/s, and the filters."""
 
     integral: float
     y: float
     velocity: float
+    memory: Memory
 
 
-def gains(design: SlidingDesign, stage: StageParameters, *, switching: bool, feedforward: bool) -> Gains:
+def gains(
+    design: SlidingDesign, stage: StageParameters, filters: Filters = NONE, *, switching: bool, feedforward: bool
+) -> Gains:
     """Numbers of (9) on a stage.
 
     As printed, (9) takes S x and the reference's part −(SB)⁻¹ SB_r r = ωn² r M / K̄_i, and follows a moving r with a lag
@@ -140,6 +145,7 @@ def gains(design: SlidingDesign, stage: StageParameters, *, switching: bool, fee
         k_switching=design.rho / input_gain if switching else 0.0,
         boundary_layer=design.boundary_layer,
         current_limit=stage.actuator.current_limit,
+        filters=filters,
     )
 
 
@@ -153,7 +159,7 @@ def switching_function(sigma: float, boundary_layer: float) -> float:
 
 def start(y: float) -> State:
     """State at rest at ``y`` in m."""
-    return State(0.0, y, 0.0)
+    return State(0.0, y, 0.0, EMPTY)
 
 
 @compilable
@@ -172,9 +178,12 @@ def step(
     following = g.k_reference * r + g.k_reference_rate * r_dot + g.k_reference_acceleration * r_ddot
     equivalent = following - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
     switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
-    asked = equivalent + switching
+    wanted = equivalent + switching
+    asked, memory = filtered(g.filters, state.memory, wanted, y - r)
+    equivalent += asked - wanted
     command = max(-g.current_limit, min(g.current_limit, asked))
     # More ∫(y − r) means less current.
     if command == asked or (y - r) * asked > 0.0:
         integral += g.period * (y - r)
-    return State(integral, y, velocity), Command(command, r - y, sigma, equivalent, switching, velocity, math.nan)
+    answer = Command(command, r - y, sigma, equivalent, switching, velocity, math.nan)
+    return State(integral, y, velocity, memory), answer

@@ -49,6 +49,7 @@ T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.219/T_d in Hz, λ = 0.614/T_d, κ = 0.4
 import math
 from typing import NamedTuple
 
+from straightcomp_ros.control.filters import EMPTY, Filters, Memory, filtered
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.observer import (
     Estimate,
@@ -167,6 +168,7 @@ class Gains(NamedTuple):
     dither: float
     turn: Dither
     loop: Loop
+    filters: Filters
 
 
 class Rest(NamedTuple):
@@ -180,7 +182,7 @@ class Rest(NamedTuple):
 
 
 class State(NamedTuple):
-    """The next sample as predicted with friction but for d, the command in A, z in m, fit, rest and dither."""
+    """The next sample as predicted with friction but for d, the command in A, z in m, fit, rest, dither and filters."""
 
     prior: Estimate
     command: float
@@ -188,6 +190,7 @@ class State(NamedTuple):
     fit: Fit
     rest: Rest
     dither: Dither
+    memory: Memory
 
 
 def fit_at_start(size: float) -> Fit:
@@ -198,7 +201,8 @@ def fit_at_start(size: float) -> Fit:
 
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
-    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0, 0.0), Dither(1.0, 0.0))
+    prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(0.0, 0.0, 0.0, 0.0)
+    return State(prior, 0.0, 0.0, fit_at_start(size), rest, Dither(1.0, 0.0), EMPTY)
 
 
 @compilable
@@ -217,14 +221,16 @@ def step(
     sigma = rate_error + s.surface * error
     holding = r_ddot - s.surface * rate_error - action.disturbance
     equivalent = current_for(g.loop, action.y, holding)
-    asked = current_for(g.loop, action.y, holding - s.reaching * sigma)
+    wanted = current_for(g.loop, action.y, holding - s.reaching * sigma)
+    # While the command is held, the error is not answered.
+    asked, memory = filtered(g.filters, state.memory, wanted, y - r if state.rest.time <= g.wait else 0.0)
     asked, rest = _held(g, state.rest, fit.size, asked, y, r, r_dot)
     asked, dither = _dithered(g, state.dither, rest, asked)
     answer = limited(g.loop, asked)
     after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, action, answer, g.loop.stiffness)
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, bristle, fit, rest, dither), command
+    return State(prior, answer, bristle, fit, rest, dither, memory), command
 
 
 @compilable

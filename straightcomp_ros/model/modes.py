@@ -84,6 +84,16 @@ class ModesParameters:
         return (*self.first.constants(), *self.second.constants())
 
 
+def off(mode: ModeParameters, frequency: float, damping: float, participation: float) -> ModeParameters:
+    """The mode at these shares, from −1 to 1, of its uncertainty."""
+    return replace(
+        mode,
+        frequency=mode.frequency * (1.0 + frequency * mode.frequency_error),
+        damping=mode.damping * mode.damping_factor**damping,
+        coil=mode.coil * (1.0 + participation * mode.participation_error),
+    )
+
+
 def modes_of(*modes: ModeParameters) -> ModesParameters:
     """The set of at most two modes."""
     return replace(ModesParameters(), **dict(zip(("first", "second"), modes, strict=False)))

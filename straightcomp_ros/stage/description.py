@@ -16,7 +16,7 @@ from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import DisturbanceParameters
 from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
-from straightcomp_ros.model.modes import ModesParameters
+from straightcomp_ros.model.modes import ModesParameters, modes_of, off
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
@@ -148,6 +148,8 @@ class Factors(NamedTuple):
     air_gap: float = 1.0
     friction: float = 1.0
     amplifier: float = 1.0
+    modes: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Shares of the uncertainty of the modes' frequencies, dampings and participations, from −1 to 1."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,8 @@ def deviating(plant: PlantParameters, factors: Factors) -> PlantParameters:
             f"air gap × {factors.air_gap:.4g}: {gap:.4g} m does not hold the stop; "
             f"allowed: > {stop!r} m ('stage.platform.stop')"
         )
-    platform = dataclasses.replace(plant.platform, mass=plant.platform.mass * factors.mass)
+    modes = modes_of(*(off(mode, *factors.modes) for mode in plant.platform.modes.present))
+    platform = dataclasses.replace(plant.platform, mass=plant.platform.mass * factors.mass, modes=modes)
     # The area stands for turns² times area, the product in (2), and scales it exactly.
     actuator = _scaled(_scaled(plant.actuator, factors.force, "pole_area"), factors.air_gap, "air_gap")
     friction = _scaled(plant.friction, factors.friction, "coulomb", "static", "viscous")

@@ -3,7 +3,8 @@
     found = design_gains(make_scenario(values, ["smc_observer"]), "smc_observer", quiet=0.3)
     found.values        # {'control.smc_observer.bandwidth': 231.4, …}
 
-1. A closed form gives a start (`gains.py`).
+1. A closed form gives a start (`gains.py`): for a platform with modes one with a notch for each, one with a roll-off
+   and one without either, which is left with less bandwidth. All that can hold the demands are searched.
 2. If it misses the linear demands (`stability.py`) and no gains hold them, the stage is refused (`feasible_gains.py`).
 3. CMA-ES looks for the least cost (`gain_search.py`, `judged_gains.py`).
 4. The best candidates run the whole stroke from more starts; the best of them is verified on uncertain machines, by a
@@ -25,7 +26,7 @@ from straightcomp_ros.offline.starts import Spread, spread
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
-from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
+from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
 from straightcomp_ros.tuning.design.judged_gains import UNEVEN, Judge
 from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
@@ -37,6 +38,8 @@ Progress = Callable[[str, float], None]
 SHIPPED_QUIET = 0.3
 """Weight of quiet coils against accuracy, unless another one is asked for."""
 _EVALUATIONS = 400
+_WITH_MODES = 400
+"""Of linear demands alone, per start: modes leave the gains a narrower valley."""
 _MACHINES = 200
 _ROUNDS = 3
 _TIGHTER = 1.1
@@ -68,6 +71,7 @@ class Design:
     verification: LawSummary  # sweep over uncertain machines
     budget: Sequence[BudgetEntry]  # what limits the error, the stage as described first
     limits: Mapping[str, FailingLimits]  # until where the linear loop is stable, by the law's state
+    shape: str  # how the platform's modes are answered, in words
     rounds: int  # searches, more than one if the first result failed on an uncertain machine
 
     @property
@@ -112,14 +116,13 @@ def design_gains(
         raise ValueError(f"law {law!r}; allowed: {', '.join(LAWS)}")
     if not 0.0 <= quiet <= 1.0:
         raise ValueError(f"quiet {quiet!r}; allowed: 0 to 1")
-    start = closed_form(scenario, law)
+    plain, stage = closed_form(scenario, law), scenario.description
     progress("feasible", 0.0)
-    feasible = FeasibleGains(scenario, law, demands, seed)
-    tighter = feasible.near(start)
-    if tighter is None:
+    possible = _possible(scenario, law, plain, demands, seed)
+    if not possible:
         raise refusal(scenario, law, demands, seed=seed)
     progress("feasible", 1.0)
-    full, base, stage = prepared_stroke(scenario), next(iter(scenario.controls.values())), scenario.description
+    full, base = prepared_stroke(scenario), next(iter(scenario.controls.values()))
 
     def runs(gains: Mapping[str, float]) -> list[RunFigures]:
         made = make_law(with_gains(base, law, gains), stage)
@@ -139,17 +142,25 @@ def design_gains(
         return one.judgement.cost + math.log(uneven * pp.median / one.judgement.pp)
 
     kept: tuple[LawSummary, Mapping[str, float]] | None = None
-    rounds, held, begin = 0, demands, starts(law, start)
+    rounds, held, more = 0, demands, list[dict[str, float]]()
     for rounds in range(1, _ROUNDS + 1):
-        found = search(
-            Judge(scenario, law, quiet, held),
-            feasible.corrected([*begin, tighter]),
-            evaluations=evaluations if rounds == 1 else evaluations // 2,
-            seed=seed + rounds - 1,
-            jobs=jobs,
-            progress=lambda fraction: progress("search", fraction),
+        feasible = FeasibleGains(scenario, law, held, seed)
+        found = sorted(
+            (
+                one
+                for start, tighter in possible.values()
+                for one in search(
+                    Judge(scenario, law, quiet, held),
+                    feasible.corrected([*starts(law, start), *more, tighter]),
+                    evaluations=(evaluations if rounds == 1 else evaluations // 2) // len(possible),
+                    seed=seed + rounds - 1,
+                    jobs=jobs,
+                    progress=lambda fraction: progress("search", fraction),
+                )
+            ),
+            key=lambda one: one.judgement.cost,
         )
-        first = [one for one in found if one.gains == start]
+        first = [one for one in found if any(one.gains == start for start, _ in possible.values())]
         finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
         best = min(finalists, key=cost, default=found[0]).gains
         trials = sweep(
@@ -164,13 +175,15 @@ def design_gains(
             kept, demands = (verification, best), held
         if not verification.not_in_order:
             break
-        held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best)]
-        feasible = FeasibleGains(scenario, law, held, seed)
-        tighter = feasible.near(start)
-        if tighter is None:
+        held, more = held.tightened(_TIGHTER), [dict(best)]
+        shape = next(name for name, (start, _) in possible.items() if start.keys() == best.keys())
+        again = _possible(scenario, law, plain, held, seed)
+        if shape not in again:
             break
+        possible = {shape: again[shape]}
     assert kept is not None  # there is a first round
     verification, best = kept
+    shape, start = next((name, start) for name, (start, _) in possible.items() if start.keys() == best.keys())
     return Design(
         law=law,
         values=best,
@@ -182,5 +195,19 @@ def design_gains(
         verification=verification,
         budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),
         limits=failing_limits(scenario, with_gains(base, law, best)),
+        shape=shape,
         rounds=rounds,
     )
+
+
+def _possible(
+    scenario: Scenario, law: str, plain: Mapping[str, float], demands: Demands, seed: int
+) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
+    """The ways to answer the modes with which gains hold the demands: their start, and gains near it that hold them."""
+    feasible, found = FeasibleGains(scenario, law, demands, seed), {}
+    for name, shape in shapes_for(scenario.description).items():
+        start = {**plain, **shape}
+        tighter = feasible.near(start, _WITH_MODES)
+        if tighter is not None:
+            found[name] = start, tighter
+    return found

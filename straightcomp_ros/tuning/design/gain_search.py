@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed
 
-from straightcomp_ros.tuning.design.gains import SEARCHED, Values
+from straightcomp_ros.tuning.design.gains import SEARCHED, SHAPES, Values
 from straightcomp_ros.tuning.design.judged_gains import Judge, Judgement
 
 _STEP = 0.3
@@ -38,7 +38,7 @@ class Valley:
         from cma import CMAEvolutionStrategy
 
         self._rest = begin if rule is None else rule
-        searched = [gain for gain in SEARCHED[law] if gain.name in self._rest]
+        searched = [gain for gain in (*SEARCHED[law], *SHAPES) if gain.name in self._rest]
         self._names = [gain.name for gain in searched]
         first = [math.log(begin[name]) for name in self._names]
         options: dict[str, Any] = {"seed": seed, "popsize": _POPULATION, "verbose": -9}

@@ -64,6 +64,16 @@ SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
     ),
 }
 """The gains that are searched, by law; all on a logarithmic scale."""
+_FILTERS = "control.filters."
+SHAPES = (
+    *(
+        SearchedGain(f"{_FILTERS}{notch}.{name}", *bounds, power=0)
+        for notch in ("first", "second")
+        for name, bounds in (("frequency", (1.0, 20_000.0)), ("width", (0.02, 4.0)), ("depth", (0.001, 0.9)))
+    ),
+    SearchedGain(_FILTERS + "roll_off.frequency", 1.0, 20_000.0, power=0),
+)
+"""What is searched besides where a filter is in the start."""
 
 
 _OF_ENDS = ("bandwidth", "surface", "reaching", "third_pole", "gain_allowance", "velocity_share")
@@ -134,7 +144,26 @@ def with_gains(control: ControlParameters, law: str, values: Values) -> ControlP
         ParameterError: a value is refused.
     """
     own = {name.removeprefix("control."): value for name, value in values.items()}
-    return replaced(control, {**own, "law": law})
+    shapes = {name.removeprefix("filters."): own.pop(name) for name in list(own) if name.startswith("filters.")}
+    return replaced(control, {**own, "law": law, "filters": replaced(control.filters, shapes)})
+
+
+def shapes_for(stage: StageParameters) -> dict[str, dict[str, float]]:
+    """Filters that may answer the modes of ``stage``, by a name in words: a start of each; none without modes.
+
+    A collocated mode may be left alone by any loop that is slow enough, and so may none: that is among them.
+    """
+    modes = stage.platform.modes.present
+    notches = {
+        f"{_FILTERS}{notch}.{name}": value
+        for notch, mode in zip(("first", "second"), modes, strict=False)
+        for name, value in (("frequency", mode.frequency), ("width", 0.6), ("depth", 0.05))
+    }
+    lowest = min((mode.frequency for mode in modes), default=0.0)
+    roll_off = {_FILTERS + "roll_off.frequency": 0.7 * lowest}
+    if not modes:
+        return {"no filter": {}}
+    return {"a notch": notches, "a roll-off": roll_off, "less bandwidth": {}}
 
 
 def following(scenario: Scenario, law: str) -> dict[str, float]:

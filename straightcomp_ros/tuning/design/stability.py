@@ -25,6 +25,7 @@ from straightcomp_ros.control.margins import (
     phase_margin,
     sampled_plant,
     spectral_radius,
+    with_modes_off,
 )
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
@@ -85,6 +86,8 @@ class StabilityCheck:
         latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
         self._nominal = plain = _sampled(stage)
 
+        rung = {name: _sampled(machine) for name, machine in with_modes_off(stage).items()}
+
         def cases(low: float, high: float, amplifier: float, spare: float, where: str = "") -> tuple[_Case, ...]:
             less = 1.0 / amplifier
             return (
@@ -93,6 +96,7 @@ class StabilityCheck:
                 _Case(f"amplifier's gain × {less:.2g}{where}", plain, less, with_current=True),
                 _Case(f"amplifier's gain × {amplifier:.2g}{where}", plain, amplifier, with_current=True),
                 _Case(f"late commands{where}", _sampled(stage, latest + spare)),
+                *(_Case(f"modes at {name}{where}", plant) for name, plant in rung.items()),
             )
 
         self._quiet = (

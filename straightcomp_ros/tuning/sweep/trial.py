@@ -102,6 +102,9 @@ def draw(stage: StageParameters, random: Generator) -> tuple[Factors, float, flo
         friction=ranges.friction ** (2.0 * u[3] - 1.0),
         amplifier=ranges.amplifier ** (2.0 * u[6] - 1.0),
     )
+    if stage.platform.modes.present:
+        frequency, damping, participation = (2.0 * random.random(3) - 1.0).tolist()
+        factors = factors._replace(modes=(frequency, damping, participation))
     sensor_noise = ranges.sensor_noise * stage.encoder.y_resolution * u[4]
     late = ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]
     return factors, sensor_noise, stage.drive.delay * late
