@@ -238,8 +238,12 @@ def frequency_response(work: Work) -> Outcome:
         "plant_um_A": (np.abs(measured.response.plant) * 1e6).tolist(),
         "model_plant_um_A": (np.abs(found.model.plant) * 1e6).tolist(),
     }
+    figures["modes"] = [mode.to_display() for mode in found.modes]
     wrong = margins_missed(margins)
-    if not found.explained:
+    if unknown := [mode for mode in found.modes if not mode.described]:
+        facts = ", ".join(f"stage.{name}: {value:.4g}" for name, value in unknown[0].facts("first").items())
+        wrong = f"{unknown[0].text}; describe it ({facts}), so that the design answers it, and commission again"
+    elif not found.explained:
         lateness = f"; {found.lateness}" if found.lateness else ""
         wrong = (
             f"what was identified does not explain the measured plant: up to {gain:.2g} dB and {phase:.2g}° off "
@@ -285,7 +289,13 @@ def _measured(work: Work) -> ComparedResponse:
     except ExcitationEnded:
         excitation, described = _foreseen(work, dataclasses.replace(excitation, motion=0.5 * excitation.motion))
         found = work.machine.response(work.values, excitation)
-    return dataclasses.replace(found, model=described.measured.response)
+    # What the simulated machine shows as well is friction, and no resonance of the machine.
+    modes = tuple(
+        one
+        for one in found.modes
+        if one.described or not any(one.frequency.meets(other.frequency) for other in described.modes)
+    )
+    return dataclasses.replace(found, model=described.measured.response, modes=modes)
 
 
 def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisineParameters, ComparedResponse]:

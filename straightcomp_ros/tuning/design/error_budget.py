@@ -1,4 +1,4 @@
-"""What limits a design: the error of the same stroke with one cause of error removed at a time.
+"""What limits a design: the error of the same stroke with one cause of error removed, or added, at a time.
 
 Each figure is a simulation of its own; they do not add up. RMS is the steady measure: a p-p is one extreme of a stroke,
 often at a first reversal or at the end of a hold, and may even rise where a cause of error is removed. Where the loop
@@ -6,14 +6,19 @@ would be faster without the cause, the gains that are rates are made faster in t
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from straightcomp_ros.control.filters import FilterParameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.model.disturbances import GRAVITY, DisturbanceParameters
+from straightcomp_ros.model.modes import ModesParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.design.gains import scaled, scaled_facts, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
@@ -130,4 +135,45 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
         ),
         "exact reference at each sample": own._replace(stroke=prepared_stroke(scenario, ideal=True)),
         "with the jitter of the uncertainty": own._replace(stroke=prepared_stroke(scenario, stamps=stamps)),
+        **_rigid(own),
+        **_disturbed(own),
     }
+
+
+def _rigid(own: _Run) -> dict[str, _Run]:
+    """The same without the platform's modes and what filters them, if it has any."""
+    if not own.plant.platform.modes.present:
+        return {}
+    platform = dataclasses.replace(own.plant.platform, modes=ModesParameters())
+    stage = dataclasses.replace(own.stage, platform=platform)
+    plant = dataclasses.replace(own.plant, platform=platform)
+    control = dataclasses.replace(own.control, filters=FilterParameters())
+    return {"rigid platform, no filters": own._replace(plant=plant, stage=stage, control=control)}
+
+
+def _disturbed(own: _Run) -> dict[str, _Run]:
+    """Each disturbance added to the machine, of a size that its friction or its encoder gives."""
+    coulomb, stiffness = own.stage.friction.coulomb, own.stage.actuator.current_stiffness
+    tenth = 0.1 * coulomb
+    sizes = {
+        f"with mains of {tenth:.2g} N at 50 Hz": {"mains.force": tenth},
+        f"with cogging of {coulomb:.2g} N over 30 mm": {"cogging.force": coulomb},
+        f"with cables that drag with {tenth:.2g} N": {"cable.drag": tenth},
+        f"with a constant force of {coulomb:.2g} N (tilt)": {
+            "tilt": math.asin(min(1.0, coulomb / (GRAVITY * own.stage.platform.mass)))
+        },
+        f"with an amplifier's offset that drifts by {tenth / stiffness * 1e3:.2g} mA RMS in 1 s": {
+            "drift.current": tenth / stiffness
+        },
+        f"with a guide that vibrates with {tenth / own.stage.platform.mass:.2g} m/s² RMS at 30 Hz": {
+            "vibration.acceleration": tenth / own.stage.platform.mass
+        },
+        "with an interpolation error of half a count of y": {
+            "interpolation.amplitude": min(1e-4, 0.5 * own.stage.encoder.y_resolution)
+        },
+    }
+    plants = {
+        cause: dataclasses.replace(own.plant, disturbances=from_mapping(DisturbanceParameters, values).machine())
+        for cause, values in sizes.items()
+    }
+    return {cause: own._replace(plant=plant) for cause, plant in plants.items()}

@@ -9,6 +9,7 @@ each a mean over the draws of phases. How the draws differ shows the noise, and 
 add (R. Pintelon and J. Schoukens, System Identification, 2nd ed., 2012, sections 2.7 and 4.3).
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -20,7 +21,9 @@ from scipy.stats import f as fisher
 from straightcomp_ros.control.excitation import Multisine
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
+from straightcomp_ros.model.modes import ModesParameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, found_modes
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -192,6 +195,7 @@ class ComparedResponse:
     damping: float  # that friction, N·s/m
     clipped: int  # samples in which the current limit cut the excitation
     duration: float  # of the excitation, s
+    modes: tuple[FoundMode, ...] = ()  # resonances in the measured plant
     late_share: float = 0.0  # of the samples whose command came after it was due, or only after the next sample
 
     @property
@@ -266,5 +270,12 @@ def compared_response(
     signal = commands - np.clip(asked, -limit, limit)
     measured = measured_response(excitation, signal, commands, reading)
     damping = friction_damping(stage.friction, measured.speed)
-    model = loop_response(make_law(control, stage), stage, measured.frequencies, damping)
-    return ComparedResponse(control.law, measured, model, damping, clipped, excitation.currents.size / stage.rate)
+    law = make_law(control, stage)
+    model = loop_response(law, stage, measured.frequencies, damping)
+    lines = measured.coherent & np.isfinite(measured.response.plant)
+    alone = dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=ModesParameters()))
+    rigid = loop_response(law, alone, measured.frequencies[lines], damping).plant
+    plant, radius = measured.response.plant[lines], measured.plant_radius[lines]
+    modes = found_modes(measured.frequencies[lines], plant, radius, rigid, damping, stage)
+    duration = excitation.currents.size / stage.rate
+    return ComparedResponse(control.law, measured, model, damping, clipped, duration, modes)

@@ -125,6 +125,7 @@ def _in_json(design: Design) -> dict[str, Any]:
         "closed_form": {"values": dict(design.start_values), **_figures(design.start_figures)},
         "uncertain_machines": design.verification.to_display(),
         **design.limits_to_display(),
+        "modes_answered_by": design.shape,
         "rounds": design.rounds,
     }
 
@@ -146,6 +147,8 @@ def _print(design: Design, name: str) -> None:
     gains = ((key, f"{design.start_values[key]:.4g}", f"{value:.4g}") for key, value in design.values.items())
     title = f"Law '{design.law}' for stage '{name}'"
     console.print(titled_table(title, "parameter", "closed form", "designed", rows=gains))
+    if design.shape != "no filter":
+        console.print(f"The platform's modes are answered by {design.shape}.", highlight=False)
     promised = (
         (words, *(one.scaled(factor).text(digits) for one in both), unit)
         for (words, factor, unit, digits), *both in zip(

@@ -124,6 +124,7 @@ def _figures(found: ComparedResponse) -> dict[str, Any]:
         "margins": of_measured.to_display(),
         "model_margins": of_model.to_display(),
         "model_explains_the_plant": found.explained,
+        "modes": [mode.to_display() for mode in found.modes],
         "frequency_Hz": measured.frequencies.tolist(),
         "coherence": measured.coherence.tolist(),
         **curves,
@@ -147,6 +148,8 @@ def _print(found: ComparedResponse, name: str) -> None:
     console.print(titled_table(title, "margin", "measured", "description", rows=rows))
     if found.explained:
         console.print(_verdict(found), style="green", highlight=False)
+    for mode in found.modes:
+        console.print(mode.text[0].upper() + mode.text[1:], highlight=False)
     if found.lateness:
         notes.print(found.lateness, highlight=False)
     if found.clipped:

@@ -1,0 +1,159 @@
+"""The platform's resonances in a measured plant, with intervals.
+
+The plant is fitted as that of a rigid platform, whose gain and damping are free, with one mode after another:
+
+    P ~ g C_e/(1 − (K̄_y − d s) C_c),   C_e = 1/(M s²) + (1/M) Σ r/(s² + 2ζωs + ω²),   r = φ_c φ_e
+
+and C_c alike with |r|: a measurement from command to encoder hardly tells φ_c from φ_e.
+
+Each new mode begins where it explains most, over a grid of frequencies, and all are then fitted together, each line by
+its confidence. A mode stays if an F test says that chance would explain as much in one of ten thousand measurements.
+Between two lines a narrow mode shows by its flanks; its damping is then known worst, which the intervals say.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import f as fisher
+
+from straightcomp_ros.stage.description import StageParameters
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_CHANCE = 1e-4
+_MOST = 2
+"""Modes that a description has room for."""
+_GRID = 400
+_FIRST_DAMPING = 0.02
+_LEAST_RELATIVE = 0.01
+"""Of a line's magnitude, which no line counts more than: a model is not the machine."""
+_FOLDED = 0.002
+"""Of a frequency: the mechanics are fitted unsampled, which puts a mode at 0.18 of the rate 0.1 % off."""
+
+
+class Interval(NamedTuple):
+    """A value and its interval of 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+    def meets(self, other: "Interval") -> bool:
+        """Whether a value may be in both."""
+        return self.low <= other.high and other.low <= self.high
+
+
+class FoundMode(NamedTuple):
+    """A mode of a measured plant: frequency Hz, damping ratio, φ_c φ_e; and which described mode it is, '' if none."""
+
+    frequency: Interval
+    damping: Interval
+    residue: Interval
+    described: str
+
+    @property
+    def text(self) -> str:
+        """The mode in words, and what to do about one that nobody described."""
+        f, z, r = self.frequency, self.damping, self.residue
+        what = (
+            f"{f.value:.1f} Hz ({f.low:.1f} to {f.high:.1f}), damping {z.value:.2g} ({z.low:.2g} to {z.high:.2g}), "
+            f"φ_c φ_e {r.value:.2g} ({r.low:.2g} to {r.high:.2g})"
+        )
+        return f"mode at {what}: {self.described or 'in no description (stage.platform.modes)'}"
+
+    def facts(self, name: str) -> dict[str, float]:
+        """The mode as facts of a description, by dotted name under ``name`` (first, second)."""
+        f, z, r = self.frequency, self.damping, self.residue
+        seen = math.sqrt(abs(r.value))
+        found = {
+            "frequency": f.value,
+            "damping": min(0.99, max(1e-4, z.value)),
+            "coil": seen,
+            "encoder": math.copysign(seen, r.value),
+            "frequency_error": min(0.5, max(0.01, (f.high - f.low) / (2.0 * f.value))),
+            "damping_factor": min(100.0, max(1.2, z.high / z.value)),
+            "participation_error": min(0.9, max(0.1, (r.high - r.low) / (2.0 * abs(r.value)))),
+        }
+        return {f"platform.modes.{name}.{fact}": value for fact, value in found.items()}
+
+    def to_display(self) -> dict[str, Any]:
+        """The mode for JSON."""
+        return {**{name: list(getattr(self, name)) for name in self._fields[:3]}, "described": self.described}
+
+
+def found_modes(
+    frequencies: Array, plant: Complex, radius: Array, rigid: Complex, damping: float, stage: StageParameters
+) -> tuple[FoundMode, ...]:
+    """The modes in ``plant`` (lines,) in m/A, each line with its ``radius`` of confidence; ``rigid`` (lines,) is that
+    of the stage without modes and with a ``damping`` in N·s/m. By rising frequency."""
+    if frequencies.size < 8:
+        return ()
+    s = 2j * np.pi * frequencies
+    mass, stiffness = stage.platform.mass, stage.actuator.position_stiffness
+    weight = 1.0 / np.hypot(radius, _LEAST_RELATIVE * np.abs(plant))
+    # The share of the plant that is its amplifier, its delay and its sampling, and no mechanics.
+    path = rigid * (mass * s**2 + damping * s - stiffness)
+
+    def modelled(p: Array) -> Complex:
+        at_coil = at_encoder = 1.0 / (mass * s**2)
+        for k in range(2, p.size, 3):
+            omega = 2.0 * math.pi * math.exp(p[k])
+            mode = 1.0 / (mass * (s**2 + 2.0 * math.exp(p[k + 1]) * omega * s + omega**2))
+            at_coil, at_encoder = at_coil + abs(p[k + 2]) * mode, at_encoder + p[k + 2] * mode
+        own = at_encoder / (1.0 - (stiffness - math.exp(p[1]) * damping * s) * at_coil)
+        return np.asarray(math.exp(p[0]) * path * own)
+
+    def misses(p: Array) -> Array:
+        missed = weight * (plant - modelled(p))
+        return np.concatenate([missed.real, missed.imag])
+
+    def fitted(begin: Sequence[float]) -> Any:
+        return least_squares(misses, begin, x_scale="jac", loss="linear", max_nfev=200)
+
+    best = fitted([0.0, 0.0])
+    while best.x.size < 2 + 3 * _MOST:
+        left, share = plant - modelled(best.x), math.exp(best.x[0])
+        begins = []
+        for f in np.geomspace(frequencies[0], 1.2 * frequencies[-1], _GRID):
+            omega = 2.0 * math.pi * f
+            basis = weight * share * path / (mass * (s**2 + 2.0 * _FIRST_DAMPING * omega * s + omega**2))
+            power = float(np.sum(np.abs(basis) ** 2))
+            residue = float(np.sum((basis.conj() * weight * left).real)) / power
+            begins.append((residue * residue * power, math.log(f), residue))
+        _, log_f, residue = max(begins)
+        more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue])
+        freedom = 2 * frequencies.size - more.x.size
+        if freedom < 1 or not more.cost > 0.0:
+            break
+        gained = (best.cost - more.cost) / 3.0 / (more.cost / freedom)
+        known = 0.0 < math.exp(more.x[-2]) < 1.0 and frequencies[0] < math.exp(more.x[-3]) < 1.2 * frequencies[-1]
+        if not known or gained < float(fisher.ppf(1.0 - _CHANCE, 3, freedom)):
+            break
+        best = more
+    if best.x.size == 2:
+        return ()
+    freedom = 2 * frequencies.size - best.x.size
+    spread = 2.0 * np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * 2.0 * best.cost / freedom)
+    found = []
+    for k in range(2, best.x.size, 3):
+        (log_f, log_z, r), (df, dz, dr) = best.x[k : k + 3], np.minimum(spread[k : k + 3], 10.0)
+        df = math.hypot(df, _FOLDED)
+        frequency = Interval(*(math.exp(x) for x in (log_f, log_f - df, log_f + df)))
+        damping_ratio = Interval(*(math.exp(x) for x in (log_z, log_z - dz, log_z + dz)))
+        residues = Interval(float(r), float(r - dr), float(r + dr))
+        found.append(FoundMode(frequency, damping_ratio, residues, _described(frequency, stage)))
+    return tuple(sorted(found))
+
+
+def _described(frequency: Interval, stage: StageParameters) -> str:
+    modes = stage.platform.modes
+    for name, mode in (("first", modes.first), ("second", modes.second)):
+        low, high = ((1.0 + side * mode.frequency_error) * mode.frequency for side in (-1.0, 1.0))
+        if mode.frequency and frequency.meets(Interval(mode.frequency, low, high)):
+            return f"stage.platform.modes.{name}, {mode.frequency:g} Hz"
+    return ""

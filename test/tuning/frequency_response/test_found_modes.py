@@ -1,0 +1,66 @@
+"""Resonances are found in a measured plant, with intervals that hold them, and none where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.margins import loop_response
+from straightcomp_ros.model.modes import ModeParameters, modes_of
+from straightcomp_ros.parameters.declaration import from_mapping, to_mapping
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.frequency_response.found_modes import found_modes
+
+STAGE = StageParameters()
+FREQUENCIES = np.geomspace(2.0, 500.0, 40)
+DAMPING = 800.0
+
+
+def with_modes(*modes):
+    return replace(STAGE, platform=replace(STAGE.platform, modes=modes_of(*modes)))
+
+
+def found(truth, described=STAGE, noise=0.01, seed=1):
+    """Modes in the plant of ``truth``, 3 % stronger and 20 % more damped than described, with relative noise."""
+    law, random = make_law(ControlParameters(), STAGE), np.random.default_rng(seed)
+    plant = 1.03 * loop_response(law, truth, FREQUENCIES, 1.2 * DAMPING).plant
+    noisy = plant * (1.0 + noise * (random.standard_normal(40) + 1j * random.standard_normal(40)) / np.sqrt(2.0))
+    rigid = loop_response(law, STAGE, FREQUENCIES, DAMPING).plant
+    return found_modes(FREQUENCIES, noisy, 2.0 * noise * np.abs(plant), rigid, DAMPING, described)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_in_a_rigid_platform_no_mode_is_found(seed):
+    assert found(STAGE, seed=seed) == ()
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [
+        ModeParameters(180.0, 0.01, 1.0, -1.0),
+        ModeParameters(350.0, 0.01, 1.0 / 3.0, 1.0 / 3.0),
+        ModeParameters(90.0, 0.03, 0.5, -0.5),
+    ],
+)
+def test_a_mode_is_found_with_intervals_that_hold_it(mode):
+    (one,) = found(with_modes(mode))
+    assert one.frequency.low <= mode.frequency <= one.frequency.high
+    assert one.frequency.value == pytest.approx(mode.frequency, rel=0.02)
+    assert one.residue.value == pytest.approx(mode.residue, rel=0.25)
+    assert one.damping.low <= mode.damping <= one.damping.high
+    assert not one.described and "no description" in one.text
+
+
+def test_two_modes_are_found_in_order_of_frequency():
+    modes = found(with_modes(ModeParameters(350.0, 0.02, 1.0, -1.0), ModeParameters(160.0, 0.02, 0.5, 0.5)))
+    assert [one.frequency.value for one in modes] == pytest.approx([160.0, 350.0], rel=0.03)
+
+
+def test_a_found_mode_is_named_as_described_and_becomes_facts_of_a_description():
+    mode = ModeParameters(180.0, 0.02, 1.0, -1.0)
+    (one,) = found(with_modes(mode), described=with_modes(mode))
+    assert one.described == "stage.platform.modes.first, 180 Hz"
+    stage = from_mapping(StageParameters, {**to_mapping(STAGE), **one.facts("second")})
+    assert stage.platform.modes.second.frequency == pytest.approx(180.0, rel=0.02)
+    assert stage.platform.modes.second.residue == pytest.approx(-1.0, rel=0.2)
