@@ -110,7 +110,7 @@ class State(NamedTuple):
     integral: float
     y: float
     velocity: float
-    memory: Memory
+    memory: Memory = EMPTY
 
 
 def gains(

@@ -84,6 +84,18 @@ class ModesParameters:
         return (*self.first.constants(), *self.second.constants())
 
 
+@dataclass(frozen=True)
+class TrueModesParameters(ModesParameters):
+    """The resonances of a simulated platform, with descriptions of their own."""
+
+    first: ModeParameters = group(
+        ModeParameters, "First resonance of the simulated machine, in place of those described"
+    )
+    second: ModeParameters = group(
+        ModeParameters, "Second resonance of the simulated machine, in place of those described"
+    )
+
+
 def off(mode: ModeParameters, frequency: float, damping: float, participation: float) -> ModeParameters:
     """The mode at these shares, from −1 to 1, of its uncertainty."""
     return replace(

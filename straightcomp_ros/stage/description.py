@@ -16,7 +16,7 @@ from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import DisturbanceParameters
 from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
-from straightcomp_ros.model.modes import ModesParameters, modes_of, off
+from straightcomp_ros.model.modes import TrueModesParameters, modes_of, off
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
@@ -165,7 +165,7 @@ class TruthParameters:
     amplifier: float = parameter(1.0, "Bandwidth of the amplifier relative to it", "[0.01, 100]")
     guide: str = parameter("", "Survey file of the true guide; empty: that of the description")
     contact: ContactParameters = group(ContactParameters)
-    modes: ModesParameters = group(ModesParameters, "Simulated machine, in place of the modes described")
+    modes: TrueModesParameters = group(TrueModesParameters)
     disturbances: DisturbanceParameters = group(DisturbanceParameters, "Simulated disturbance")
 
     @property
