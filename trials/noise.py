@@ -79,15 +79,29 @@ def guide(x: Array, kink: float = 0.0) -> Array:
     return np.asarray(GUIDE.deviations(x) + 0.5 * kink * np.abs(x - JOINT))
 
 
+def settling(x: Array) -> Array:
+    """Hysteresis of a guide over x in m as a share of its largest value."""
+    return np.asarray(np.sin(np.pi * x / 1.5) ** 2)
+
+
 def surveyed(
-    spacing: float, noise: float, *, runs: int = 6, seed: int = 1, kink: float = 0.0, drift: float = 0.0
+    spacing: float,
+    noise: float,
+    *,
+    runs: int = 6,
+    seed: int = 1,
+    kink: float = 0.0,
+    drift: float = 0.0,
+    hysteresis: float = 0.0,
 ) -> Survey:
-    """Runs forward and backward in turn. ``drift``: of a run's offset in m and slope in m/m, one standard deviation."""
+    """Runs forward and backward in turn. ``drift``: of a run's offset in m and slope in m/m, one standard deviation;
+    ``hysteresis``: its largest value in m, over x a wave of 1.5 m."""
     x = np.linspace(*GUIDE.span, round(1.76 / spacing) + 1)
     random = np.random.default_rng(seed)
     ways: tuple[Direction, ...] = ("forward", "backward")
     lines = drift * random.normal(size=(runs, 2)) @ np.array([np.ones_like(x), x])
-    values = guide(x, kink) + lines + random.normal(0.0, noise, (runs, x.size))
+    half = 0.5 * np.array([hysteresis, -hysteresis])[np.arange(runs) % 2, None] * settling(x)
+    values = guide(x, kink) + half + lines + random.normal(0.0, noise, (runs, x.size))
     return Survey(tuple(Run(str(i // 2 + 1), ways[i % 2], x, values[i]) for i in range(runs)))
 
 

@@ -44,8 +44,9 @@ def attached_map(
         if survey is None:
             return None
         try:
-            # Recordings without this parameter are older than it: their reference went through every point.
-            return load_map(from_mapping(MapParameters, {"smooth": "none", **own, "file": str(survey)}))
+            # Recordings without these are older: their reference went through every point of the mean.
+            older = {"smooth": "none", "direction": "mean"}
+            return load_map(from_mapping(MapParameters, {**older, **own, "file": str(survey)}))
         except (ParameterError, SurveyError):
             return None
 

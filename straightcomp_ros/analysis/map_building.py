@@ -103,6 +103,7 @@ class BuiltMap:
             "straightness_minimum_zone_um": minimum_zone(x, mean) * 1e6,
             "correction_pp_um": peak_to_peak(mean) * 1e6,
             **self.repeatability.to_display(),
+            "hysteresis_of_map_um": self.straightness.hysteresis * 1e6,
             "smoothed": self.straightness.noise.smoothed,
             "noise_of_mean_um": self.straightness.noise.point * 1e6,
             "map_uncertainty_95_um": self.straightness.noise.half_width * 1e6,
@@ -147,6 +148,7 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         "runs": f"{len(survey.in_direction('forward'))} forward, {len(survey.in_direction('backward'))} backward; "
         f"rejected runs: {', '.join(lost_runs) or 'none'}; rejected points: {len(lost_points)}",
         "noise": f"{'taken off' if straightness.noise.smoothed else 'left in'}; {straightness.noise}",
+        "tables": "one for each direction" if straightness.directed else "the mean of both directions",
         "repeatability (ISO 230-2, bidirectional)": "unknown" if spread is None else f"{spread * 1e6:.3f} um",
     }
     return BuiltMap(survey, straightness, lost_points, lost_runs, provenance, measured)

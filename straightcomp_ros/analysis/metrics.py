@@ -111,7 +111,7 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         begin = np.searchsorted(record.time, record.time[one.stop - 1] + RESTING)
         resting += np.diff(record.current[begin : following.start]).tolist()
     _, before, after = straightness_over(record, straightness)
-    of_encoder = straightness.deviations(record.x) + record.y
+    of_encoder = record.guide_by(straightness) + record.y
     return Metrics(
         **errors,
         residual_pp=peak_to_peak(after),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -27,6 +28,8 @@ _LEAST_JUMP = 1e-3
 """Change of x from sample to sample, in m, below which it is no jump."""
 AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
+_APART = 1e-9
+"""m between the references of two directions: far below any encoder, far above interpolation between samples."""
 _FASTEST_CHANGE = 1000.0
 """Acceleration in m/s² that no linear motor gives a stage: the fastest reach some 300."""
 
@@ -81,14 +84,25 @@ class StrokeRecord:
         """Slider x, platform y and the guide's deviation there, (n,) each in m: the truth, or else the values of the
         encoders and of the map."""
         if self.true_x is None or self.true_y is None or self.guide is None:
-            return self.x, self.y, straightness.deviations(self.x)
+            return self.x, self.y, self.guide_by(straightness)
         return self.true_x, self.true_y, self.guide
+
+    def followed(self, straightness: ReferenceMap) -> Array:
+        """r (n,) in m at the true x, or else at the measured one; of two tables as it was recorded, since a count in x
+        is nothing in r."""
+        if straightness.directed:
+            return self.r
+        return straightness.evaluate(self.x if self.true_x is None else self.true_x)[0]
+
+    def guide_by(self, straightness: ReferenceMap) -> Array:
+        """The guide's deviation (n,) in m at the measured x, up to a constant."""
+        return -self.r if straightness.directed else straightness.deviations(self.x)
 
     def true_error(self, straightness: ReferenceMap) -> Array | None:
         """r(true x) − true y, (n,) in m; None without truth."""
         if self.true_x is None or self.true_y is None:
             return None
-        return straightness.evaluate(self.true_x)[0] - self.true_y
+        return self.followed(straightness) - self.true_y
 
     def columns(self) -> dict[str, Array]:
         """All arrays by name, without those that are None."""
@@ -119,9 +133,24 @@ class RecordedReference:
     """
 
     def __init__(self, record: StrokeRecord) -> None:
+        self._record = record
         finite = np.isfinite(record.x) & np.isfinite(record.r)
         self._x, rows = np.unique(record.x[finite], return_index=True)
         self._r = record.r[finite][rows]
+
+    @cached_property
+    def directed(self) -> bool:
+        """Whether r was another one on the way back: no function of x then."""
+        run, ways = self._record, []
+        with suppress(MetricsError):
+            ways = [run.motion.samples("forward"), run.motion.samples("backward")]
+        if not ways or not all(way.size for way in ways):
+            return False
+        (x, forward), (back, r) = ((run.x[way], run.r[way]) for way in ways)
+        order = np.argsort(x, kind="stable")
+        shared = (back >= x.min()) & (back <= x.max())
+        apart = np.abs(np.interp(back[shared], x[order], forward[order]) - r[shared])
+        return bool(apart.size and np.nanmedian(apart) > _APART)
 
     def evaluate(self, x: ArrayLike) -> tuple[Array]:
         """r in m at x in m; beyond the recorded positions that of the nearest."""

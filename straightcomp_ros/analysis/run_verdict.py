@@ -334,7 +334,7 @@ def _guide_fit(
         x, noise, followed = (
             record.true_x[record.motion.samples()],
             0.0,
-            record.guide + reference.evaluate(record.true_x)[0],
+            record.guide + record.followed(reference),
         )
         guide, left = (residual_over(record.true_x, values, record) for values in (record.guide, followed))
     else:

@@ -168,7 +168,7 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
     of a recorded displacement sensor, which then takes the place of the map."""
     record, readings, found = evaluation.record, evaluation.guide, list[Statement]()
     by_sensor = sensor is not None and readings is not None and bool(np.isfinite(readings).any())
-    guide = readings if by_sensor and readings is not None else record.reference.deviations(record.x)
+    guide = readings if by_sensor and readings is not None else record.guide_by(record.reference)
     count = evaluation.parameters.get("driver", {}).get("stage.encoder.y_resolution")
     encoder = Input("encoder", None if count is None else float(count) / math.sqrt(12.0))
     points = np.arange(record.x.min(), record.x.max() + _SENSOR_POINTS, _SENSOR_POINTS)

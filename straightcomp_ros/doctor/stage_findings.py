@@ -17,7 +17,7 @@ from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.feedforward import FeedforwardParameters
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters, handover
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -63,7 +63,9 @@ class Consequences:
         actuator, friction, motion, mass = stage.actuator, stage.friction, stage.motion, stage.platform.mass
         low, high = reach(motion)
         x = low + np.arange(0.0, high - low + _GRID, _GRID)
-        r, slope, curvature = (float(np.abs(values).max()) for values in straightness.evaluate(x))
+        tables = [straightness.evaluate(x, way) for way in ("forward", "backward")]
+        r, slope, curvature = (float(np.abs(values).max()) for values in zip(*tables, strict=True))
+        apart = handover(straightness.hysteresis, motion.acceleration, straightness.reversal)
         self.current_stiffness = actuator.current_stiffness  # K̄_i, N/A, from (3)
         self.position_stiffness = actuator.position_stiffness  # K̄_y, N/m, from (3)
         pull = actuator.position_stiffness - stage.platform.stiffness
@@ -73,10 +75,11 @@ class Consequences:
         self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
         self.dac_displacement = self.dac_force / friction.bristle_stiffness  # of one step against the bristles
         self.breakaway_current = friction.static / actuator.current_stiffness  # that overcomes static friction
+        self.reference_slope = slope  # largest |dr/dx|
         self.correction = r  # largest |r| over the stroke
-        self.reference_speed = slope * motion.speed  # largest |ṙ| of a stroke
-        # Largest |r̈|: at cruise, and at the ends of the ramps.
-        self.reference_acceleration = curvature * motion.speed**2 + slope * motion.acceleration
+        self.reference_speed = slope * motion.speed + apart[0]  # largest |ṙ| of a stroke
+        # Largest |r̈|: at cruise, at the ends of the ramps, and where tables are handed over.
+        self.reference_acceleration = curvature * motion.speed**2 + slope * motion.acceleration + apart[1]
         friction_force = friction.static + friction.viscous * slope * motion.speed
         force = friction_force + abs(pull) * r + mass * self.reference_acceleration
         # For friction, the magnets' pull at the largest correction, and its acceleration.
@@ -125,6 +128,8 @@ def _guide_findings(
         f"survey from {first * 1e3:.1f} to {last * 1e3:.1f} mm, strokes from {start * 1e3:.1f} to {end * 1e3:.1f} mm; "
         f"{straightness.noise}"
     )
+    if straightness.directed:
+        detail += f"; hysteresis of {straightness.hysteresis * 1e6:.2g} µm: a table for each direction"
     beyond = max(first - start, end - last)
     remedy = "Survey the whole stroke, or shorten stage.motion.stroke."
     quiet = 2.0 * straightness.noise.half_width <= found.encoder_floor
@@ -162,7 +167,7 @@ def _guide_findings(
         yield Finding("travel", "ok", detail)
 
     # The stage's acceleration changes within a sample; the tracking filter knows it late by about 1/(2π f).
-    wrong = found.reference_speed / motion.speed * motion.acceleration / (2.0 * math.pi * bandwidth)
+    wrong = found.reference_slope * motion.acceleration / (2.0 * math.pi * bandwidth)
     error = wrong * found.dead_time
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; at the ends "

@@ -22,6 +22,7 @@ from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, PlantState, advanc
 from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
+from straightcomp_ros.straightness.feedforward import follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 
@@ -88,7 +89,7 @@ class SimulatedHardware(Hardware):
         self.period_ns = stage.period_ns
         self.command_timeout_ns = round(parameters.command_timeout * 1e9)
         self._parameters = parameters
-        self._guide = guide
+        self._guide, self._guide_offset = follower(guide), guide.offset
         self._bias = plant.actuator.bias_current
         self._plant = commanded_plant(plant, parameters.hold(stage), PlantState(y=parameters.initial_y))
         self._effective_ns, self._asked = np.empty(16, np.int64), np.empty(16)
@@ -193,5 +194,5 @@ class SimulatedHardware(Hardware):
             self._currents_off()
         _, velocity, _, control, _, friction, magnetic, *_, y, reading = self._plant.state.tolist()
         measured = control if self.state is State.ON else math.nan
-        truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
+        truth = Truth(x, y, velocity, friction, magnetic, self._guide_offset - self._guide(x)[0])
         return Sample(time_ns, self._reading(x - self._zero), reading, measured), truth

@@ -19,7 +19,7 @@ from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import tripper
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
+from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, follower
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.delays import StampGaps
@@ -79,7 +79,7 @@ class FeedforwardComponent:
             self._parameters, self._map = parameters, straightness
             self._report_map()
             if not self._centred:
-                self._feedforward.change(straightness.reference)
+                self._feedforward.change(follower(straightness))
 
         return take_over
 
@@ -106,7 +106,7 @@ class FeedforwardComponent:
             raise Refused("the previous change of reference has not finished")
         if middle != self._centred:
             self._centred = middle
-            self._feedforward.change(_middle if middle else self._map.reference)
+            self._feedforward.change(_middle if middle else follower(self._map))
         return f"reference goes to {'the middle of the travel' if middle else 'the map'}"
 
     def _look_at_map(self) -> None:

@@ -32,7 +32,7 @@ from straightcomp_ros.parameters.node_parameters import (
     node_parameters,
 )
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
-from straightcomp_ros.straightness.feedforward import FeedforwardParameters, continues, rates, restarted, updated
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters, along, continues, rates, restarted, updated
 from straightcomp_ros.straightness.guide_map import StraightnessMap, find_survey
 from straightcomp_ros.straightness.survey import Survey, read_survey
 
@@ -263,7 +263,7 @@ def references(
     """
     v, a = np.empty_like(x), np.empty_like(x)
     _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, stamps, x, v, a)
-    r, slope, curvature = straightness.evaluate(x)
+    r, slope, curvature = along(straightness, x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])
 
 

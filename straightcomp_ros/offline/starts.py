@@ -19,6 +19,7 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import LOWEST_RATE, laws_of, make_scenario, node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 STARTS = 9
@@ -108,6 +109,7 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
     count = stroke.stamps.size
     if cycle.y.size < count:
         raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
+    guide = scenario.driver.guide()
     record = StrokeRecord(
         time=np.arange(count) * (scenario.period_ns * 1e-9),
         x=stroke.x,
@@ -116,7 +118,7 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
         current=cycle.current,
         true_x=stroke.true_x,
         true_y=cycle.true_y,
-        guide=scenario.driver.guide().deviations(stroke.true_x),
+        guide=guide.offset - along(guide, stroke.true_x)[0],
         law=law,
     )
     return record, stroke.map

@@ -186,7 +186,7 @@ def true_plant(stage: StageParameters, truth: TruthParameters) -> PlantParameter
 def true_guide(stage: StageParameters, truth: TruthParameters) -> StraightnessMap:
     """The simulated guide; SurveyError if its survey is refused."""
     if truth.guide:
-        return load_map(dataclasses.replace(stage.guide, file=truth.guide, smooth="none"))
+        return load_map(dataclasses.replace(stage.guide, file=truth.guide, smooth="none", direction="both"))
     return load_map(stage.guide)
 
 

@@ -18,6 +18,16 @@ From one map to another the reference and its derivatives fade without a jump. T
 0 along the quintic 1 − s³(10 − 15 s + 6 s²), whose first two derivatives are zero at both ends: r, ṙ and r̈ are
 continuous, and for maps that differ by D and a time T the speed changes by at most 1.875 D/T and the acceleration by
 5.774 D/T², in addition to the maps' own rates.
+
+Between the tables of a map for each direction the same weight goes over the stage's way, not over time: a guide's
+hysteresis follows the travel since a reversal, whatever the speed (rolling guides are springs for some 0.1 mm after a
+reversal: S. Futami, A. Furutani and S. Yoshida, Nanotechnology 1, 1990). The place between the tables is that of a
+play operator (M. A. Krasnosel'skii and A. V. Pokrovskii, Systems with Hysteresis, 1989): the stage pushes a slot of
+the length L along with one of its ends, forward at one, backward at the other, and at a reversal leaves that end. The
+slot does not move while the stage is between its ends, so that r there is a function of x alone: at rest nothing
+changes, an encoder that toggles does not switch tables, a reversal half-way goes back the same way, and because the
+weight's first two derivatives are zero at both ends, r, ṙ and r̈ are continuous wherever ẋ and ẍ are. With tables D
+apart and an acceleration a from the reversal on, the hand-over adds at most 1.93 D √(a/L) to ṙ and 8.7 a D/L to r̈.
 """
 
 import math
@@ -135,6 +145,50 @@ def blended(old: Rates, new: Rates, fade: Rates) -> Rates:
     return new[0] + w * d, new[1] + w * d_dot + w_dot * d, new[2] + w * d_ddot + 2.0 * w_dot * d_dot + w_ddot * d
 
 
+class Travel:
+    """r in m and its derivatives by x in 1 and 1/m along a motion, from the map's table for the direction of travel,
+    for one x in m after the other; before the first motion in the middle between both."""
+
+    def __init__(self, straightness: StraightnessMap) -> None:
+        self._map, self._length = straightness, straightness.reversal
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the motion."""
+        self._slot = math.nan  # its middle; at the first x there
+        self._half = 0.5 * self._length
+
+    def __call__(self, x: float) -> Rates:
+        if math.isnan(self._slot):
+            self._slot = x
+        elif x > self._slot + self._half:
+            self._slot = x - self._half
+        elif x < self._slot - self._half:
+            self._slot = x + self._half
+        w, w_dot, w_ddot = weight(self._slot + self._half - x, self._length)
+        # Of the forward table, over the way that is left to the slot's forward end, which falls with x.
+        return blended(*self._map.tables(x), (w, -w_dot, w_ddot))
+
+
+def handover(apart: float, acceleration: float, length: float) -> tuple[float, float]:
+    """Largest ṙ in m/s and r̈ in m/s² that the hand-over between tables ``apart`` (m) adds within ``length`` (m), for a
+    stage that has ``acceleration`` (m/s²) from the reversal on."""
+    return 1.93 * apart * math.sqrt(acceleration / length), 8.7 * apart * acceleration / length
+
+
+def follower(straightness: StraightnessMap) -> Lookup:
+    """What gives r and its derivatives by x along a motion: a new :class:`Travel`, or of one table the map's own."""
+    return Travel(straightness) if straightness.directed else straightness.reference
+
+
+def along(straightness: StraightnessMap, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """r in m and its first two derivatives by x along the motion ``x`` (n,) in m, (n,) each, as :func:`follower` gives
+    them to the last bit."""
+    if not straightness.directed:
+        return straightness.evaluate(x)
+    return tuple(np.array(list(map(Travel(straightness), x.tolist()))).reshape(-1, 3).T)
+
+
 class Feedforward:
     """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers.
 
@@ -147,7 +201,7 @@ class Feedforward:
         parameters: FeedforwardParameters = FeedforwardParameters(),
         highest_speed: float = MotionParameters().highest_speed,
     ) -> None:
-        self._reference: Lookup = straightness.reference
+        self._reference = follower(straightness)
         self._left_ns, self._max_speed = 0, highest_speed
         self._bandwidth, self._restart_gap_ns = parameters.bandwidth, parameters.restart_gap_ns
         self.reset()
@@ -156,6 +210,8 @@ class Feedforward:
         """Forget all samples."""
         self._stamp_ns, self._x = _NEVER, 0.0
         self._left: Lookup | None = None
+        if isinstance(self._reference, Travel):
+            self._reference.restart()
         self._tracked = restarted(0.0)
         self._last = (0.0, 0.0, 0.0)
 

@@ -5,16 +5,20 @@ from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
-from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
+from straightcomp_ros.straightness.survey import Direction, Survey, SurveyError, read_survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 T = TypeVar("T", float, NDArray[np.float64])
 
@@ -41,7 +45,17 @@ class MapParameters:
         "Smoothing of the survey: auto takes off its noise as the runs show it, none leaves every point as measured, "
         "a number >= 0 multiplies the amount of auto",
     )
-
+    direction: str = parameter(
+        "auto",
+        "Tables of the map: auto makes one for each direction of travel where the survey's hysteresis is more than its "
+        "noise, mean always makes one, the mean of both directions, and both always makes two",
+        choices=("auto", "mean", "both"),
+    )
+    reversal: float = parameter(
+        0.002,
+        "Travel after a reversal over which the reference goes from one direction's table to the other's",
+        "(0, 1] m",
+    )
     reference: str = parameter(
         "",
         "Encoder's reference that x of the machine is counted from, in the words of the survey's line `# encoder "
@@ -66,10 +80,16 @@ class StraightnessMap:
     are opposite. Beyond the survey r runs out to a constant, see :func:`runout`. No line is removed: the workpiece
     moves straight along the line that the survey was measured against.
 
+    Where the guide's hysteresis is more than the survey's noise (:mod:`~straightcomp_ros.straightness.hysteresis`), the
+    map has a table for each direction of travel, and their mean is what is described above;
+    :mod:`~straightcomp_ros.straightness.feedforward` goes from one to the other.
+
     Attributes:
         survey: that it was built from.
         report: agreement of the runs.
-        noise: what the survey's noise leaves in the map.
+        noise: what the survey's noise leaves in the map, of two tables in each.
+        directed: whether there are two tables.
+        reversal: travel in m after a reversal from one to the other.
         span: first and last x of the survey in m.
         offset: the constant in r(x) = offset − δ(x), in m.
 
@@ -82,44 +102,34 @@ class StraightnessMap:
         x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
         self._reported = parameters.reference
         self.report = repeatability(survey, x, values)
-        first, last = self.span = (float(x[0]), float(x[-1]))
-        spline, self.noise = smoothed(survey, x, values, self.report.mean, parameters.smooth)
+        self.span = (float(x[0]), float(x[-1]))
+        mean, self.reversal = self.report.mean, parameters.reversal
+        spline, self.noise = smoothed(survey, x, values, mean, parameters.smooth)
+        half = None
+        if parameters.direction != "mean":
+            always = parameters.direction == "both"
+            half = half_difference(survey, x, values, mean, self.noise, parameters.smooth, always)
         if spline is None:
-            spline = cubic_spline(x, self.report.mean)
+            spline = cubic_spline(x, mean)
         turns = spline.derivative().roots(extrapolate=False)
         extremes = np.concatenate([spline(spline.x), spline(turns[np.isfinite(turns)])])
-        self.offset = offset = float(extremes.max() + extremes.min()) / 2.0
-
-        # Value, slope and curvature of r at each end, the slope outward.
-        (into, low, *low_turn), (beyond, high, *high_turn) = (
-            runout(
-                offset - float(spline(end)), -outward * float(spline(end, 1)), -float(spline(end, 2)), parameters.runout
-            )
-            for end, outward in ((first, -1.0), (last, 1.0))
-        )
-        largest = max(float(np.ptp(extremes)) / 2.0, *map(abs, (low, high, *low_turn, *high_turn)))
+        self.offset = float(extremes.max() + extremes.min()) / 2.0
+        self._mean = _Curve(spline, self.offset, parameters.runout)
+        largest = max(float(np.ptp(extremes)) / 2.0, self._mean.largest_beyond)
+        self._half: _Curve | None = None
+        if half is not None:
+            self._half, self.noise = _Curve(half[0], 0.0, parameters.runout), half[1]
+            largest += max(float(np.abs(half[0](x)).max()), self._half.largest_beyond)
+        self.directed = self._half is not None
         if largest > parameters.travel:
             raise SurveyError(
                 f"survey {survey.source}: the correction reaches {largest * 1e6:.4g} µm to each side; "
                 f"allowed: <= {parameters.travel * 1e6:.4g} µm (travel)"
             )
-        # Piece i is origin and polynomial coefficients, constant first; it holds where i breaks are at or below x.
-        breaks = [first - parameters.runout, *spline.x.tolist(), last + parameters.runout]
-        pieces = [
-            (breaks[0], low, 0.0, 0.0, 0.0, 0.0),
-            (first, *(c if power % 2 == 0 else -c for power, c in enumerate(into))),
-            *(
-                (start, offset - c0, -c1, -c2, -c3, 0.0)
-                for start, (c3, c2, c1, c0) in zip(breaks[1:-2], spline.c.T.tolist(), strict=True)
-            ),
-            (last, *beyond),
-            (breaks[-1], high, 0.0, 0.0, 0.0, 0.0),
-        ]
-        self._breaks, self._pieces = tuple(breaks), tuple(pieces)
-        self._tables = (np.array(breaks), np.array(pieces).T)
 
     def __str__(self) -> str:
-        return "; ".join(filter(None, (str(self.report), str(self.noise), self.mismatch())))
+        tables = f"; two tables, up to {self.hysteresis * 1e6:.2g} µm apart" if self.directed else ""
+        return "; ".join(filter(None, (str(self.report), f"{self.noise}{tables}", self.mismatch())))
 
     def mismatch(self, reported: str | None = None) -> str:
         """What is wrong where the machine's x is counted from another reference of the encoder than the survey's:
@@ -133,24 +143,77 @@ class StraightnessMap:
             "shifted; straightcomp map align finds by how much"
         )
 
+    @property
+    def hysteresis(self) -> float:
+        """Largest distance in m of the tables at the survey's points; 0 for one table."""
+        return 0.0 if self._half is None else 2.0 * float(np.abs(self._half.over(self.report.x)[0]).max())
+
     def reference(self, x: float) -> tuple[float, float, float]:
-        """r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN."""
+        """r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN; of two tables the mean."""
+        return self._mean.at(x)
+
+    def tables(self, x: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """:meth:`reference` of the forward and of the backward table, where there are two."""
+        assert self._half is not None
+        (r, slope, curvature), (d, d_slope, d_curvature) = self._mean.at(x), self._half.at(x)
+        return (r + d, slope + d_slope, curvature + d_curvature), (r - d, slope - d_slope, curvature - d_curvature)
+
+    def deviation(self, x: float) -> float:
+        """δ in m at x in m: the guide's deviation by the survey; of two tables the mean."""
+        return self.offset - self.reference(x)[0]
+
+    def evaluate(
+        self, x: ArrayLike, direction: Direction | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """:meth:`reference` for an array, or that of the table for ``direction``: three arrays of the shape of ``x``,
+        the same to the last bit."""
+        positions = np.asarray(x, dtype=np.float64)
+        mean = self._mean.over(positions)
+        if self._half is None or direction is None:
+            return mean
+        sign = 1.0 if direction == "forward" else -1.0
+        r, slope, curvature = (of + sign * half for of, half in zip(mean, self._half.over(positions), strict=True))
+        return r, slope, curvature
+
+    def deviations(self, x: ArrayLike, direction: Direction | None = None) -> NDArray[np.float64]:
+        """:meth:`deviation` for an array, or by the table for ``direction``."""
+        return self.offset - self.evaluate(x, direction)[0]
+
+
+class _Curve:
+    """offset − spline over the spline's range, beyond it a :func:`runout` of the length ``runout``, all in m;
+    ``largest_beyond`` is the largest value of that, as a distance from 0."""
+
+    def __init__(self, spline: "PPoly", offset: float, length: float) -> None:
+        first, last = float(spline.x[0]), float(spline.x[-1])
+        # Value, slope and curvature of r at each end, the slope outward.
+        (into, low, *low_turn), (beyond, high, *high_turn) = (
+            runout(offset - float(spline(end)), -outward * float(spline(end, 1)), -float(spline(end, 2)), length)
+            for end, outward in ((first, -1.0), (last, 1.0))
+        )
+        self.largest_beyond = max(*map(abs, (low, high, *low_turn, *high_turn)))
+        # Piece i is origin and polynomial coefficients, constant first; it holds where i breaks are at or below x.
+        breaks = [first - length, *spline.x.tolist(), last + length]
+        pieces = [
+            (breaks[0], low, 0.0, 0.0, 0.0, 0.0),
+            (first, *(c if power % 2 == 0 else -c for power, c in enumerate(into))),
+            *(
+                (start, offset - c0, -c1, -c2, -c3, 0.0)
+                for start, (c3, c2, c1, c0) in zip(breaks[1:-2], spline.c.T.tolist(), strict=True)
+            ),
+            (last, *beyond),
+            (breaks[-1], high, 0.0, 0.0, 0.0, 0.0),
+        ]
+        self._breaks, self._pieces = tuple(breaks), tuple(pieces)
+        self._tables = (np.array(breaks), np.array(pieces).T)
+
+    def at(self, x: float) -> tuple[float, float, float]:
         # Without NumPy, whose overhead on single numbers would be the largest part at 2 kHz.
         return _polynomial(x, *self._pieces[bisect_right(self._breaks, x)])
 
-    def deviation(self, x: float) -> float:
-        """δ in m at x in m: the guide's deviation by the survey."""
-        return self.offset - self.reference(x)[0]
-
-    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """:meth:`reference` for an array: three arrays of the shape of ``x``, the same to the last bit."""
-        positions = np.asarray(x, dtype=np.float64)
+    def over(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         breaks, pieces = self._tables
-        return _polynomial(positions, *pieces[:, np.searchsorted(breaks, positions, side="right")])
-
-    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
-        """:meth:`deviation` for an array."""
-        return self.offset - self.evaluate(x)[0]
+        return _polynomial(x, *pieces[:, np.searchsorted(breaks, x, side="right")])
 
 
 def load_map(parameters: MapParameters = MapParameters()) -> StraightnessMap:

@@ -35,7 +35,7 @@ NORMAL_95 = 1.96
 """Standard deviations to each side that hold 95 % of a normal distribution."""
 _CLEAN = 0.6
 """Fraction of its variance that smoothing must leave of the noise at most; else every mean is kept as measured."""
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 """Noise in m that nothing is done about: survey files are rounded to a nanometre."""
 _DETECTED = 3.5
 """Standard deviations by which a less smooth fit must differ before it is taken for the guide: of some hundred
@@ -80,7 +80,7 @@ class MapNoise:
         return np.asarray(np.interp(x, self.x, self.deviation))
 
     def __str__(self) -> str:
-        if self.point <= _ROUNDING:
+        if self.point <= ROUNDING:
             return "the survey shows no noise"
         more = f"{self.runs} more runs" if self.runs > 1 else "one more run"
         text = f"the survey's noise leaves ±{self.half_width * 1e6:.2g} µm (95 %)"
@@ -144,7 +144,7 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     noise = point_noise(survey, x, values, own)
     repeated = noise is not None
     factor = float({"auto": "1", "none": "0"}.get(how, how))
-    if noise is not None and (factor == 0.0 or noise <= _ROUNDING):
+    if noise is not None and (factor == 0.0 or noise <= ROUNDING):
         return None, _as_measured(noise, runs, repeated, x)
     # SciPy takes half of the time that a node needs to start, and a node without a map needs none of it.
     from scipy.interpolate import BSpline, PPoly
@@ -178,7 +178,7 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         best = int((squares / (len(x) - freedom) ** 2).argmin())
         noise = math.sqrt(squares[best] / (len(x) - freedom[best]))
     best = int((squares + 2.0 * noise**2 * freedom).argmin())
-    clean = noise <= _ROUNDING or freedom[best] > _CLEAN * len(x)
+    clean = noise <= ROUNDING or freedom[best] > _CLEAN * len(x)
     typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
     clean |= fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
     # Without repeated runs nothing shows how much of the residual is noise: a reference that excites the plant is a

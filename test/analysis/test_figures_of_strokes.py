@@ -30,7 +30,7 @@ def one_way(deviation, y=0.0, r=0.0, truth=None):
 
 
 def guide_map(deviation):
-    return SimpleNamespace(deviations=deviation, evaluate=lambda x: (-deviation(x), 0.0 * x, 0.0 * x))
+    return SimpleNamespace(directed=False, deviations=deviation, evaluate=lambda x: (-deviation(x), 0.0 * x, 0.0 * x))
 
 
 def bow(x):

@@ -183,7 +183,7 @@ def _guide_change_um(evaluation: BagEvaluation, part: StrokeRecord, stroke: Stro
     """(n,); None where no sensor saw the guide, or the map is not known."""
     if evaluation.guide is None or evaluation.map is None:
         return None
-    change = evaluation.guide[stroke.samples] - evaluation.map.deviations(part.x)
+    change = evaluation.guide[stroke.samples] - part.guide_by(evaluation.map)
     # The sensor's zero is arbitrary.
     return (change - np.nanmean(change)) * 1e6 if np.isfinite(change).any() else None
 

@@ -72,7 +72,6 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
         )
     ours = [row for row in seen if row["map_checksum"] == checksum]
     x = before.report.x
-    deviation = before.deviations(x)
     runs: list[Run] = []
     ways: tuple[Direction, ...] = ("forward", "backward")
     for way in ways:
@@ -84,7 +83,10 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
                 f"{other} with another map; allowed: >= {_RUNS} each way; give more days, or the map of these strokes"
             )
         groups = np.array_split(np.array(changes), _RUNS)
-        runs += [Run(str(n), way, x, deviation + np.median(group, axis=0)) for n, group in enumerate(groups, 1)]
+        runs += [
+            Run(str(n), way, x, before.deviations(x, way) + np.median(group, axis=0))
+            for n, group in enumerate(groups, 1)
+        ]
     first, end = ours[0]["start"], ours[-1]["start"]
     inputs = {
         "proposed from": f"{len(ours)} strokes from {first:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC, in {_RUNS} "

@@ -16,6 +16,7 @@ from straightcomp_ros.model.plant import Hold, PlantParameters, PlantState
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import offset
+from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 
@@ -94,7 +95,7 @@ def prepared_stroke(
             the lead.
     """
     stroke = dataclasses.replace(scenario, trajectory=trajectory or scenario.trajectory).stroke(stamps)
-    r, slope, curvature = stroke.map.evaluate(stroke.true_x)
+    r, slope, curvature = along(stroke.map, stroke.true_x)
     time, x, given = np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x, stroke.given
     if ideal:
         x = stroke.true_x

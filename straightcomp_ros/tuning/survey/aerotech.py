@@ -10,7 +10,8 @@ Described in Aerotech's Automation1 help, "Axis Calibration": axes count from 1,
 interpolated linearly, beyond the ends the last value holds, and each value is added to the position of its output axis.
 Keywords and their order are as public programs write them that make such files for A3200 and Automation1. Column i
 stands at i · SampDistCol − OFFSETCOL. A negative distance counts from the home of the axis, which the file does not
-contain, and is refused. Here the two rows are the same: the correction does not depend on the row axis.
+contain, and is refused. The correction is the same whatever the direction ("Axis Calibration"): a map with a table for
+each direction is written as their mean. Here the two rows are the same: the correction does not depend on the row axis.
 """
 
 import re

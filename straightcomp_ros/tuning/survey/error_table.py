@@ -12,8 +12,9 @@ from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyE
 
 UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
-Points = Sequence[tuple[float, float]]
-"""Position of the stage and deviation of the guide in m; the correction that a controller adds is −deviation."""
+Points = Sequence[Sequence[float]]
+"""Position of the stage and deviation of the guide in m, or position and the deviations forward and backward; the
+correction that a controller adds is −deviation."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,17 @@ def survey_of(where: str, points: Iterable[Sequence[float]]) -> Survey:
 
 def sampled(straightness: StraightnessMap, spacing: float) -> tuple[NDArray[np.float64], float]:
     """The map at equal distances of at most ``spacing`` in m over its span, both ends included: points (n, 2) whose
-    correction is the map's reference; and the largest error in m of a controller that interpolates linearly in them.
+    correction is the map's reference, or (n, 3) of a map with a table for each direction; and the largest error in m of
+    a controller that interpolates linearly in them.
     """
     first, last = straightness.span
     pieces = max(1, math.ceil((last - first) / spacing - 1e-9))
     x = np.linspace(first, last, pieces + 1)
-    deviation = -straightness.evaluate(x)[0]
     fine = np.linspace(first, last, 16 * pieces + 1)
-    error = np.abs(np.interp(fine, x, deviation) + straightness.evaluate(fine)[0]).max()
-    return np.column_stack([x, deviation]), float(error)
+    ways: tuple[Direction | None, ...] = ("forward", "backward") if straightness.directed else (None,)
+    deviations = [-straightness.evaluate(x, way)[0] for way in ways]
+    error = max(
+        np.abs(np.interp(fine, x, deviation) + straightness.evaluate(fine, way)[0]).max()
+        for way, deviation in zip(ways, deviations, strict=True)
+    )
+    return np.column_stack([x, *deviations]), float(error)

@@ -10,20 +10,21 @@ from straightcomp_ros.tuning.survey.error_table import Conventions, Points
 
 
 class Format(NamedTuple):
-    """The ending of a format's files, its functions, which raise SurveyError, and the most points that a controller
-    holds; an instrument's format is only read."""
+    """The ending of a format's files, its functions, which raise SurveyError, the most points that a controller holds,
+    and whether it has a table for each direction; an instrument's format is only read."""
 
     ending: str
     read: Callable[[Path, Conventions], Survey]
     write: Callable[[Points, Conventions], str] | None = None
     most: int | None = None
+    directed: bool = False
 
 
 FORMATS = {
     "aerotech": Format(".cal", aerotech.read, aerotech.write),
     "crosscomp": Format(".lis", point_lists.read_crosscomp, point_lists.write_crosscomp, 1001),
     "etalon": Format(".txt", point_lists.read_etalon, point_lists.write_etalon),
-    "linuxcnc": Format(".comp", point_lists.read_linuxcnc, point_lists.write_linuxcnc, 256),
+    "linuxcnc": Format(".comp", point_lists.read_linuxcnc, point_lists.write_linuxcnc, 256, directed=True),
     "renishaw": Format(".rtl", laser.read_rtl),
     "api": Format(".pos", laser.read_pos),
 }
@@ -40,8 +41,11 @@ def format_of(path: Path, name: str | None) -> str:
 
 
 def written(name: str, points: Points, conventions: Conventions) -> str:
-    """The text of a file of the format ``name``, one of :data:`WRITTEN`; SurveyError for too many points."""
+    """The text of a file of the format ``name``, one of :data:`WRITTEN`; of deviations forward and backward their mean
+    where it has one table for both. SurveyError for too many points."""
     write, most = WRITTEN[name], FORMATS[name].most
+    if not FORMATS[name].directed:
+        points = [(x, sum(deviations) / len(deviations)) for x, *deviations in points]
     if most is not None and len(points) > most:
         raise SurveyError(f"{len(points)} points; allowed for {name}: <= {most}: take a larger spacing")
     return write(points, conventions)

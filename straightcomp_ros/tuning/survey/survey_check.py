@@ -70,7 +70,13 @@ def survey_check(straightness: StraightnessMap, check: Survey, noise: float) -> 
         )
     x, values = x[inside], values[:, inside]
     expected = straightness.deviations(x)
-    left = np.array([least_squares_residual(x, run - expected) for run in values])
+    ways = [run.direction for run in check.runs]
+    left = np.array(
+        [
+            least_squares_residual(x, run - straightness.deviations(x, way))
+            for run, way in zip(values, ways, strict=True)
+        ]
+    )
     mean, runs = left.mean(axis=0), len(left)
     # A line takes two degrees of freedom of each run.
     freedom = points - 2

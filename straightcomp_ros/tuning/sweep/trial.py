@@ -21,6 +21,7 @@ from straightcomp_ros.analysis.run_verdict import JudgedMotion, verdict_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
+from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.survey import Survey
 
 
@@ -60,7 +61,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     stroke = scenario.stroke(stamps, mismeasured(scenario.survey, stage.uncertainty.map_noise, random.survey))
     noise = sensor_noise * random.sensor.standard_normal(stamps.size)
     time = np.asarray(stamps * 1e-9, dtype=np.float64)
-    window, target = motion_of(time, stroke.x).window, stroke.map.evaluate(stroke.true_x)[0]
+    window, target = motion_of(time, stroke.x).window, along(stroke.map, stroke.true_x)[0]
     first, last = stroke.map.span
     bounds: dict[str, Any] = {
         "current_limit": min(stage.actuator.current_limit, nominal.drive.largest_current),

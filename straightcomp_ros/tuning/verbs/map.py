@@ -18,7 +18,7 @@ from straightcomp_ros.straightness.survey import MARK
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.map_building import BuiltMap
-    from straightcomp_ros.straightness.survey import Survey
+    from straightcomp_ros.straightness.survey import Direction, Survey
     from straightcomp_ros.tuning.survey.error_table import Conventions
     from straightcomp_ros.tuning.survey.recording import Passage, Series
 
@@ -116,6 +116,11 @@ def _build(options: argparse.Namespace) -> None:
     if len(built.rejected_points) > 20:
         notes.print(f"and {len(built.rejected_points) - 20} more points")
     notes.print(str(built.straightness.noise))
+    if built.straightness.directed:
+        notes.print(
+            f"hysteresis of up to {built.straightness.hysteresis * 1e6:.2g} µm is more than the noise: the map has a "
+            "table for each direction"
+        )
     if options.smooth != "auto":
         notes.print(f"the file has the runs as measured: set stage.guide.smooth to {options.smooth} for this map")
     if built.repeatability.short_of_the_standard:
@@ -172,12 +177,14 @@ def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
         del figures["run"]
         figures |= {"points": run.x.size, "rejected": f"{run.name} {run.direction}" in built.rejected_runs}
         runs.append({"name": run.name, "direction": run.direction, **figures})
+    ways: tuple[Direction, ...] = ("forward", "backward") if built.straightness.directed else ()
     um = {
         "mean_um": built.mean,
         "forward_s_um": found.forward and found.forward.s,
         "backward_s_um": found.backward and found.backward.s,
         "reversal_um": found.reversal,
         "map_um": built.straightness.deviations(found.x),
+        **{f"map_{way}_um": built.straightness.deviations(found.x, way) for way in ways},
         "map_s_um": built.straightness.noise.band(found.x),
     }
     return {
@@ -286,7 +293,7 @@ def _export(options: argparse.Namespace) -> None:
     from straightcomp_ros.parameters.output_files import write_whole
     from straightcomp_ros.straightness.guide_map import MapParameters, load_map
     from straightcomp_ros.tuning.survey.error_table import sampled
-    from straightcomp_ros.tuning.survey.formats import WRITTEN, format_of, written
+    from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of, written
 
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
@@ -296,12 +303,16 @@ def _export(options: argparse.Namespace) -> None:
     if name not in WRITTEN:
         raise CommandFailed(f"--output {output}: an instrument's file; allowed: {', '.join(WRITTEN)}", exit_code=2)
     sign = -1.0 if options.negate else 1.0
-    write_whole(output, written(name, [(x, sign * deviation) for x, deviation in points.tolist()], conventions))
+    write_whole(
+        output,
+        written(name, [(x, *(sign * deviation for deviation in ways)) for x, *ways in points.tolist()], conventions),
+    )
     figures = {
         "output": str(output),
         "points": len(points),
         "spacing_mm": float(points[1, 0] - points[0, 0]) * 1e3,
         "interpolation_error_um": error * 1e6,
+        "directions": len(points[0]) - 1 if FORMATS[name].directed else 1,
     }
     if options.json:
         print_json(figures)
@@ -310,6 +321,8 @@ def _export(options: argparse.Namespace) -> None:
             f"{output}: {len(points)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
             f"linearly is at most {figures['interpolation_error_um']:.3f} µm off the map"
         )
+        if points.shape[1] - 1 > figures["directions"]:
+            notes.print(f"the guide has hysteresis; {name} has one table for both directions: it is their mean")
         print_written(output, then="load it into the controller, and compare its sign with a dial gauge")
 
 

@@ -1,0 +1,162 @@
+"""A guide that is another one on the way back: two tables where it shows, no step of the reference between them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import run_stroke
+from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.straightness.feedforward import Feedforward, Travel, along, follower, handover
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
+from straightcomp_ros.straightness.survey import Survey, write_survey
+from trials.noise import FINE, guide, mapped, settling, surveyed
+
+HYSTERESIS = 0.3e-6
+SURVEY = surveyed(10e-3, 25e-9, hysteresis=HYSTERESIS)
+MAP = mapped(SURVEY)
+PERIOD_NS = 500_000
+
+
+@pytest.mark.parametrize("noise", [25e-9, 2e-7])
+@pytest.mark.parametrize("spacing", [1e-3, 10e-3])
+def test_hysteresis_that_is_more_than_the_noise_makes_a_table_for_each_direction(spacing, noise):
+    straightness = mapped(surveyed(spacing, noise, hysteresis=HYSTERESIS))
+    assert straightness.directed and "two tables" in str(straightness)
+    mean = straightness.deviations(FINE)
+    for way, sign in (("forward", 0.5), ("backward", -0.5)):
+        true = guide(FINE) + sign * HYSTERESIS * settling(FINE)
+        assert np.std(straightness.deviations(FINE, way) - true) < 0.9 * np.std(mean - true)
+
+
+def test_noise_and_drift_of_the_instrument_are_no_hysteresis_and_leave_the_map_as_it_was_to_the_last_bit():
+    found = 0
+    for seed in range(40):
+        survey = surveyed(20e-3, 1e-7, seed=1000 + seed, drift=1e-7 * (seed % 2))
+        straightness = mapped(survey)
+        found += straightness.directed
+        if not straightness.directed:
+            plain = StraightnessMap(survey, MapParameters(travel=5e-3, direction="mean"))
+            np.testing.assert_array_equal(straightness.evaluate(FINE), plain.evaluate(FINE))
+            assert follower(straightness) == straightness.reference
+    assert found <= 1
+
+
+def test_only_what_was_repeated_both_ways_shows_hysteresis():
+    for runs in (SURVEY.runs[:2], SURVEY.runs[::2]):
+        survey = Survey(runs)
+        assert not mapped(survey).directed
+        both = StraightnessMap(survey, MapParameters(travel=5e-3, direction="both"))
+        assert both.directed == (runs[0].direction != runs[1].direction)
+
+
+def test_the_hand_over_leaves_no_step_in_the_reference_its_rate_and_its_acceleration():
+    # Reversals at rest, beyond the hand-over and in the middle of it, the last by an acceleration that does not stop.
+    level = mapped(replace(SURVEY, runs=tuple(replace(r, deviation=r.deviation - guide(r.x)) for r in SURVEY.runs)))
+    assert level.directed
+    time = np.arange(0.0, 2.0, 5e-5)
+    x = 0.75 + 0.01 * np.cos(2.0 * np.pi * time) ** 3 + 0.0004 * np.cos(9.0 * time)
+    speed, acceleration = np.gradient(x, time), np.gradient(np.gradient(x, time), time)
+    r, slope, curvature = along(level, x)
+    rate, second = slope * speed, curvature * speed**2 + slope * acceleration
+    assert np.ptp(r) > 0.9 * HYSTERESIS
+    # What the derivatives of a function without steps allow from one sample to the next.
+    inside = slice(5, -5)
+    np.testing.assert_allclose(np.gradient(r, time)[inside], rate[inside], atol=0.01 * np.abs(rate).max())
+    np.testing.assert_allclose(np.gradient(rate, time)[inside], second[inside], atol=0.01 * np.abs(second).max())
+    assert np.abs(np.diff(second))[inside].max() < 0.03 * np.abs(second).max()
+
+
+def test_a_stage_at_rest_and_an_encoder_that_toggles_change_no_table():
+    travel = Travel(MAP)
+    for x in np.linspace(0.7, 0.75, 500):
+        travel(x)
+    standing = travel(0.75)[0]
+    assert standing == pytest.approx(MAP.evaluate(0.75, "forward")[0], abs=1e-15)
+    toggled = [travel(0.75 - 1e-7 * (k % 2))[0] for k in range(1000)]
+    assert np.ptp(toggled) < 2e-11
+    assert np.isnan(travel(float("nan"))[0]) and travel(0.75)[0] == standing
+
+
+def test_after_a_whole_hand_over_the_reference_is_that_of_the_other_direction_with_no_more_than_its_bound():
+    parameters = MapParameters(travel=5e-3)
+    feedforward = Feedforward(MAP)
+    turn = Trajectory([Waypoint(0, 0.7, 0.0), Waypoint(400_000_000, 0.72, 0.0), Waypoint(800_000_000, 0.7, 0.0)])
+    stamps = range(0, turn.end_ns, PERIOD_NS)
+    x = np.array([turn.position(stamp) for stamp in stamps])
+    answers = np.array([feedforward.step(stamp, at) for stamp, at in zip(stamps, x.tolist(), strict=True)])
+    back = len(x) // 2 + np.flatnonzero(x[len(x) // 2 :] < 0.72 - parameters.reversal)
+    np.testing.assert_allclose(answers[back, 0], MAP.evaluate(x[back], "backward")[0], rtol=0, atol=1e-15)
+    acceleration = np.abs(np.diff(x, 2)).max() / (PERIOD_NS * 1e-9) ** 2
+    rate, second = handover(HYSTERESIS, acceleration, parameters.reversal)
+    plain = Feedforward(StraightnessMap(SURVEY, replace(parameters, direction="mean")))
+    others = np.array([plain.step(stamp, at) for stamp, at in zip(stamps, x.tolist(), strict=True)])
+    assert np.abs(answers - others)[:, 1].max() < 1.2 * rate
+    assert np.abs(answers - others)[:, 2].max() < 1.2 * second
+
+
+@pytest.fixture
+def values(tmp_path):
+    """Of a short stroke over a guide with hysteresis, whose survey is known."""
+    write_survey(tmp_path / "survey.csv", SURVEY)
+    x = SURVEY.runs[0].x
+    ways = [("forward", 0.5), ("backward", -0.5)]
+    truth = Survey(
+        tuple(
+            replace(SURVEY.runs[0], direction=way, deviation=guide(x) + sign * HYSTERESIS * settling(x))
+            for way, sign in ways
+        )
+    )
+    write_survey(tmp_path / "truth.csv", truth)
+    values = shipped_parameters()
+    values["stage"] |= {"motion.start": 0.6, "motion.stroke": 0.1, "guide.file": str(tmp_path / "survey.csv")}
+    values["stage"] |= {"motion.settle": 0.2, "motion.pause": 0.1}
+    values["driver"] |= {"simulated.truth.guide": str(tmp_path / "truth.csv")}
+    return values
+
+
+def test_offline_and_live_code_follow_the_tables_to_the_same_bit_and_beat_their_mean(values):
+    record, straightness = run_stroke(by_node(values))
+    other = Simulation(by_node(values)).run()
+    for name, column in other.columns().items():
+        np.testing.assert_array_equal(record.columns()[name], column, err_msg=name)
+    values["stage"]["guide.direction"] = "mean"
+    of_mean = evaluate(*run_stroke(by_node(values)))
+    figures = evaluate(record, straightness)
+    assert figures.true_pp_forward < 1.2 * of_mean.true_pp_forward
+    assert figures.residual_pp < of_mean.residual_pp - 0.3 * HYSTERESIS
+
+
+def test_a_bag_of_two_tables_is_evaluated_as_the_run_that_it_recorded(values, tmp_path):
+    simulation = Simulation(by_node(values))
+    with SimulatedRun(tmp_path / "bag", by_node(values), simulation.delay) as bag:
+        record = simulation.run(observe=bag.add)
+    evaluation = evaluate_bag(tmp_path / "bag")
+    assert evaluation.map is not None and evaluation.map.directed and evaluation.record.reference.directed
+
+    def known(figures):
+        return {name: figure for name, figure in figures.to_display().items() if figure is not None}
+
+    expected = evaluate(record, simulation.map)
+    for reference in (evaluation.map, evaluation.record.reference):
+        assert known(evaluate(evaluation.record, reference)) == pytest.approx(known(expected), rel=1e-6)
+
+
+def test_linuxcnc_gets_both_tables_and_a_controller_with_one_their_mean_and_a_word(values, tmp_path, capsys):
+    survey = values["stage"]["guide.file"]
+    for name, ways in (("table.comp", 2), ("table.cal", 1)):
+        assert main(["map", "export", "--survey", survey, "-o", str(tmp_path / name), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["directions"] == ways
+    rows = np.loadtxt(tmp_path / "table.comp")
+    for column, way in ((1, "forward"), (2, "backward")):
+        np.testing.assert_allclose(rows[:, column] * 1e-3, MAP.evaluate(rows[:, 0] * 1e-3, way)[0], atol=1e-9)
+    assert main(["map", "export", "--survey", survey, "-o", str(tmp_path / "other.cal")]) == 0
+    assert "one table for both directions" in capsys.readouterr().err
