@@ -12,7 +12,10 @@ their ratio to the standard uncertainty of the input (numerically, GUM 5.1.4).
 
 - repeatability: standard deviation between the strokes of one direction; for few strokes widened by Student's t, so
   that k = 2 holds 95 % (GUM, annex G);
-- encoder: q/√12 of y, uniform, independent from sample to sample. Repeatability contains it: the larger one counts;
+- encoder: q/√12 of y, uniform. Samples scatter about the mean curve by the encoder's errors and by the platform's own
+  motion, whose extremes are real: the variance beyond q²/12 is taken for motion, and as many samples are independent as
+  the correlation from one sample to the next leaves. Where samples scatter by less than q/√12, the readings stand still
+  and hide the rest, which is then in the true straightness alone. Repeatability contains it: the larger one counts;
 - map: what the survey's noise leaves in it; normal, independent at as many points as the map has independent ones, the
   same in all strokes;
 - sensor: as given; normal, independent at points 10 mm apart, the same in all strokes.
@@ -29,6 +32,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import LINES, residual_of_stroke
@@ -46,6 +50,10 @@ _DRAWS = 200
 """The standard deviation of a contribution is then known to 5 %."""
 _THIRDS = 20
 """Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
+_MOST = 32
+"""Samples of a piece that are drawn: more move its extremes by a hundredth of an error's range."""
+_CERTAIN = 3.0
+"""Standard uncertainties by which samples must scatter more than the encoder makes them, for the platform to move."""
 _SENSOR_POINTS = 0.01
 """Distance in m at which errors of a sensor and its straightedge are taken to be independent."""
 
@@ -192,13 +200,14 @@ def stated(
     """The statements about each line from the ``strokes`` of one direction; where they ``repeats`` a measurement, with
     the standard deviation between them."""
     values = np.array([_of_stroke(*one) for one in strokes])
-    x, mean, samples = _mean_curve(strokes)
     budgets = [[_repeatability(one)] if repeats else [] for one in values.T]
     random = np.random.default_rng(0)
     for one in inputs:
         changes = np.zeros((1, len(LINES)))
-        if one.uncertainty is not None:
-            changes = _changes(one, one.uncertainty, x, mean, samples, random)
+        if one.uncertainty is not None and one.points is None:
+            changes = _readings(one.uncertainty, strokes, random)
+        elif one.uncertainty is not None:
+            changes = _changes(one, one.uncertainty, *_mean_curve(strokes)[:2], random)
         shares = changes.std(axis=0) / math.sqrt(len(strokes) if one.points is None else 1)
         corrections = (-1.0 if one.seen else 1.0) * changes.mean(axis=0)
         for budget, share, correction in zip(budgets, shares.tolist(), corrections.tolist(), strict=True):
@@ -245,32 +254,64 @@ def _mean_curve(strokes: Sequence[Samples]) -> tuple[Array, Array, Array]:
     return *means, np.maximum(np.unique(place, return_counts=True)[1] / len(strokes), 1.0)
 
 
-def _changes(
-    one: Input, uncertainty: float, x: Array, mean: Array, samples: Array, random: np.random.Generator
-) -> Array:
-    """(draws, lines) how errors of the input change the straightness of the curve ``mean`` (n,) over ``x`` (n,), in m;
-    each of its points stands for ``samples`` (n,)."""
-    shape = _DRAWS, x.size
-    if one.points is None:
-        # The largest of m uniform numbers has the distribution of the m-th root of one.
-        half = math.sqrt(3.0) * uncertainty
-        above, below = (half * (2.0 * random.random(shape) ** (1.0 / samples) - 1.0) for _ in range(2))
-        ends = half * random.uniform(-1.0, 1.0, (_DRAWS, 2))
-        high, low, middle = mean + above, mean - below, np.broadcast_to(mean, shape)
-    else:
-        if one.seen:
-            mean = _without(one.points, uncertainty, x, mean)
-        errors = random.normal(0.0, uncertainty, (one.points.size, _DRAWS))
-        high = low = middle = mean + cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
-        ends = middle[:, [0, -1]] - mean[[0, -1]]
+def _readings(uncertainty: float, strokes: Sequence[Samples], random: np.random.Generator) -> Array:
+    """(draws, lines) how far the straightness of readings with this standard ``uncertainty`` in m is from that of the
+    motion which they read, in m, from stroke to stroke."""
+    curves = [_mean_curve([one]) for one in strokes]
+    squares = products = count = 0.0
+    for (_, at, deviation), (x, mean, _) in zip(strokes, curves, strict=True):
+        left = deviation - np.interp(at, x, mean)
+        squares += float(left @ left)
+        products += max(0.0, float(left[1:] @ left[:-1]))
+        count += left.size - x.size
+    # Of a first-order autoregression, the share of samples that are as good as independent.
+    independent = (squares - products) / (squares + products) if squares else 1.0
+    variance, certain = squares / count, 1.0 + _CERTAIN * math.sqrt(2.0 / (count * independent))
+    hidden = max(0.0, 1.0 - variance / uncertainty**2) if uncertainty else 0.0
+    motion, half = math.sqrt(max(0.0, variance - uncertainty**2 * certain)), math.sqrt(3.0) * uncertainty
+    draws, changes = math.ceil(_DRAWS / len(strokes)), []
+    for x, mean, samples in curves:
+        drawn = np.maximum(samples * independent, 1.0).clip(max=_MOST)[:, None] > np.arange(_MOST)
+        moving = motion * random.standard_normal((draws, *drawn.shape))
+        errors = half * math.sqrt(1.0 - hidden) * random.uniform(-1.0, 1.0, moving.shape)
+        slow = half * math.sqrt(hidden) * random.uniform(-1.0, 1.0, (draws, x.size))
+        read, true = _extremes(mean, moving + errors, drawn), _extremes(mean + slow, moving, drawn)
+        changes.append(_straightness(x, *read) - _straightness(x, *true))
+    return np.concatenate(changes)
+
+
+def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.random.Generator) -> Array:
+    """(draws, lines) how errors of the input at its points change the straightness of the curve ``mean`` (n,) over
+    ``x`` (n,), in m."""
+    assert one.points is not None
+    if one.seen:
+        mean = _without(one.points, uncertainty, x, mean)
+    errors = random.normal(0.0, uncertainty, (one.points.size, _DRAWS))
+    changed = mean + cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
+    drawn = _straightness(x, changed, changed, changed[:, [0, -1]])
+    return np.asarray(drawn - _of_stroke(np.arange(x.size, dtype=np.float64), x, mean))
+
+
+def _extremes(middle: Array, samples: Array, count: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Highest and lowest (draws, n) of ``samples`` (draws, n, most) about ``middle``, of those that ``count``
+    (n, most), and the first and the last sample (draws, 2)."""
+    high = middle + np.where(count, samples, -math.inf).max(axis=2)
+    low = middle + np.where(count, samples, math.inf).min(axis=2)
+    ends = samples[:, [0, -1], 0] + np.broadcast_to(middle, high.shape)[:, [0, -1]]
+    return high, low, ends
+
+
+def _straightness(x: Array, high: Array, low: Array, ends: Array) -> Array:
+    """(draws, lines) of curves between ``low`` and ``high`` (draws, n) over ``x`` (n,), which begin and end at ``ends``
+    (draws, 2); all in m."""
     arm = x - x.mean()
 
     def width(slopes: Array) -> Array:
         lines = np.outer(slopes, arm)
         return np.asarray((high - lines).max(axis=1) - (low - lines).min(axis=1))
 
-    least_squares = middle @ arm / (arm @ arm)
-    about = width(least_squares), width(np.diff(mean[[0, -1]] + ends).ravel() / np.ptp(x))
+    least_squares = (high + low) @ arm / (2.0 * arm @ arm)
+    about = width(least_squares), width(np.diff(ends).ravel() / np.ptp(x))
     # The width is convex in the slope: its minimum is not where it is wider than about another line.
     reach = 2.0 * about[0] / np.ptp(x)
     lowest, highest = least_squares - reach, least_squares + reach
@@ -278,8 +319,7 @@ def _changes(
         third = (highest - lowest) / 3.0
         falls = width(lowest + third) > width(highest - third)
         lowest, highest = np.where(falls, lowest + third, lowest), np.where(falls, highest, highest - third)
-    changed = np.column_stack([*about, width((lowest + highest) / 2.0)])
-    return changed - _of_stroke(np.arange(x.size, dtype=np.float64), x, mean)
+    return np.column_stack([*about, width((lowest + highest) / 2.0)])
 
 
 def _without(points: Array, uncertainty: float, x: Array, mean: Array) -> Array:

@@ -48,7 +48,7 @@ def half_difference(
         return None
     apart = ways[:, None] * (values - mean)
     half = np.mean([apart[ways == way].mean(axis=0) for way in (1.0, -1.0)], axis=0)
-    line = np.polyval(np.polyfit(x, half, 1), x)
+    line = np.asarray(np.polyval(np.polyfit(x, half, 1), x), np.float64)
     if always:
         kept, shaped = line, True
     else:
