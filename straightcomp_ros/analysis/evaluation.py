@@ -22,7 +22,7 @@ from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
-from straightcomp_ros.bags.recorded_nodes import recorded_parameters, reports_in, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
@@ -35,10 +35,6 @@ def attached_map(
     attachments: Mapping[str, bytes], parameters: Mapping[str, Mapping[str, Any]]
 ) -> StraightnessMap | None:
     """The map of the attached survey; None without one, or where it makes no map by the recorded parameters."""
-    section = parameters.get("feedforward", {})
-    own = {
-        name.removeprefix("stage.guide."): value for name, value in section.items() if name.startswith("stage.guide.")
-    }
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))
         if survey is None:
@@ -46,7 +42,7 @@ def attached_map(
         try:
             # Recordings without these are older: their reference went through every point of the mean.
             older = {"smooth": "none", "direction": "mean"}
-            return load_map(from_mapping(MapParameters, {**older, **own, "file": str(survey)}))
+            return load_map(from_mapping(MapParameters, {**older, **guide_parameters(parameters), "file": str(survey)}))
         except (ParameterError, SurveyError):
             return None
 

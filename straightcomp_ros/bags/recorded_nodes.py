@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags import BAND_ATTACHMENT, MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.reader import Messages, decoded, messages_on
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, flatten
+from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, flatten, from_mapping
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 from straightcomp_ros.timing.node_timing import Report, reporting_node
 
@@ -65,8 +65,9 @@ def parameters_of(
 
 
 def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
-    """Attach the survey that the parameters name, as it is on this machine now; returns why not, empty when it is."""
-    from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
+    """Attach the survey that the parameters name, as it is on this machine now, and its map with the band; returns why
+    not, empty when they are."""
+    from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
     from straightcomp_ros.straightness.survey import SurveyError
 
     node, name = MAP_PARAMETERS
@@ -76,7 +77,19 @@ def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
     except (SurveyError, OSError) as error:
         return f"the map is not attached to the bag: {error}"
     bag.attach(MAP_ATTACHMENT, "text/csv", data)
+    try:
+        table = load_map(from_mapping(MapParameters, {**guide_parameters(values), "file": str(path)})).table()
+    except (ParameterError, SurveyError) as error:
+        return f"the map's band is not attached to the bag: {error}"
+    bag.attach(BAND_ATTACHMENT, "text/csv", table.encode())
     return ""
+
+
+def guide_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Those of the map, without their prefix ``stage.guide.``, among the nodes' ``values``."""
+    prefix = MAP_PARAMETERS[1].removesuffix("file")
+    own = values.get(MAP_PARAMETERS[0], {})
+    return {name.removeprefix(prefix): value for name, value in own.items() if name.startswith(prefix)}
 
 
 def unpacked_map(attachments: Mapping[str, bytes], folder: Path) -> Path | None:

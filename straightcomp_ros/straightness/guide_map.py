@@ -158,6 +158,16 @@ class StraightnessMap:
         (r, slope, curvature), (d, d_slope, d_curvature) = self._mean.at(x), self._half.at(x)
         return (r + d, slope + d_slope, curvature + d_curvature), (r - d, slope - d_slope, curvature - d_curvature)
 
+    def table(self) -> str:
+        """The map at the survey's points as CSV: x, r or r forward and backward, and the standard deviation that the
+        survey's noise leaves in it."""
+        x = self.report.x
+        columns = {"x_mm": x * 1e3, "r_um": self.evaluate(x)[0] * 1e6, "s_um": self.noise.band(x) * 1e6}
+        if self.directed:
+            columns |= {f"r_{way}_um": self.evaluate(x, way)[0] * 1e6 for way in ("forward", "backward")}
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        return "\n".join([",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]) + "\n"
+
     def deviation(self, x: float) -> float:
         """δ in m at x in m: the guide's deviation by the survey; of two tables the mean."""
         return self.offset - self.reference(x)[0]

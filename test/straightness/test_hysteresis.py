@@ -1,5 +1,6 @@
 """A guide that is another one on the way back: two tables where it shows, no step of the reference between them."""
 
+import csv
 import json
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.model.motion import Trajectory, Waypoint
@@ -145,6 +147,10 @@ def test_a_bag_of_two_tables_is_evaluated_as_the_run_that_it_recorded(values, tm
     def known(figures):
         return {name: figure for name, figure in figures.to_display().items() if figure is not None}
 
+    rows = list(csv.DictReader(read_attachments(tmp_path / "bag")["map_band.csv"].decode().splitlines()))
+    for name, values in (("s", MAP.noise.band), ("r_forward", lambda x: MAP.evaluate(x, "forward")[0])):
+        found = [float(row[f"{name}_um"]) * 1e-6 for row in rows]
+        np.testing.assert_allclose(found, values(SURVEY.runs[0].x), atol=2e-9)
     expected = evaluate(record, simulation.map)
     for reference in (evaluation.map, evaluation.record.reference):
         assert known(evaluate(evaluation.record, reference)) == pytest.approx(known(expected), rel=1e-6)

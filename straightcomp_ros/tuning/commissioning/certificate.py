@@ -20,6 +20,7 @@ from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
 from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
@@ -29,8 +30,8 @@ from straightcomp_ros.tuning.design.error_budget import BudgetEntry, remarks
 _LATER = "In `limits.yaml`, for `straightcomp evaluate --limits`."
 _BUDGET = """\
 Simulated with the machine as found: what would be left if a cause were gone. The error of the survey adds to each:
-{:.3g} µm RMS at each of its points (`stage.uncertainty.map_noise`). The platform follows it, and no encoder of this
-stage sees it."""
+{:.3g} µm RMS at each of its points (`stage.uncertainty.map_noise`); by its own runs, {}.
+The platform follows it, and no encoder of this stage sees it."""
 _LINE = "minimum_zone"
 """The reference line of the summary: ISO 230-1:2012, 3.4 defines straightness by it."""
 _STRAIGHTNESS = """\
@@ -86,6 +87,7 @@ def certificate(work: Work) -> Outcome:
             "described": {name: value for name, value in described.items() if isinstance(value, float)},
             "current_path": _current_path(work),
             "map_noise_um": stage.uncertainty.map_noise * 1e6,
+            "map_noise_by_runs": str(load_map(stage.guide).noise),
             "checks": [one._asdict() for one in checks],
             "later_limits": [
                 {"name": name, "value": accepted[name], "limit": limit} for name, limit in accepted["limits"].items()
@@ -205,7 +207,8 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
         (one["cause"].replace("as described", "as found"), one["pp_um"], one["rms_um"])
         for one in figures("design").get("budget", [])
     ]
-    note = " ".join([*remarks([BudgetEntry(*one) for one in budget]), _BUDGET.format(content["map_noise_um"])])
+    of_map = _BUDGET.format(content["map_noise_um"], content["map_noise_by_runs"])
+    note = " ".join([*remarks([BudgetEntry(*one) for one in budget]), of_map])
     section("Where the error comes from", (("machine", "p-p [µm]", "RMS [µm]"), budget), note=note)
     if timing := figures("acceptance").get("timing"):
         section("What late commands cost", *_timing(timing, connection.get("latency_histogram", [])))

@@ -20,9 +20,10 @@ from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.tuning.design.gains import scaled, scaled_facts, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
-from straightcomp_ros.tuning.sweep.trial import sample_times, streams
+from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times, streams
 
 _STARTS = 3
 _FINE = 1e-3
@@ -106,6 +107,9 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
     jitter = stage.uncertainty.jitter * stage.period
     stamps = sample_times(jitter, scenario.period_ns, scenario.samples, streams(seed, 0).clock)
 
+    noise = StraightnessMap(scenario.survey, scenario.followed.guide).noise
+    again = mismeasured(scenario.survey, noise.point * math.sqrt(noise.runs), streams(seed, 0).survey)
+
     def faster(fact: str, factor: float) -> tuple[StageParameters, ControlParameters]:
         """The stage with a fact of its drive changed, and gains for it as those for the stage."""
         other = scaled_facts(stage, (fact,), factor)
@@ -134,6 +138,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
             plant=scaled_facts(plant, ("drive.bandwidth",), _AMPLIFIER), stage=wide, control=of_wide
         ),
         "exact reference at each sample": own._replace(stroke=prepared_stroke(scenario, ideal=True)),
+        "with the noise of the survey once more in it": own._replace(stroke=prepared_stroke(scenario, survey=again)),
         "with the jitter of the uncertainty": own._replace(stroke=prepared_stroke(scenario, stamps=stamps)),
         **_rigid(own),
         **_disturbed(own),

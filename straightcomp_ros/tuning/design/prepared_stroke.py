@@ -19,6 +19,7 @@ from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.survey import Survey
 
 _PITCH = 1.3
 """Distance of neighbouring starts in counts of the encoder: not a whole number, so each lies elsewhere in a count."""
@@ -86,6 +87,7 @@ def prepared_stroke(
     trajectory: Trajectory | None = None,
     stamps: NDArray[np.int64] | None = None,
     ideal: bool = False,
+    survey: Survey | None = None,
 ) -> PreparedStroke:
     """A stroke of a stage, along ``trajectory`` in place of the scenario's.
 
@@ -93,14 +95,18 @@ def prepared_stroke(
         stamps: (n,) of the samples in ns from 0, if they are not on the grid.
         ideal: the law is given r, ṙ and r̈ of the true motion at each sample, without the encoder of x, the filter and
             the lead.
+        survey: of the map that the law is given, in place of the scenario's, by which it is judged.
     """
-    stroke = dataclasses.replace(scenario, trajectory=trajectory or scenario.trajectory).stroke(stamps)
+    moved = dataclasses.replace(scenario, trajectory=trajectory or scenario.trajectory)
+    stroke = moved.stroke(stamps)
     r, slope, curvature = along(stroke.map, stroke.true_x)
     time, x, given = np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x, stroke.given
     if ideal:
         x = stroke.true_x
         speed = np.gradient(x, time)
         given = np.column_stack([r, slope * speed, curvature * speed * speed + slope * np.gradient(speed, time)])
+    if survey is not None:
+        given = moved.stroke(stamps, survey).given
     motion = motion_of(time, x)
     rest = slice(0, 0)
     if len(motion.strokes) > 1:

@@ -54,10 +54,11 @@ def test_progress_passes_through_every_step(design, reported):
 
 def test_the_budget_begins_with_the_stage_and_has_the_same_causes_for_every_law(design, shipped):
     left = {entry.cause: entry for entry in design.budget}
-    assert design.budget[0].cause == "as described" and len(left) == len(design.budget) == 17
+    assert design.budget[0].cause == "as described" and len(left) == len(design.budget) == 18
     stage = left["as described"]
     assert left["ideal encoder of y and D/A converter"].rms < stage.rms
     assert left["friction known from the start"] != stage and left["a hundredth of the friction"].pp != stage.pp
+    assert left["with the noise of the survey once more in it"].rms > stage.rms
     assert all(math.isfinite(entry.pp) and entry.pp > 0.0 for entry in design.budget)
     # That of a law without a friction model.
     plain = error_budget(shipped, "linear", closed_form(shipped, "linear"))
