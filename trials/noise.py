@@ -1,82 +1,194 @@
 """Measure the error of a map by its survey's spacing and noise: through every mean, smoothed by `auto`, and by SciPy's
-smoothing spline with the best λ for the known guide; on the shipped guide, and with a joint in it."""
+smoothing spline with the best λ for the known guide; on the shipped guide, with a joint in it, on 3 m with hysteresis
+and on a ground guide; or the straightness that strokes by these maps leave."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.metrics import straightness_over
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json
+from straightcomp_ros.offline.scenario import laws_of, make_scenario
+from straightcomp_ros.offline.starts import offsets
+from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Direction, Run, Survey
-from straightcomp_ros.straightness.survey_runs import on_common_grid
 
 SUMMARY = "error of the map by spacing and noise of the survey"
+_STAGES = Path(__file__).parent.parent / "test/stages"
 GUIDE = load_map(MapParameters("config/guide_synthetic.csv", smooth="none"))
 FINE = np.linspace(*GUIDE.span, 17_601)
 JOINT, KINK = 0.9, 5e-5
 """x in m of the joint, and the change of the guide's slope there in m/m: about the largest slope of the guide."""
-SPACINGS_MM, NOISES_UM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0), (0.025, 0.05, 0.2, 0.5)
+WAYS: tuple[Direction, ...] = ("forward", "backward")
+SPACINGS_MM, NOISES_UM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), (0.02, 0.05, 0.2, 0.5)
 Array = NDArray[np.float64]
 
 
+class Kind(NamedTuple):
+    """A kind of guide: its straightness, the change of slope at its joint in m/m, its hysteresis in m, and the file of
+    a stage that has it, for residuals; empty for the shipped one."""
+
+    base: StraightnessMap = GUIDE
+    kink: float = 0.0
+    hysteresis: float = 0.0
+    stage: str = ""
+
+    def true(self, x: Array, way: Direction) -> Array:
+        """δ in m of the guide at ``x`` in m on the way."""
+        half = 0.5 if way == "forward" else -0.5
+        return guide(x, self.kink, self.base) + half * self.hysteresis * settling(x)
+
+
+def _of_stage(stage: str, survey: str, hysteresis: float = 0.0) -> Kind:
+    file = str(_STAGES / survey)
+    return Kind(load_map(MapParameters(file, smooth="none", direction="mean")), 0.0, hysteresis, str(_STAGES / stage))
+
+
+def kinds() -> dict[str, Kind]:
+    """By name."""
+    return {
+        "shipped": Kind(),
+        "with a joint": Kind(kink=KINK),
+        "3 m, hysteresis 0.3 um": _of_stage("gantry.yaml", "gantry_3_m.csv", 0.3e-6),
+        "ground, 2 um": _of_stage("short_ground.yaml", "ground_300_mm.csv"),
+    }
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--draws", type=int, default=9, metavar="N", help="surveys of each kind (default: %(default)s)")
+    add = parser.add_argument
+    add("--draws", type=int, default=9, metavar="N", help="surveys of each kind (default: %(default)s)")
+    add("--guide", choices=kinds(), help="this guide alone")
+    add("--spacing", type=float, nargs="+", default=SPACINGS_MM, metavar="MM", help="default: %(default)s")
+    add("--noise", type=float, nargs="+", default=NOISES_UM, metavar="UM", help="default: %(default)s")
+    add("--residuals", action="store_true", help="straightness by simulation, nine starts, in place of the map's error")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print for each guide, spacing and noise the median errors p-p in µm, and the coverage of the 95 % band."""
+    """Print for each guide, spacing and noise the median errors p-p in µm, and the coverage of the 95 % band; or the
+    residual straightness of strokes."""
     check_range("--draws", options.draws, 1)
-    print_json(
-        {
-            "rows": [
-                {"kink": kink, "spacing_mm": spacing, "noise_um": noise, **errors(kink, spacing, noise, options.draws)}
-                for kink in (0.0, KINK)
-                for spacing in SPACINGS_MM
-                for noise in NOISES_UM
-            ]
-        }
-    )
+    rows = []
+    for name, kind in kinds().items():
+        for spacing in options.spacing if options.guide in (None, name) else ():
+            for noise in options.noise:
+                found = (
+                    residuals(kind, spacing, noise)
+                    if options.residuals
+                    else errors(kind, spacing, noise, options.draws)
+                )
+                rows.append({"guide": name, "spacing_mm": spacing, "noise_um": noise, **found})
+    print_json({"rows": rows})
 
 
-def errors(kink: float, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
-    """Medians over ``draws`` surveys, by name; the coverage is at the survey's own points."""
-    true, rows = guide(FINE, kink), []
+def _surveyed(kind: Kind, spacing_mm: float, noise_um: float, seed: int) -> Survey:
+    chosen = {"kink": kind.kink, "hysteresis": kind.hysteresis, "base": kind.base}
+    return surveyed(spacing_mm * 1e-3, noise_um * 1e-6, seed=seed, **chosen)
+
+
+def errors(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
+    """Medians over ``draws`` surveys and both ways, by name; the coverage is at the survey's own points."""
+    fine, rows = _fine(kind), []
     for seed in range(draws):
-        survey = surveyed(spacing_mm * 1e-3, noise_um * 1e-6, seed=seed, kink=kink)
+        survey = _surveyed(kind, spacing_mm, noise_um, seed)
         through, smoothed = (mapped(survey, how) for how in ("none", "auto"))
-        x, values = on_common_grid(survey, 20, 0.05)
-        left = smoothed.deviations(x) - guide(x, kink)
-        rows.append(
-            {
-                "interpolated": float(np.ptp(through.deviations(FINE) - true)) * 1e6,
-                "auto": float(np.ptp(smoothed.deviations(FINE) - true)) * 1e6,
-                "best": best_possible(x, values.mean(axis=0), true) * 1e6,
-                "coverage": float(np.mean(np.abs(left) <= NORMAL_95 * smoothed.noise.band(x))),
-            }
-        )
+        x = survey.runs[0].x
+        for way in WAYS:
+            true = kind.true(fine, way)
+            left = smoothed.deviations(x, way) - kind.true(x, way)
+            rows.append(
+                {
+                    "interpolated": float(np.ptp(through.deviations(fine, way) - true)) * 1e6,
+                    "auto": float(np.ptp(smoothed.deviations(fine, way) - true)) * 1e6,
+                    "best": float(np.ptp(_best(kind, survey, fine, way)(fine) - true)) * 1e6,
+                    "coverage": float(np.mean(np.abs(left) <= NORMAL_95 * smoothed.noise.band(x))),
+                }
+            )
     mean = float(np.mean([row.pop("coverage") for row in rows]))
     return {name: float(np.median([row[name] for row in rows])) for name in rows[0]} | {"coverage": mean}
 
 
+def residuals(kind: Kind, spacing_mm: float, noise_um: float) -> dict[str, float]:
+    """Residual straightness in µm of a cycle, the median of nine starts, with the map of one survey through every mean,
+    smoothed, and by the best spline for one who knows the guide. The hysteresis of the true guide changes sides within
+    a quarter of the travel that the reference takes for it."""
+    values = by_node(shipped_parameters(stage=kind.stage or None))
+    law = "smc_observer"
+    scenario, survey = make_scenario(values, [law]), _surveyed(kind, spacing_mm, noise_um, 0)
+    guide_parameters = replace(scenario.followed.guide, travel=5e-3)
+    fine = _fine(kind)
+    best = Survey(tuple(Run("1", way, fine[::10], _best(kind, survey, fine, way)(fine[::10])) for way in WAYS))
+    truth = Survey(tuple(Run("1", way, fine[::10], kind.true(fine[::10], way)) for way in WAYS))
+    tables = "both" if kind.hysteresis else "mean"
+    exact = replace(guide_parameters, smooth="none", direction=tables)
+    true = StraightnessMap(truth, replace(exact, reversal=guide_parameters.reversal / 4.0))
+    found = {}
+    for name, own, parameters in (
+        ("interpolated", survey, replace(guide_parameters, smooth="none")),
+        ("auto", survey, guide_parameters),
+        ("best", best, exact),
+    ):
+        one = replace(scenario, followed=replace(scenario.followed, guide=parameters), survey=own)
+        stroke, pp = one.stroke(), []
+        deviation = true.offset - along(true, stroke.true_x)[0]
+        for offset in offsets():
+            simulated = replace(one.driver.simulated, initial_y=offset)
+            cycle = replace(one, driver=replace(one.driver, simulated=simulated)).cycle(laws_of(one)[law], stroke)
+            record = StrokeRecord(
+                time=stroke.stamps * 1e-9,
+                x=stroke.x,
+                y=cycle.y,
+                r=stroke.references[:, 0].copy(),
+                current=cycle.current,
+                law=law,
+                true_x=stroke.true_x,
+                true_y=cycle.true_y,
+                guide=deviation,
+            )
+            pp.append(np.ptp(straightness_over(record, stroke.map)[2]))
+        found[name] = float(np.median(pp)) * 1e6
+    return found
+
+
+def _fine(kind: Kind) -> Array:
+    return np.linspace(*kind.base.span, round(np.ptp(kind.base.span) / 1e-4) + 1)
+
+
+def _best(kind: Kind, survey: Survey, fine: Array, way: Direction) -> Callable[[Array], Array]:
+    """The spline with the least error p-p of the mean of the runs, where there is hysteresis of those of the way."""
+    runs = [run.deviation for run in survey.runs if run.direction == way or not kind.hysteresis]
+    return best_spline(survey.runs[0].x, np.mean(runs, axis=0), fine, kind.true(fine, way))
+
+
 def best_possible(x: Array, mean: Array, true: Array) -> float:
     """Least error p-p in m over all λ of SciPy's smoothing spline."""
+    return float(np.ptp(best_spline(x, mean, FINE, true)(FINE) - true))
+
+
+def best_spline(x: Array, mean: Array, fine: Array, true: Array) -> Callable[[Array], Array]:
+    """SciPy's smoothing spline, in m over m, with the λ of the least error p-p from the ``true`` guide at ``fine``."""
     from scipy.interpolate import make_smoothing_spline
 
-    found = []
-    for amount in np.geomspace(1e-2, 1e7, 19):  # of µm over mm
-        spline = make_smoothing_spline(x * 1e3, mean * 1e6, lam=amount)
-        found.append(float(np.ptp(spline(FINE * 1e3) * 1e-6 - true)))
-    return min(found)
+    splines = [make_smoothing_spline(x * 1e3, mean * 1e6, lam=amount) for amount in np.geomspace(1e-2, 1e7, 19)]
+    best = min(splines, key=lambda spline: float(np.ptp(spline(fine * 1e3) * 1e-6 - true)))  # λ of µm over mm
+    return lambda at: np.asarray(best(at * 1e3) * 1e-6)
 
 
-def guide(x: Array, kink: float = 0.0) -> Array:
-    """δ of the shipped guide in m, with a change of slope of ``kink`` in m/m at the joint."""
-    return np.asarray(GUIDE.deviations(x) + 0.5 * kink * np.abs(x - JOINT))
+def guide(x: Array, kink: float = 0.0, base: StraightnessMap = GUIDE) -> Array:
+    """δ of the shipped guide or of ``base`` in m, with a change of slope of ``kink`` in m/m at the joint."""
+    return np.asarray(base.deviations(x) + 0.5 * kink * np.abs(x - JOINT))
 
 
 def settling(x: Array) -> Array:
@@ -93,16 +205,16 @@ def surveyed(
     kink: float = 0.0,
     drift: float = 0.0,
     hysteresis: float = 0.0,
+    base: StraightnessMap = GUIDE,
 ) -> Survey:
     """Runs forward and backward in turn. ``drift``: of a run's offset in m and slope in m/m, one standard deviation;
     ``hysteresis``: its largest value in m, over x a wave of 1.5 m."""
-    x = np.linspace(*GUIDE.span, round(1.76 / spacing) + 1)
+    x = np.linspace(*base.span, round(np.ptp(base.span) / spacing) + 1)
     random = np.random.default_rng(seed)
-    ways: tuple[Direction, ...] = ("forward", "backward")
     lines = drift * random.normal(size=(runs, 2)) @ np.array([np.ones_like(x), x])
     half = 0.5 * np.array([hysteresis, -hysteresis])[np.arange(runs) % 2, None] * settling(x)
-    values = guide(x, kink) + half + lines + random.normal(0.0, noise, (runs, x.size))
-    return Survey(tuple(Run(str(i // 2 + 1), ways[i % 2], x, values[i]) for i in range(runs)))
+    values = guide(x, kink, base) + half + lines + random.normal(0.0, noise, (runs, x.size))
+    return Survey(tuple(Run(str(i // 2 + 1), WAYS[i % 2], x, values[i]) for i in range(runs)))
 
 
 def mapped(survey: Survey, smooth: str = "auto") -> StraightnessMap:

@@ -68,6 +68,14 @@ def test_noise_is_taken_off_and_with_it_the_acceleration_that_it_would_demand():
     assert np.abs(end.evaluate([-0.02, 1.78])[0]).max() < 1.5 * np.abs(GUIDE.evaluate([-0.02, 1.78])[0]).max()
 
 
+@pytest.mark.parametrize(
+    ("spacing", "noise"), [(1e-3, 2e-7), (5e-3, 5e-7), (10e-3, 5e-8), (10e-3, 5e-7), (20e-3, 5e-7)]
+)
+def test_no_noise_makes_the_reference_curve_more_than_twice_as_much_as_the_guide(spacing, noise):
+    found, true = (np.abs(one.evaluate(FINE)[2]).max() for one in (mapped(surveyed(spacing, noise)), GUIDE))
+    assert found < 2.0 * true
+
+
 def test_a_joint_stays_sharp_in_a_map_that_is_smooth_elsewhere():
     kink, survey = 5e-5, surveyed(1e-3, 5e-8, kink=5e-5)
     near = np.abs(FINE - JOINT) < 0.01
