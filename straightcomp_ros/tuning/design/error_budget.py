@@ -48,16 +48,19 @@ _NOTED = 1.5
 
 
 def remarks(budget: Sequence[BudgetEntry], unit: float = 1.0) -> list[str]:
-    """What a budget shows against its design, a sentence each; ``unit`` makes µm of its figures."""
+    """What a budget shows against its design, a sentence each; ``unit`` makes µm of its figures.
+
+    A cause that was added may leave more; one that was removed may not.
+    """
     own, *others = budget or (BudgetEntry("", 0.0, 0.0),)
     found = []
     for one in others:
-        if max(one.pp / own.pp, one.rms / own.rms) <= _NOTED:
+        if one.cause.startswith("with ") or max(one.pp / own.pp, one.rms / own.rms) <= _NOTED:
             continue
         figures = f"{one.pp * unit:.2g} µm p-p instead of {own.pp * unit:.2g}, {one.rms * unit:.2g} RMS instead of "
         figures += f"{own.rms * unit:.2g}"
-        reason = "the gains cost accuracy there" if one.cause.startswith("with ") else "the gains rely on what is gone"
-        found.append(f"“{one.cause}” would leave more: {figures}; {reason}, so that a machine like that needs its own.")
+        reason = "the gains rely on what is gone, so that a machine like that needs its own"
+        found.append(f"“{one.cause}” would leave more: {figures}; {reason}.")
     return found
 
 
