@@ -29,6 +29,7 @@ class Observation:
     first_ns: int = 0  # stamp of the first sample seen
     x: float = math.nan  # newest position of the stage in m; NaN before the first
     y: float = math.nan  # of the platform
+    unreferenced: str = ""  # why x is not counted from its reference; empty if it is
     stage: str = "rest"  # condition of the stage's motion as the driver reports it: rest, moving, stopping, held
     override: float = 1.0  # fraction of the speed of the stage's motions
     behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest

@@ -97,6 +97,14 @@ class Hardware(ABC):
     def pace(self, pace: Pace) -> None:
         """Ask for another pace of the stage's motion, and of those to come; HardwareError if it takes no commands."""
 
+    def home(self, now_ns: int) -> None:
+        """Begin to reference x: the stage goes to its index mark, and to the start of its strokes; amplifier off.
+
+        Raises:
+            HardwareError: x is referenced by another computer, or not now.
+        """
+        raise HardwareError("the stage's own controller references x")
+
     @property
     @abstractmethod
     def state(self) -> State:

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
-from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, PlantState, advance_to_sample, commanded_plant
 from straightcomp_ros.parameters.declaration import group, parameter
@@ -24,6 +24,9 @@ from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 from straightcomp_ros.straightness.feedforward import follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+_AT_INDEX_NS = 10_000_000
+_HOMING = "it is being homed"
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ class SimulatedHardware(Hardware):
         # The first call compiles, which must not happen inside the loop; at time 0 it changes nothing.
         self._advance(self._effective_ns, self._asked, 0, 0, 0.0, x)
         self._reading = plant.encoder.x_reading
+        self._motion, self._index = stage.motion, parameters.index + parameters.index_shift
         self._zero = parameters.index_shift if parameters.referenced else x
         """Position of the stage at which x reads zero."""
         if not parameters.referenced:
@@ -158,10 +162,28 @@ class SimulatedHardware(Hardware):
             self.fault = ""
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
+        if self._zero:
+            shifted = [point._replace(position=point.position + self._zero) for point in trajectory.waypoints]
+            trajectory = Trajectory(shifted)
+        self._begin(trajectory, start_ns)
+
+    def _begin(self, trajectory: Trajectory, start_ns: int) -> None:
         try:
             self.motion.begin(trajectory, start_ns)
         except ValueError as error:
             raise HardwareError(str(error)) from None
+
+    def home(self, now_ns: int) -> None:
+        if self.state is State.ON:
+            raise HardwareError("x cannot be referenced with the amplifier on")
+        motion, shift = self._motion, self._parameters.index_shift
+        points = [Waypoint(0, self.motion.position(now_ns), 0.0)]
+        points += trapezoid(points[-1], self._index, motion.speed, motion.acceleration)
+        # The index is found at rest.
+        points.append(Waypoint(points[-1].time_ns + _AT_INDEX_NS, self._index, 0.0))
+        points += trapezoid(points[-1], motion.start + shift, motion.speed, motion.acceleration)
+        self._begin(Trajectory(points), now_ns)
+        self.unreferenced = _HOMING
 
     def pace(self, pace: Pace) -> None:
         self.motion.ask(pace)
@@ -185,6 +207,8 @@ class SimulatedHardware(Hardware):
             self._waiting = left = count - taken
             self._effective_ns[:left] = self._effective_ns[taken:count]
             self._asked[:left] = self._asked[taken:count]
+        if self.unreferenced == _HOMING and x == self._index:
+            self._zero, self.unreferenced = self._parameters.index_shift, ""
         self._time_ns = time_ns
         age_ns = time_ns - self._last_command_ns
         if age_ns > self.command_timeout_ns and self.state is State.ON:

@@ -42,7 +42,7 @@ from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
-from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, SAMPLES, UNREFERENCED
 
 _ANSWER_LOOK_NS = 100_000
 """Polling interval while the command for the newest sample is outstanding."""
@@ -81,11 +81,13 @@ class DriverComponent:
         self._publish_state = streams.publisher(DRIVER_STATE, rate)
         self._samples = 0
         self._started = False
-        self._safety = SafetyMachine(self._hardware)
+        self._safety, self._unreferenced = SafetyMachine(self._hardware), self._hardware.unreferenced
         limit = parameters.stage.actuator.current_limit
         self._commands = CommandIntake(self._hardware, self._command_timeout_ns, period_ns, limit, self._trip)
         self._sample_watch = SampleWatch(parameters.watch, parameters.stage)
-        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._begin_anew)
+        self._panel = SafetyPanel(
+            node, self._safety, self._enable_refusal, self._begin_anew, lambda: not self._unreferenced
+        )
         self._stage_watch = StageWatch(parameters.watch)
         self._clock_watch = ClockWatch(parameters.watch, now_ns, system_ns)
         self._newest: Sample | None = None
@@ -94,6 +96,7 @@ class DriverComponent:
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
         node.offer(SetBool, "~/hold", self._on_hold)
         node.offer(Trigger, "~/end_motion", self._on_end_motion)
+        node.offer(Trigger, "~/home", self._on_home)
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
         self._reported_stage: StageState | None = None
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
@@ -166,8 +169,8 @@ class DriverComponent:
         # A simulated machine is integrated up to ``now``, with each command acting from its arrival.
         self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
-        if self._hardware.unreferenced and self._safety.condition is Condition.ON:
-            self._trip(Fault.NOT_REFERENCED, f"x is not referenced: {self._hardware.unreferenced}")
+        if self._unreferenced or self._hardware.unreferenced:
+            self._look_at_reference()
         latenesses = [self._hand_out(sample) for sample, _ in samples]
         # The controller's answer comes before the records, and a board must not wait for it until the next cycle.
         if samples and self._node.streams.let_readers_run():
@@ -179,6 +182,23 @@ class DriverComponent:
         if self._hardware.fault_kind is not None and self._safety.fault is None:
             self._trip(self._hardware.fault_kind, self._hardware.fault)
         return len(samples)
+
+    def _look_at_reference(self) -> None:
+        unreferenced = self._hardware.unreferenced
+        if unreferenced and self._safety.condition is Condition.ON:
+            self._trip(Fault.NOT_REFERENCED, f"x is not referenced: {unreferenced}")
+        if bool(unreferenced) != bool(self._unreferenced):
+            # x has another zero from now on.
+            self._sample_watch.restart()
+        self._unreferenced = unreferenced
+
+    def _on_home(self) -> str:
+        """Reference x: a simulated stage goes to its index mark and to the start of its strokes; amplifier off."""
+        try:
+            self._hardware.home(now_ns())
+        except HardwareError as error:
+            raise Refused(str(error)) from error
+        return "x is being referenced"
 
     def _fetch_commands(self, now: int, system_now: int) -> None:
         if self._newest is not None and self._commands.stamp_ns == self._newest.stamp_ns:
@@ -316,6 +336,7 @@ class DriverComponent:
             LOST: self._hardware.lost_samples,
             "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
+            UNREFERENCED: self._hardware.unreferenced,
             **self.loop.report(),
             **self._commands.counters(),
             **self._hardware.counters(),

@@ -49,7 +49,16 @@ from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import Streams
-from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, count, reporting_node
+from straightcomp_ros.timing.node_timing import (
+    DESCRIPTION,
+    EXCITATION,
+    EXCITING,
+    LOST,
+    SAMPLES,
+    UNREFERENCED,
+    count,
+    reporting_node,
+)
 
 _TICK_S = 0.05
 _LOOK_EVERY_S = 0.5
@@ -152,6 +161,7 @@ class GraphClient:
         self._center = self.service(SetBool, "feedforward/center")
         self._hold = self.service(SetBool, "driver/hold")
         self._end_motion = self.service(Trigger, "driver/end_motion")
+        self._home = self.service(Trigger, "driver/home")
         self._set_driver = self.service(SetParameters, "driver/set_parameters")
         self.stage = StageState()
         self._change_state = {name: self.service(ChangeState, f"{name}/change_state") for name in names}
@@ -247,6 +257,9 @@ class GraphClient:
     def hold(self, on: bool, then: Answer = _ignored) -> None:
         self._hold.ask(SetBool.Request(data=on), then)
 
+    def home(self, then: Answer = _ignored) -> None:
+        self._home.ask(Trigger.Request(), then)
+
     def end_motion(self, then: Answer = _ignored) -> None:
         self._end_motion.ask(Trigger.Request(), then)
 
@@ -313,6 +326,7 @@ class GraphClient:
             fresh=fresh,
             commissioning=self.commissioning.doing or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
             amplifier_on=fresh and self.safety.amplifier_on,
+            unreferenced=reports.get(_DRIVER, {}).get(UNREFERENCED, ""),
             stage=self.stage.condition,
             override=self.stage.override,
             behind_ns=self.stage.behind_ns,

@@ -74,7 +74,8 @@ class SafetyPanel:
 
     It switches off on requests on `trip`, and when a client that commissions the machine leaves the amplifier on.
     ``refusal`` returns why the amplifier may not be switched on now, apart from faults; empty if it may. ``anew`` is
-    called before the amplifier is switched on and before a fault is cleared: what came before counts no more.
+    called before the amplifier is switched on and before a fault is cleared: what came before counts no more. Unless x
+    is ``referenced`` it means nothing that x is beyond the map.
     """
 
     def __init__(
@@ -83,9 +84,10 @@ class SafetyPanel:
         safety: SafetyMachine,
         refusal: Callable[[], str],
         anew: Callable[[], None],
+        referenced: Callable[[], bool],
     ) -> None:
         self._node, self._safety = node, safety
-        self._refusal, self._anew = refusal, anew
+        self._refusal, self._anew, self._referenced = refusal, anew, referenced
         self._publisher = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
         self._reported: tuple[Condition, str] | None = None
         node.offer(SetBool, "~/enable", self._on_enable)
@@ -142,6 +144,8 @@ class SafetyPanel:
         # While the driver is not active the amplifier is off anyway: do not latch a fault that must then be reset.
         if self._node.active:
             fault = LABELLED.get(message.name, Fault.TRIPPED)
+            if fault is Fault.MAP_MISSING and not self._referenced():
+                return
             self._safety.trip(fault, message.message[:LONGEST_REASON] or "no reason given", now_ns())
             self.report()
 

@@ -19,6 +19,8 @@ TIMER_ERROR = "timer_error"
 LATENCY = "latency"
 AMPLIFIER = "amplifier"
 """State of the amplifier, in the driver's diagnostics."""
+UNREFERENCED = "unreferenced"
+"""Why x is not counted from its reference, in the driver's diagnostics; empty if it is."""
 EXCITATION = "excitation"
 """State of the excitation, in the controller's diagnostics: empty before the first, then `EXCITING`, then `FINISHED` or
 why it ended early."""

@@ -56,6 +56,9 @@ class Bench:
     def hold(self, on):
         self.motion.ask(self.motion.pace._replace(hold=on))
 
+    def home(self):
+        self.see(unreferenced="")
+
     def end_motion(self):
         self.motion.ask(self.motion.pace._replace(end=True))
 
@@ -200,6 +203,13 @@ def test_trouble_while_executing_aborts_with_the_reason(trouble, recoveries, wor
     bench.until(State.ABORTED)
     assert words in bench.sequence.message and bench.sequence.recovered == 0
     assert bench.requests[-1] == "off" and not bench.seen.amplifier_on
+
+
+def test_a_machine_without_a_reference_of_x_is_homed_before_it_is_idle():
+    bench = Bench()
+    bench.see(unreferenced="it was switched off")
+    bench.idle()
+    assert bench.seen.unreferenced == ""
 
 
 def test_clear_resets_faults_and_gives_up_where_they_remain():

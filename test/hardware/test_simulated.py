@@ -184,3 +184,18 @@ def test_commands_that_wait_take_effect_in_their_order_however_many_they_are(cou
     step = STAGE.drive.current_step
     assert applied[: count - 1] == pytest.approx([1e-3 * k for k in range(count - 1)], abs=step)
     assert applied[count - 1 :] == pytest.approx([-0.1, -0.1], abs=step)
+
+
+def test_homing_finds_the_index_where_it_is_now_and_ends_at_the_start_of_the_strokes():
+    parameters = SimulatedParameters(referenced=False, index=0.05, index_shift=0.001)
+    hardware = SimulatedHardware(parameters, STAGE, GUIDE, x=0.1)
+    hardware.start(START)
+    ((sample, _),) = hardware.read(START)
+    assert sample.x == 0.0 and hardware.unreferenced
+    hardware.home(START)
+    sample, truth = hardware.read(START + 4000 * PERIOD)[-1]
+    assert not hardware.unreferenced and sample.x == 0.0 and truth.x == pytest.approx(0.001)
+    hardware.move(Trajectory(forward_and_back(STAGE.motion)), START + 4000 * PERIOD)
+    hardware.enable()
+    with pytest.raises(HardwareError, match="amplifier on"):
+        hardware.home(START + 4000 * PERIOD)

@@ -126,6 +126,12 @@ class CanHardware(Hardware):
         begun.number += self.motion.number
         self.motion = begun
 
+    def home(self, now_ns: int) -> None:
+        if self._stage_frames is None:
+            super().home(now_ns)
+        else:
+            self._send_to_stage([self._stage_frames.home_payload()])
+
     def pace(self, pace: Pace) -> None:
         self._send_to_stage([self._frames_for_stage().pace_payload(pace)])
         self.motion.position(self._clock())

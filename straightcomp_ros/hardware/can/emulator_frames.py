@@ -71,6 +71,10 @@ class EmulatorFrames:
         seal = zlib.crc32(b"".join(payload for _, payload in frames))
         return [*frames, (self._start.identifier, self._start.pack((len(waypoints), seal)))]
 
+    def home_payload(self) -> tuple[int, bytes]:
+        """Identifier and payload of the frame that references x: it starts a motion without points."""
+        return self._start.identifier, self._start.pack((0, zlib.crc32(b"")))
+
     def pace_payload(self, pace: Pace) -> tuple[int, bytes]:
         """Identifier and payload of the frame that asks for a pace; it has its own checksum."""
         numbers = pace.override, int(pace.hold), int(pace.end)
@@ -106,7 +110,7 @@ class StageReceiver:
 
     def __init__(self, frames: EmulatorFrames) -> None:
         self._frames = frames.stage
-        self._pace_id = frames.pace_payload(Pace())[0]
+        self._pace_id, self._home = frames.pace_payload(Pace())[0], frames.home_payload()
         self._points = self._empty()
 
     def _empty(self) -> dict[int, dict[int, tuple[bytes, tuple[int | float, ...]]]]:
@@ -122,6 +126,9 @@ class StageReceiver:
                 if seal != _seal_of_pace((override, int(hold), int(end))):
                     raise HardwareError("the frame of a pace is damaged")
                 machine.pace(Pace(float(override), bool(hold), bool(end)))
+                return
+            if (identifier, payload) == self._home:
+                machine.home(at_ns)
                 return
             trajectory = self.add(identifier, payload)
             if trajectory is not None:

@@ -511,3 +511,13 @@ def test_a_board_that_loses_the_reference_of_x_switches_off_and_says_so_until_it
     running.run(0.02)
     assert running.host.unreferenced == ""
     running.off_again()
+
+
+def test_a_simulated_stage_on_can_is_homed_by_a_frame(world):
+    world.run(0.2)
+    world.board.machine.unreferenced = "it was switched off"
+    world.run(0.02)
+    assert world.host.unreferenced
+    world.host.home(world.now)
+    world.run(0.1)
+    assert world.host.unreferenced == ""
