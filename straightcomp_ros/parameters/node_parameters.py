@@ -49,6 +49,10 @@ class DriverNodeParameters:
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
     def __post_init__(self) -> None:
+        if self.lockstep and not self.simulated.referenced:
+            raise RefusedParameter(
+                "simulated.referenced", "False is not allowed with '{group}lockstep', in which no time passes for homing"
+            )
         if self.hardware != "can":
             return
         if self.lockstep:
