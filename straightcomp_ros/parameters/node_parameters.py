@@ -51,7 +51,7 @@ class DriverNodeParameters:
     def __post_init__(self) -> None:
         if self.lockstep and not self.simulated.referenced:
             raise RefusedParameter(
-                "simulated.referenced", "False is not allowed with '{group}lockstep', in which no time passes for homing"
+                "simulated.referenced", "False is not allowed with '{group}lockstep': no time passes for homing there"
             )
         if self.hardware != "can":
             return

@@ -95,4 +95,4 @@ def test_stiction_that_the_encoder_does_not_see_is_found_with_what_helps(check, 
 
 def test_protection_that_is_missing_is_found(check):
     missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
-    assert len(missing) == 2 and "counts to 256 only" in missing[0]
+    assert len(missing) == 3 and "counts to 256 only" in missing[0]

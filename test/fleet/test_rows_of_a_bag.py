@@ -129,10 +129,10 @@ def test_a_fault_belongs_to_the_stroke_in_which_it_was_latched_or_after_which(ev
 
 def test_the_verdict_is_that_on_the_stroke_alone(evaluation):
     record = evaluation.record
-    wave = np.where(record.time > 2.25, 5e-6 * np.sin(2.0 * math.pi * 100.0 * record.time), 0.0)
+    wave = np.where(record.time > 2.25, 5e-6 * np.sin(2.0 * math.pi * 112.0 * record.time), 0.0)
     shaken = replace(record, y=record.y + wave, true_y=record.true_y + wave)
     verdicts, reasons = columns_of(evaluation, "verdict", "reason", record=shaken)
-    assert verdicts == ["in_order", "oscillates"] and "100 Hz" in reasons[1]
+    assert verdicts == ["in_order", "oscillates"] and "112 Hz" in reasons[1]
 
 
 def test_bins_have_the_same_edges_in_all_strokes_and_the_mean_of_the_samples_within_them(evaluation, rows):

@@ -120,12 +120,14 @@ def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
 TOGETHER = """
 driver | hardware=can lockstep=true | lockstep | hardware
 driver | hardware=can stage.actuator.current_limit=50.0 | stage.actuator.current_limit |
+driver | lockstep=true simulated.referenced=false | simulated.referenced | lockstep
 driver | can.log=frames.txt | can.log |
 driver | can.options=bitrate | can.options |
 driver | stage.platform.stop=0.002 | stage.platform.stop | stage.actuator.air_gap
 driver | stage.friction.static=0.1 | stage.friction.static | stage.friction.coulomb
 driver | stage.friction.coulomb=0.0 | stage.friction.static | stage.friction.coulomb
 cell | stage.motion.speed=1.5 | stage.motion.highest_speed | stage.motion.speed
+cell | stage.motion.stroke=0.0 | stage.motion.stroke |
 feedforward | stage.guide.smooth=some | stage.guide.smooth |
 controller | control.law=smc control.smc.rho=0.2 | control.smc.rho | control.smc.enforce_reaching
 opcua | opcua.security=none opcua.host="0.0.0.0" | opcua.security | opcua.host

@@ -53,7 +53,7 @@ counts = st.one_of(st.sampled_from([0, COUNTER_MODULUS - 1]), st.integers(0, COU
 reports = st.builds(
     Report,
     *(st.integers(0, 14), counts, multiples(26, 1e-7), multiples(20, 1e-7), multiples(16, 1e-4)),
-    *(st.sampled_from(Amplifier), st.sampled_from(BoardFault).map(int), st.booleans()),
+    *(st.sampled_from(Amplifier), st.sampled_from(BoardFault).map(int), st.booleans(), st.booleans()),
 )
 commands = st.builds(Command, st.integers(0, 14), st.booleans(), st.booleans(), multiples(16, 1e-4), counts)
 REPORT = Report(4, 49, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True, True)
@@ -61,7 +61,7 @@ FIELDS = {
     **dict.fromkeys(("EncoderAlive", "CoilCurrentAlive", "CommandAlive"), "alive"),
     **dict.fromkeys(("MeasuredCurrent", "ControlCurrent"), "current"),
     **{"SampleCounter": "counter", "StageX": "x", "PlatformY": "y", "Amplifier": "amplifier", "BoardFault": "fault"},
-    **{"EncodersValid": "good", "EchoedCounter": "echo"},
+    **{"EncodersValid": "good", "Referenced": "referenced", "EchoedCounter": "echo"},
 }
 """By the signal's name the field of a report or command."""
 
