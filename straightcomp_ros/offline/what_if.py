@@ -84,17 +84,20 @@ def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path
     values = {node: dict(parameters.get(node, {})) for node in NODE_PARAMETERS}
     if survey is not None:
         values["feedforward"]["stage.guide.file"] = str(survey)
-    driver, record = values["driver"], evaluation.record
+    driver, guide = values["driver"], str(values["driver"].get("simulated.truth.guide", ""))
     try:
-        if record.guide is None:
+        if evaluation.record.guide is None:
             raise SurveyError("no truth")
-        find_survey(str(driver.get("simulated.truth.guide", "")))
+        find_survey(guide)
     except SurveyError:
-        driver["simulated.truth.guide"] = values["feedforward"].get("stage.guide.file", StageParameters().guide.file)
+        # The guide that the map describes.
+        guide = ""
+    driver["simulated.truth.guide"] = guide
+    driver["stage.guide.file"] = values["feedforward"].get("stage.guide.file", StageParameters().guide.file)
     period = float(np.median(np.diff(evaluation.stamps))) * 1e-9
     if len(evaluation.latency):
         driver["stage.drive.delay"] = float(np.clip(np.median(evaluation.latency) / period, 0.0, 10.0))
-    driver["simulated.initial_y"] = float(record.y[0])
+    driver["simulated.initial_y"] = float(evaluation.record.y[0])
     # A delay of some samples must not end the run.
     driver["simulated.command_timeout"] = 1.0
     return values
