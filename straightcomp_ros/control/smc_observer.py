@@ -74,6 +74,9 @@ would shrink to nothing, and the model to a switch that the encoder's noise thro
 
 _PATIENCE = 5.0
 """Times the wait at rest after which a platform that does not come to rest is taken for one that cannot."""
+_TOGGLING = 20.0
+"""Times the band at rest: noise and stiction move a platform by counts. What moves it farther is neither, but a push or
+an excitation, and says nothing of whether friction holds."""
 
 
 class Lags(NamedTuple):
@@ -335,7 +338,7 @@ def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r
     restless = rest.restless + g.loop.period
     if held:
         restless = max(0.0, rest.restless - g.loop.period) if miss <= g.band else rest.restless
-    if not resting:
+    if not resting or miss > _TOGGLING * g.band:
         restless = 0.0
     if held:
         # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.

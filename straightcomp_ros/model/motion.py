@@ -86,7 +86,7 @@ def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -
     cruise = (distance - 2.0 * ramp_distance) / peak
     corners = [(ramp, start.position + direction * ramp_distance, direction * peak)]
     # Rounding may leave a cruise of 1e-16 s in what is a triangle.
-    if round(cruise * _NS) > 0:
+    if round((ramp + cruise) * _NS) > round(ramp * _NS):
         corners.append((ramp + cruise, goal - direction * ramp_distance, direction * peak))
     corners.append((2.0 * ramp + cruise, goal, 0.0))
     return [Waypoint(start.time_ns + round(time * _NS), position, velocity) for time, position, velocity in corners]
