@@ -31,12 +31,15 @@ from straightcomp_ros.analysis.straightness_statement import COVERAGE_FACTOR, ma
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import MARK, Run
+from straightcomp_ros.straightness.survey import MARK, Direction, Run
 
 _POINTS = 2000
 _LONGEST, _LINES = 54, 3
 """Characters in a line of a fact, for half of the sheet, and the most lines of one."""
 _WAYS = (("forward", BLUE, PALE_BLUE, "-"), ("backward", VERMILION, PALE_VERMILION, "--"))
+
+_TABLES: tuple[tuple[Direction, str], ...] = (("forward", "-"), ("backward", ":"))
+"""Styles of the two tables of a map."""
 
 
 def plot_map(built: BuiltMap, path: Path, machine: str = "") -> None:
@@ -124,7 +127,9 @@ def _survey(axes: Axes, built: BuiltMap) -> None:
             label = f"{name}, mean of {directed.runs}"
             axes.plot(found.x * 1e3, directed.mean * 1e6, style, color=colour, linewidth=0.9, label=label)
     x = np.linspace(*built.straightness.span, _POINTS)
-    axes.plot(x * 1e3, built.straightness.deviations(x) * 1e6, color=BLACK, linewidth=0.6, label="map")
+    for way, style in _TABLES if built.straightness.directed else ((None, "-"),):
+        label = f"map, {way}" if way else "map"
+        axes.plot(x * 1e3, built.straightness.deviations(x, way) * 1e6, style, color=BLACK, linewidth=0.6, label=label)
     low, high = axes.get_ylim()
     _rejected(axes, built, np.zeros_like(found.x))
     # A run that came loose must not squeeze the others.
@@ -148,6 +153,10 @@ def _runs(axes: Axes, built: BuiltMap) -> None:
         if directed.s is not None:
             band = 2e6 * directed.s
             axes.fill_between(x_mm, apart - band, apart + band, color=pale, alpha=0.35, label=f"{name} ± 2 s")
+    if built.straightness.directed:
+        for way, style in _TABLES:
+            apart = (built.straightness.deviations(found.x, way) - mean) * 1e6
+            axes.plot(x_mm, apart, style, color=BLACK, linewidth=0.6, label=f"map, {way}")
     low, high = axes.get_ylim()
     _rejected(axes, built, mean)
     room = 0.5 * (high - low)
