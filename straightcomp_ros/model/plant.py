@@ -364,12 +364,13 @@ def advance_to_sample(
         # Each call of advance() spans one command, up to what comes next.
         if taken < count and effective[taken] <= until and effective[taken] <= times[_HOLD_AT]:
             at = effective[taken]
-            current = state[COMMAND]
-            if state[BIAS] > 0.0:
-                current = _converted(constants, asked[taken])
-                state[_MEAN] += constants[_WEIGHT] * (current - state[_MEAN])
-                times[_HOLD_AT], times[_HOLDING] = at + int(constants[_AFTER_NS]), False
             taken += 1
+            if state[BIAS] <= 0.0:
+                # Not even on the steps of the integration.
+                continue
+            current = _converted(constants, asked[taken - 1])
+            state[_MEAN] += constants[_WEIGHT] * (current - state[_MEAN])
+            times[_HOLD_AT], times[_HOLDING] = at + int(constants[_AFTER_NS]), False
         elif times[_HOLD_AT] <= until:
             # The last command fought the error of its own moment; held for longer it drives the platform away.
             at = times[_HOLD_AT]
