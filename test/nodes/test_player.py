@@ -23,8 +23,12 @@ from straightcomp_ros.runtime.streams import stream_qos, subscribe
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 SHORT = ["--set", "stage.motion.stroke=0.02", "--lockstep", "--json"]
-TEXTS = {"stage.name", "stage.guide.file", "stage.guide.smooth", "realtime.cpus", "learning.file"}
-"""Parameters of the played nodes that are free texts: of them only learning.file names a file that a node writes."""
+TEXTS = {
+    *("stage.name", "stage.serial", "stage.motion.file", "stage.guide.file", "stage.guide.reference"),
+    *("stage.guide.smooth", "realtime.cpus", "learning.file"),
+}
+"""Parameters of the played nodes that are free texts: of them only learning.file names a file that a node writes, and
+stage.guide.file one that it reads, for which the replay has the bag's. stage.motion.file is for who moves the stage."""
 
 
 def recorded(bag, values):
