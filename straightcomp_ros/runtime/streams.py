@@ -46,8 +46,9 @@ published in the same cycle."""
 _RECORDED_ONLY = 32
 """Messages in a batch that no control loop waits for, since its readers there are in this process: a datagram of 4 kB.
 Sending takes most of such a process's time, and long batches a quarter of what short ones do."""
-_KEPT = 5000
-"""Batches that a publisher keeps for a recorder that is behind: those of 20 s."""
+_KEPT, _RECORDS_KEPT = 5000, 1250
+"""Batches that a publisher keeps for a recorder that is behind: those of 20 s, of the long ones at 2 kHz. One that was
+killed counts as behind until its lease ends, and the middleware does not give the memory back."""
 _TURNS_OF_OTHERS = 3
 """Threads that run between sample and command: the middleware's receiver, the controller, our own receiver."""
 _FLUSH_S = 0.5
@@ -103,7 +104,7 @@ class StreamPublisher:
     A control loop waits for what is published ``at_once``; the batch follows when the caller has time for it. ``rate``
     is in messages per second, ``seconds`` the length of a batch. With ``rate`` None the caller's cycles end the
     batches; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
-    batch would never fill.
+    batch would never fill. ``kept`` batches wait for a recorder.
     """
 
     def __init__(
@@ -114,6 +115,7 @@ class StreamPublisher:
         seconds: float = BATCH_S,
         *,
         at_once: bool = False,
+        kept: int = _KEPT,
     ) -> None:
         self._pack = stream.layout.pack
         self._publisher = stream_publisher(node, stream)
@@ -125,7 +127,7 @@ class StreamPublisher:
         self._room = 1 if rate is None else max(1, round(self._length * next(_first_batches)))
         self._batches: Publisher | None = None
         if rate is not None or not at_once:
-            self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(_KEPT, reliable=True))
+            self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(kept, reliable=True))
             self._publish_batch = raw_publish(self._batches)
             node.create_timer(_FLUSH_S, self.flush)
 
@@ -169,7 +171,7 @@ class RecordPublisher(StreamPublisher):
     others batches, which are packed and sent when the command has been written: see :meth:`publish_new`."""
 
     def __init__(self, node: Node, stream: Stream, queues: Sequence[MemoryQueue]) -> None:
-        super().__init__(node, stream, _RECORDED_ONLY, 1.0)
+        super().__init__(node, stream, _RECORDED_ONLY, 1.0, kept=_RECORDS_KEPT)
         self._queues = queues
         self._new: list[tuple[int, int, tuple[float, ...]]] = []
 
