@@ -3,6 +3,7 @@
 import dataclasses
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from roughly_known import values_of, work_on
 
@@ -97,7 +98,7 @@ def response(measured, monkeypatch, tmp_path):
     monkeypatch.setattr(closed_loop, "measure_simulated", lambda values, excitation: measured)
     monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
 
-    def run(bears=1.0):
+    def run(bears=1.0, measured=measured):
         motions = [0.0]
 
         def respond(values, excitation):
@@ -161,10 +162,13 @@ def test_margins_are_judged_to_both_sides_and_named_in_the_sentence(margins, wor
 def test_margins_are_those_of_the_coherent_lines_and_end_the_step_where_they_are_too_small(
     measured, response, monkeypatch
 ):
-    figures = response()[0].figures
+    found = measured.measured
+    frequencies, lines = found.frequencies, found.coherent
+    # The others touch the critical point.
+    loop = np.where(lines, found.response.open_loop, -1.001)
+    found = dataclasses.replace(found, response=dataclasses.replace(found.response, open_loop=loop))
+    figures = response(measured=dataclasses.replace(measured, measured=found))[0].figures
     assert 20 < figures["coherent_lines"] < figures["lines"]
-    lines = measured.measured.coherent
-    frequencies, loop = measured.measured.frequencies, measured.measured.response.open_loop
     coherent = response_margins(frequencies[lines], loop[lines])
     assert coherent != response_margins(frequencies, loop)
     # The simulation, which is the model, is the measurement itself here.
