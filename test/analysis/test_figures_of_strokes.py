@@ -61,14 +61,16 @@ def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after_and_
 def test_a_shift_of_less_than_half_a_jog_is_no_stroke_and_a_longer_one_is():
     time = np.arange(3000) * 1e-3
     for length, found in ((0.04e-3, False), (1.2e-3, True), (-0.11e-3, True)):
-        x = length * np.clip((time - 1.0) / 0.2, 0.0, 1.0)
+        # All at 6 mm/s: it is the length that decides.
+        duration = abs(length) / 6e-3
+        x = length * np.clip((time - 1.0) / duration, 0.0, 1.0)
         if not found:
             with pytest.raises(MetricsError, match="does not move"):
                 motion_of(time, x)
             continue
         (stroke,) = motion_of(time, x).strokes
         assert stroke.direction == ("forward" if length > 0.0 else "backward")
-        assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.2), abs=0.003)
+        assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.0 + duration), abs=0.003)
 
 
 def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
