@@ -2,8 +2,9 @@
 
 Each is told from facts of the record, not from the size of the error:
 
-- **mains**: a line at 50 or 60 Hz or a multiple. It keeps its phase over the whole run, whatever the speed; the loop's
-  own oscillation changes its frequency along the stroke and wanders off.
+- **mains**: a line at 50 or 60 Hz or a multiple. It keeps its phase over the whole run, whatever the speed, and is
+  there at rest too; the loop's own oscillation mostly wanders off. A limit cycle of few whole samples does not: at its
+  frequency the mains need another line of their comb.
 - **locked to x**: a line that keeps its phase over x, in both directions. Its frequency follows the speed: the ramps at
   both ends of a stroke tell it from a line in time.
 - **friction** (stick-slip, hunting): the platform stands most of the time and jumps in between. Its velocity is then
@@ -30,6 +31,14 @@ _GRID = 0.004
 """Relative tolerance of a grid's frequency: large grids keep it within 0.2 Hz, but for rare moments."""
 _MULTIPLES = range(1, 7)
 """Up to the ripple of a six-pulse rectifier."""
+_CYCLE = 12
+"""Longest limit cycle in samples whose period the sampling holds: a relay with a delay of two has 8."""
+_OF_COMB = 0.1
+"""Least amplitude of another line of the mains relative to the one that is found."""
+_WAVES_AT_REST = 12
+"""Waves in a rest from which its line can be told from what is around it."""
+_STANDS_OUT = 5.0
+"""Amplitude of a line relative to the median around it: of noise, one in 10^7 has as much."""
 _COHERENT = 0.5
 """Least part of a line's amplitude that keeps its phase over a whole stroke; of one that wanders by a cycle, none."""
 _BETTER = 1.1
@@ -72,11 +81,26 @@ class Line(NamedTuple):
     at: float
 
 
-def mains(time: Array, error: Array, line: Line) -> Line | None:
-    """The ``line`` that was found in segments of ``error`` (n,), m, at ``time`` (n,), s, if it is of the mains."""
-    found = _coherent(time, error, line.at)
-    grid = any((multiple := round(found.at / one)) and abs(found.at / (multiple * one) - 1.0) <= _GRID for one in MAINS)
-    return found if grid and found.amplitude >= _COHERENT * line.amplitude else None
+def mains(time: Array, error: Array, line: Line, rests: Sequence[Array] = ()) -> Line | None:
+    """The ``line`` that was found in segments of ``error`` (n,), m, at ``time`` (n,), s, if it is of the mains; the
+    error in each of the ``rests`` between strokes must have it too, where they are long enough to tell."""
+    found, period = _coherent(time, error, line.at), float(np.median(np.diff(time)))
+    of_grid = [n for one in MAINS for n in _MULTIPLES if abs(found.at / (n * one) - 1.0) <= _GRID]
+    if not of_grid or found.amplitude < _COHERENT * line.amplitude:
+        return None
+    samples, resolution = 1.0 / (found.at * period), 1.0 / float(np.ptp(time))
+    whole = 2 * round(0.5 * samples)
+    if whole <= _CYCLE and abs(found.at - 1.0 / (whole * period)) <= resolution:
+        # A symmetric limit cycle has odd multiples of its own frequency.
+        others = [(m, n) for n in of_grid for m in _MULTIPLES if m % n or (m // n) % 2 == 0]
+        if not any(_stands_out(time, error, found.at * m / n, _OF_COMB * found.amplitude) for m, n in others):
+            return None
+    told = [rest for rest in rests if rest.size * period * found.at >= _WAVES_AT_REST and np.ptp(rest) > 0.0]
+    return (
+        found
+        if all(_stands_out(period * np.arange(one.size, dtype=np.float64), one, found.at) for one in told)
+        else None
+    )
 
 
 def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke], line: Line) -> Line | None:
@@ -197,12 +221,27 @@ def _ascending(x: Array, values: Array) -> tuple[Array, Array]:
 
 def _coherent(along: Array, error: Array, near: float) -> Line:
     """The line in ``error`` (n,) that best keeps its phase over ``along`` (n,), within `_AROUND` of ``near``."""
+    tried, spectrum = _spectrum(along, error, near)
+    first, last = np.searchsorted(tried, ((1.0 - _AROUND) * near, (1.0 + _AROUND) * near)).tolist()
+    best = first + int(spectrum[first : last + 1].argmax())
+    return Line(float(spectrum[best]), float(tried[best]))
+
+
+def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bool:
+    """Whether ``error`` (n,) has a line of ``least`` m over ``along`` (n,) within the resolution of ``at``, and that is
+    `_STANDS_OUT` above what is around it to half and three halves of that."""
+    tried, spectrum = _spectrum(along, error, at)
+    away = np.abs(tried - at) * float(np.ptp(along))
+    around = spectrum[(away > 2.0) & (np.abs(tried / at - 1.0) < 0.5)]
+    return float(spectrum[away <= 1.0].max()) > max(least, _STANDS_OUT * float(np.median(around)))
+
+
+def _spectrum(along: Array, error: Array, near: float) -> tuple[Array, Array]:
+    """The frequencies to well beyond ``near`` of lines of ``error`` (n,) over ``along`` (n,), and amplitudes in m."""
     length = float(np.ptp(along))
     # Sums in fine bins, so that positions that are no even grid have a fast transform.
     bins = math.ceil(_BINS * near * length) + 1
     place = np.rint((along - along.min()) * ((bins - 1) / length)).astype(np.intp)
-    spectrum = np.abs(np.fft.rfft(np.bincount(place, error - error.mean(), bins), _FINER * bins)) * (2.0 / error.size)
-    tried = np.arange(spectrum.size) * ((bins - 1) / (_FINER * bins * length))
-    first, last = np.searchsorted(tried, ((1.0 - _AROUND) * near, (1.0 + _AROUND) * near)).tolist()
-    best = first + int(spectrum[first : last + 1].argmax())
-    return Line(float(spectrum[best]), float(tried[best]))
+    sums = np.bincount(place, error - error.mean(), bins)
+    spectrum = np.asarray(np.abs(np.fft.rfft(sums, _FINER * bins)) * (2.0 / error.size), dtype=np.float64)
+    return np.arange(spectrum.size, dtype=np.float64) * ((bins - 1) / (_FINER * bins * length)), spectrum

@@ -145,7 +145,7 @@ _HELD = 4
 """Consecutive segments, overlapping by half, in which the line must stand: 0.6 s, 2.5 s."""
 _MOST = 0.5
 """Fraction of the power above the lowest frequency that makes a peak a line; white noise has a fiftieth of it there."""
-_ASKED = 3.0
+ASKED = 3.0
 """Factor by which the error must exceed the reference in the line. A loop with usual margins amplifies what its
 reference asks for by less, at any frequency: the largest sensitivity of a modulus margin of 1/3."""
 _DEVIATION = 0.004
@@ -195,7 +195,7 @@ def irregular_oscillation(error: Array, reference: Array, period: float) -> Osci
     if error.size < length:
         return Oscillation(0.0, 0.0)
     power, asked = (_power(values, length).mean(axis=0) for values in (error, reference))
-    own = np.where(power > _ASKED**2 * asked, power, 0.0)
+    own = np.where(power > ASKED**2 * asked, power, 0.0)
     # The first bins hold the window's own lobe around the mean.
     own[: _LOBE + 1] = 0.0
     if own.sum() < _MOST * power.sum():
@@ -215,7 +215,7 @@ def _held_line(error: Array, reference: Array, period: float, span: float, lowes
     near = np.abs(np.arange(frequencies.size) - power.argmax(axis=1)[:, np.newaxis]) <= _LOBE
     own = np.where(near, power, 0.0)
     line, there = own.sum(axis=1), np.where(near, asked, 0.0).sum(axis=1)
-    found = (line > _MOST * power.sum(axis=1)) & (line > _ASKED**2 * there)
+    found = (line > _MOST * power.sum(axis=1)) & (line > ASKED**2 * there)
     amplitudes = np.where(found, np.sqrt(line / _HANN_BANDWIDTH), 0.0)
     held = sliding_window_view(amplitudes, min(_HELD, amplitudes.size)).min(axis=1)
     at = int(held.argmax())

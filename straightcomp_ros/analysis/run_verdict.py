@@ -458,7 +458,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         found, allowed = line
         amplitude = f"with an amplitude of {_um(found.amplitude)}, {error}; allowed: {_um(allowed)}"
         at = causes.Line(found.amplitude, found.frequency)
-        if of_mains := causes.mains(motion.time, motion.error, at):
+        if of_mains := causes.mains(motion.time, motion.error, at, motion.resting()):
             return Verdict(
                 words.MAINS,
                 f"the mains' hum of {of_mains.at:.1f} Hz moves the platform {amplitude}; it is there at every "
@@ -471,7 +471,8 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
                 "every stroke, as cogging or a periodic error of the map; learning.learn takes it off",
             )
     slips = False
-    if line or (not hunting and motion.pp > motion.largest):
+    # What sticks lags by no more than what stands: a larger error is the loop's.
+    if motion.pp <= motion.uncompensated and (line or (not hunting and motion.pp > motion.largest)):
         slips = any(causes.stick_slip(motion.error[one.samples], motion.period) for one in motion.strokes)
     if hunting or slips:
         rest = f", {_um(hunting)} at rest; allowed: {_um(at_rest)}" if hunting else f"; allowed: {_um(motion.largest)}"
@@ -497,8 +498,9 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
 
 
 def _noisy_map(motion: JudgedMotion) -> str:
-    """The reference itself asks for most of an error that is too large."""
-    if motion.pp <= motion.largest or not motion.promised:
+    """The reference itself asks for most of an error that is too large. It has the noise: an error of more than a
+    sound loop makes of the whole reference is the loop's own."""
+    if not motion.largest < motion.pp <= error_detail.ASKED * motion.uncompensated or not motion.promised:
         return ""
     with_noise = motion.promised.as_mapped
     if with_noise <= max(motion.largest, _HARM * motion.promised.smooth) or _HARM * with_noise < motion.pp:

@@ -65,6 +65,7 @@ STEPS = 0.5e-6 * np.cumsum(
 SLOW = 0.4e-6 * np.sin(2.0 * np.pi * 0.31 * TIME + 1.0)
 NOISE = np.random.default_rng(1).normal(0.0, 0.05e-6, TIME.size)
 AT_TURNS = sum(bump(turn, 0.5e-6) for turn in np.arange(0.5, 4.8, 1.0) / 0.6)
+IN_TURN = 0.1 * np.clip(np.abs(TIME - 4.0), 0.5, None)
 
 
 def promised(smooth: float, as_mapped: float = 0.0):
@@ -151,6 +152,12 @@ CASES = {
         ("mains", r"hum of 360\.\d Hz", motion(SMALL + 0.3e-6 * sine(360.1))),
         ("oscillates", "51 Hz", motion(SMALL + 0.3e-6 * sine(51.0))),
         ("oscillates", "", motion(SMALL + 0.3e-6 * np.sin(2.0 * np.pi * 50.0 * TIME + 5.0 * SMALL / 0.05e-6))),
+    ],
+    "a line of the mains is there at rest too, and one of few whole samples has another of their comb": [
+        ("oscillates", "250 Hz", motion(SMALL + 0.3e-6 * sine(250.0))),
+        ("mains", "hum of 250", motion(SMALL + 0.3e-6 * sine(250.0) + 0.05e-6 * sine(50.0))),
+        ("mains", r"hum of 50\.\d Hz", motion(SMALL + NOISE + 0.5e-6 * sine(50.05), x=IN_TURN)),
+        ("oscillates", "50 Hz", motion(SMALL + NOISE + 0.5e-6 * sine(50.05) * (np.abs(TIME - 4.0) > 0.5), x=IN_TURN)),
     ],
     "waves over x are locked to it, whatever their frequency": [
         ("locked_to_x", "every 9.99.* mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
