@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 COUNT = re.compile(r"\d+")
-UNITS = ("_us", "_hz")
+UNITS = ("_us", "_cores", "_hz")
 
 
 @pytest.fixture(scope="module", params=["separate", "composed"])
