@@ -184,7 +184,7 @@ class Board:
             x = _within(sample.x, wire.sample.spans["x"])
             good = (x, y) == (sample.x, sample.y)
         referenced = not self.machine.unreferenced
-        if not referenced:
+        if not referenced and self.machine.state is State.ON:
             # A wrong x must not be compensated for the time until the host has seen it.
             self._trip(BoardFault.ENCODER)
         report = Report(

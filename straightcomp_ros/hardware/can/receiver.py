@@ -15,6 +15,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Frames, 
 from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.sample_numbers import FrameSets, SampleClock, SampleNumbers
 from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.model.motion import reach
 from straightcomp_ros.stage.description import StageParameters
 
 _REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth", "remote")
@@ -62,11 +63,10 @@ class Receiver:
         self.board_fault: int | None = None
         self.referenced: bool | None = None
         self.ambiguous = self._homed = False
-        self._x_modulus, motion = wire.sample.x_modulus, stage.motion
-        self._travel = (
-            min(motion.start, motion.start + motion.stroke) - stage.guide.runout,
-            max(motion.start, motion.start + motion.stroke) + stage.guide.runout,
-        )
+        self._x_modulus = wire.sample.x_modulus
+        if self._x_modulus:
+            low, high = reach(stage.motion)
+            self._travel = low - stage.guide.runout, high + stage.guide.runout
         self.newest_ns = self.status_ns = self.heartbeat_ns = self._stamp_ns = 0
         self.node_state: int | None = None
         self.current = 0.0
