@@ -8,15 +8,14 @@ from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, DEFAULT_FILE, DEFAULT_STAGE, commented
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.timing.realtime import place
 
 FOLDER = Path(__file__).resolve().parent.parent
-LOOP = {"realtime.priority": 40, "realtime.cpus": "loop"}
-REST = {"realtime.priority": 40, "realtime.cpus": "rest"}
 CHANGED: dict[str, dict[str, Any]] = {
-    "driver": {"simulated.command_timeout": 0.25, **LOOP, "realtime.keep_awake": True, "realtime.exclusive": True},
-    "controller": LOOP,
-    **dict.fromkeys(("feedforward", "logger", "cell", "opcua"), REST),
+    node: {"realtime.priority": 40, "realtime.cpus": place(node)}
+    for node in ("driver", "controller", "feedforward", "logger", "cell", "opcua")
 }
+CHANGED["driver"] |= {"simulated.command_timeout": 0.25, "realtime.keep_awake": True, "realtime.exclusive": True}
 """Values that differ from the default; the head of the file says why."""
 HEAD = """\
 # Settings of all nodes of straightcomp_ros, for `--params-file` and for the launch files. What they know of the

@@ -22,6 +22,7 @@ from straightcomp_ros.parameters.node_parameters import (
 )
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.timing.node_timing import summarise
+from straightcomp_ros.timing.realtime import place
 
 _SETTLE_S = 1.5
 """Motion before the window, in which caches fill and loops lock to each other."""
@@ -66,11 +67,11 @@ def bench_parameters(
     """Parameters of a measured run, made from ``values`` by node and dotted name; ParameterError if one is refused.
 
     The stage moves a little longer than the ``seconds`` of the window. All nodes get this SCHED_FIFO ``priority``, with
-    the CPUs kept awake; 0 for normal scheduling.
+    the CPUs kept awake; 0 for normal scheduling. Each has its place on the CPUs, unless ``values`` have another.
     """
     chosen = {STAGE: {}, **{node: dict(section) for node, section in values.items()}}
     for node in NODE_PARAMETERS:
-        chosen.setdefault(node, {})["realtime.priority"] = priority
+        chosen[node] = {"realtime.cpus": place(node), **chosen.get(node, {}), "realtime.priority": priority}
     chosen["driver"] |= {
         "simulated.command_timeout": _DRIVER_TIMEOUT_S,
         "realtime.keep_awake": priority > 0,

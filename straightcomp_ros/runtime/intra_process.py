@@ -1,14 +1,17 @@
 """Streams between the nodes of one process: handed over in memory; everyone else gets them as messages, as before.
 
 A message between processes costs its publisher and its subscriber 20 to 30 µs each and a wake-up, more than the work on
-it. Nodes in one process share one loop, the driver's: each time it has samples it lets the others do their cycles.
+it. Nodes in one process share one loop, the driver's: each time it has samples it lets the others do their cycles. What
+others get is sent by a thread, since the middleware takes 100 µs for a batch, nearly a period at 8 kHz.
 """
 
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from straightcomp_ros.contract import Stream
+from straightcomp_ros.runtime.loops import WorkerThread
 
 _DEPTH = 1000
 """Messages that wait for a node that is not active: those of half a second, as in a subscription's queue."""
@@ -24,24 +27,27 @@ class IntraProcess:
     Attributes:
         queues: by topic, those that get a stream's messages.
         publishers: those of these nodes: place of the node, topic, and what publishes the new messages for others.
+        sender: the thread that sends what others get.
     """
 
     def __init__(self, streams: Iterable[Stream]) -> None:
         self.queues: dict[str, list[MemoryQueue]] = {stream.topic: [] for stream in streams}
         self.publishers: list[tuple[int, str, Callable[[], object]]] = []
         self._cycles: dict[int, Callable[[], object]] = {}
+        self.sender = WorkerThread(lambda reason: print(reason, file=sys.stderr))
 
     def follow(self, place: int, cycle: Callable[[], object]) -> None:
         """Call ``cycle`` in each :meth:`deliver`, after those of the nodes with a lower ``place``."""
         self._cycles = dict(sorted({**self._cycles, place: cycle}.items()))
 
     def leave(self, place: int, queues: Iterable["MemoryQueue"]) -> None:
-        """Forget the cycle, the queues and the publishers of the node at this place."""
+        """Forget the cycle, the queues and the publishers of the node at this place; all it published has been sent."""
         self._cycles.pop(place, None)
         self.publishers = [publisher for publisher in self.publishers if publisher[0] != place]
         gone = set(map(id, queues))
         for waiting in self.queues.values():
             waiting[:] = [queue for queue in waiting if id(queue) not in gone]
+        self.sender.wait()
 
     def publish(self, place: int, topic: str, publish_new: Callable[[], object]) -> None:
         """Add a publisher of the node at this place."""

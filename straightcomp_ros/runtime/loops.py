@@ -239,8 +239,12 @@ class WorkerThread:
         """Queue ``job`` and return at once."""
         self._thread.submit(job).add_done_callback(self._report)
 
-    def close(self) -> None:
+    def wait(self) -> None:
         """Wait for all jobs."""
+        self._thread.submit(lambda: None).result()
+
+    def close(self) -> None:
+        """Wait for all jobs, and end the thread."""
         self._thread.shutdown(wait=True)
 
     def _report(self, done: Future[None]) -> None:

@@ -33,8 +33,9 @@ from straightcomp_ros.messages.cdr import (
     unpack_batch,
 )
 from straightcomp_ros.runtime.guarded_node import ThrottledWarning
-from straightcomp_ros.runtime.inside_rclpy import raw_publish, raw_take, waiter
+from straightcomp_ros.runtime.inside_rclpy import raw_publish, raw_take, unlocked_publish, waiter
 from straightcomp_ros.runtime.intra_process import IntraProcess, MemoryQueue
+from straightcomp_ros.runtime.loops import WorkerThread
 
 BATCH_S, LOOK_AHEAD_S = 0.004, 0.002
 """Length of a batch for subscribers that record or display, and for the feedforward, which looks ahead."""
@@ -104,7 +105,7 @@ class StreamPublisher:
     A control loop waits for what is published ``at_once``; the batch follows when the caller has time for it. ``rate``
     is in messages per second, ``seconds`` the length of a batch. With ``rate`` None the caller's cycles end the
     batches; at once there are no batches then: in lockstep the next message waits for the answer to the last one, so a
-    batch would never fill. ``kept`` batches wait for a recorder.
+    batch would never fill. ``kept`` batches wait for a recorder. With a ``sender`` that thread sends the messages.
     """
 
     def __init__(
@@ -116,10 +117,11 @@ class StreamPublisher:
         *,
         at_once: bool = False,
         kept: int = _KEPT,
+        sender: WorkerThread | None = None,
     ) -> None:
-        self._pack = stream.layout.pack
+        self._pack, self._sender = stream.layout.pack, sender
         self._publisher = stream_publisher(node, stream)
-        self._publish = raw_publish(self._publisher)
+        self._publish = _sending(self._publisher, sender)
         self._at_once, self._by_cycle = at_once, at_once or rate is None
         self._waiting: list[tuple[int, bytes]] = []
         """Serialised messages with the time each was made."""
@@ -128,7 +130,7 @@ class StreamPublisher:
         self._batches: Publisher | None = None
         if rate is not None or not at_once:
             self._batches = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(kept, reliable=True))
-            self._publish_batch = raw_publish(self._batches)
+            self._publish_batch = _sending(self._batches, sender, pack_batch)
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
@@ -153,7 +155,7 @@ class StreamPublisher:
         if self._room <= 0:
             self._room = self._length
         for first in range(0, len(waiting), _LONGEST):
-            self._publish_batch(pack_batch(waiting[first : first + _LONGEST]))
+            self._publish_batch(waiting[first : first + _LONGEST])
         if waiting and not self._at_once and self._publisher.get_subscription_count():
             for _, data in waiting:
                 self._publish(data)
@@ -162,6 +164,8 @@ class StreamPublisher:
         """Publish the incomplete batch and wait for its acknowledgement before the node ends: a subscriber that first
         learns that its publisher has ended drops the messages."""
         self.flush()
+        if self._sender:
+            self._sender.wait()
         if self._batches is not None:
             self._batches.wait_for_all_acked(_DELIVERY)
 
@@ -170,8 +174,8 @@ class RecordPublisher(StreamPublisher):
     """Publisher of a node whose readers in the loop are in its own process: ``queues`` get the numbers at once, and all
     others batches, which are packed and sent when the command has been written: see :meth:`publish_new`."""
 
-    def __init__(self, node: Node, stream: Stream, queues: Sequence[MemoryQueue]) -> None:
-        super().__init__(node, stream, _RECORDED_ONLY, 1.0, kept=_RECORDS_KEPT)
+    def __init__(self, node: Node, stream: Stream, queues: Sequence[MemoryQueue], sender: WorkerThread) -> None:
+        super().__init__(node, stream, _RECORDED_ONLY, 1.0, kept=_RECORDS_KEPT, sender=sender)
         self._queues = queues
         self._new: list[tuple[int, int, tuple[float, ...]]] = []
 
@@ -376,10 +380,13 @@ class Streams:
         self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
     ) -> StreamPublisher:
         """See :class:`StreamPublisher`."""
-        # What is published at once without being handed over is what others wait for.
-        if not self._shared or (at_once and stream.topic not in self._shared.queues):
+        if not self._shared:
             return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once)
-        publisher = RecordPublisher(self._node, stream, self._shared.queues.get(stream.topic, ()))
+        sender = self._shared.sender
+        # What is published at once without being handed over is what others wait for.
+        if at_once and stream.topic not in self._shared.queues:
+            return StreamPublisher(self._node, stream, rate, seconds, at_once=True, sender=sender)
+        publisher = RecordPublisher(self._node, stream, self._shared.queues.get(stream.topic, ()), sender)
         self._shared.publish(self._place, stream.topic, publisher.publish_new)
         return publisher
 
@@ -428,6 +435,17 @@ class Streams:
         if self._unspun is not None:
             self._unspun.destroy_node()
             self._unspun = None
+
+
+def _sending(
+    publisher: Publisher, sender: WorkerThread | None, pack: Callable[[Any], bytes] = bytes
+) -> Callable[[Any], None]:
+    """A function that sends what ``pack`` makes a serialised message of: at once, or in the thread of ``sender``."""
+    if sender is None:
+        publish = raw_publish(publisher)
+        return lambda content: publish(pack(content))
+    publish = unlocked_publish(publisher)
+    return lambda content: sender.run(lambda: publish(pack(content)))
 
 
 def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence[float]] | None]:

@@ -34,6 +34,12 @@ read: the same as the limit's."""
 LOOP, REST = "loop", "rest"
 """Values of ``realtime.cpus``."""
 
+
+def place(node: str) -> str:
+    """Where the shipped parameters put a node: driver and controller on one CPU, where one wakes the other soonest."""
+    return LOOP if node in ("driver", "controller") else REST
+
+
 _held: list[BinaryIO] = []
 """Files that must stay open: closing one withdraws its request."""
 
