@@ -18,14 +18,14 @@ from typing import Any, NamedTuple
 
 from rcl_interfaces.srv import SetParametersAtomically
 
-from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, LaunchError
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 from trials.faulty_driver import CLOCK_STEP, LATE_COMMANDS
 from trials.rig import Progress, add_output, output, progress
-from trials.stand import Stand, request_of
+from trials.stand import STOP_S, Stand, request_of
 
 SUMMARY = "inject every fault in the running graph and measure its detection"
 _REPEATS, _QUICK = 20, 3
@@ -82,7 +82,7 @@ def _logger_missed(stand: Stand, fault: Fault) -> int | None:
 
 def _recording_ended(stand: Stand, fault: Fault) -> int | None:
     """The logger must end with a complete bag, and the loop keep running."""
-    if not stand.until(lambda: stand.exit_code("logger") is not None):
+    if not stand.until(lambda: stand.exit_code("logger") is not None, STOP_S):
         return None
     found = time.time_ns()
     if not (stand.bag / "metadata.yaml").exists():
@@ -312,21 +312,23 @@ def run_trials(
     trials: Sequence[Trial],
     composed: bool = False,
 ) -> list[dict[str, Any]]:
-    """Rows of ``trials``, each run ``repeats`` times; bags and logs go into ``folder``.
-
-    Raises:
-        LaunchError: the graph does not start, or not again.
-    """
-    rows = []
+    """Rows of ``trials``, each run ``repeats`` times; bags and logs go into ``folder``. A graph that does not start
+    again is the last row's failure; LaunchError if it does not start at all."""
+    rows: list[Row] = []
     with Stand(folder, values, composed) as stand:
         for place, trial in enumerate(trials):
             row = Row(trial)
             stand.failures = row.failures
-            for repeat in range(repeats):
-                advance(trial.name, (place + repeat / repeats) / len(trials))
-                _repeat(stand, trial, row)
-            rows.append(row.to_display())
-    return rows
+            rows.append(row)
+            try:
+                for repeat in range(repeats):
+                    advance(trial.name, (place + repeat / repeats) / len(trials))
+                    _repeat(stand, trial, row)
+            except LaunchError as error:
+                # What was measured before stays of use.
+                row.failures.append(str(error))
+                break
+    return [row.to_display() for row in rows]
 
 
 def _repeat(stand: Stand, trial: Trial, row: Row) -> None:

@@ -49,7 +49,7 @@ _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 _STROKES, _STROKE, _SPEED, _ACCELERATION = 600, 0.1, 0.1, 0.4
 """Of a motion: forward and backward in turn, without a rest."""
-_STOP_S = 30.0
+STOP_S = 30.0
 
 
 class Seen(NamedTuple):
@@ -146,7 +146,7 @@ class Stand:
         """Start a killed node again once its process has ended; a new driver's amplifier must be off."""
         if any(self.exit_code(other) is not None for other in self.names if other != name):
             self.failures.append("another node has ended too")
-        self.until(lambda: self.exit_code(name) is not None, _STOP_S)
+        self.until(lambda: self.exit_code(name) is not None, STOP_S)
         drives = name == self.process_of["driver"]
         if drives:
             self.condition = ""
@@ -159,7 +159,7 @@ class Stand:
         for name in self.names:
             if self.exit_code(name) is None:
                 self.signal(name, signal.SIGINT)
-        self.until(lambda: not any(self.exit_code(name) is None for name in self.names), _STOP_S)
+        self.until(lambda: not any(self.exit_code(name) is None for name in self.names), STOP_S)
         _leave_real_time()
         return {name: self.exit_code(name) for name in self.names}
 

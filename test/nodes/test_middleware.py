@@ -133,8 +133,10 @@ def pair(node):
     return publisher, subscription
 
 
-def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middleware(node, pair):
+@pytest.mark.parametrize("publishing", ["raw_publish", "unlocked_publish"])
+def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middleware(node, pair, publishing):
     publisher, subscription = pair
+    publish = getattr(inside_rclpy, publishing)(publisher)
     take, wait = inside_rclpy.raw_take(subscription), inside_rclpy.waiter(node, subscription)
     assert take() is None
     # A wait without a message ends in time.
@@ -142,12 +144,19 @@ def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middl
     wait(20_000_000)
     assert time.monotonic() - begin >= 0.019
     before = time.time_ns()
-    inside_rclpy.raw_publish(publisher)(serialize_message(Int64(data=42)))
+    publish(serialize_message(Int64(data=42)))
     wait(10 * SECOND)
     data, info = take()
     assert deserialize_message(data, Int64).data == 42
     assert all(before <= info[name] <= time.time_ns() for name in ("source_timestamp", "received_timestamp"))
     assert take() is None
+
+
+def test_a_message_that_cannot_be_sent_is_named(node, pair):
+    publish = inside_rclpy.unlocked_publish(pair[0])
+    rclpy.shutdown()
+    with pytest.raises(OSError, match="/any"):
+        publish(serialize_message(Int64(data=42)))
 
 
 @pytest.mark.parametrize(
