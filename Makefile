@@ -24,6 +24,7 @@ KIND := $(if $(JAZZY),jazzy,wheels)
 MADE := $(firstword $(wildcard .venv/made-$(KIND)$(if $(PYTHON),-$(notdir $(PYTHON)))*) \
                     .venv/made-$(KIND)-$(notdir $(or $(PYTHON),python3)))
 INSTALLED := .venv/installed
+NIGHTLY := .venv/installed-nightly
 
 help:
 	@cat <<'TEXT'
@@ -68,7 +69,7 @@ comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 # What sums, solves and fits the most.
 PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py) tuning/survey \
   bench/test_graph_bench.py control/test_observer.py control/test_sliding_mode.py
-nightly: setup
+nightly: $(NIGHTLY)
 	@mkdir -p .coverage_data
 	.venv/bin/python -m coverage erase
 	code=0
@@ -99,13 +100,12 @@ processors: setup
 	@exec .venv/bin/python scripts/processors.py -n logical $(ARGS)
 
 # Ends with an error if the tests of the core's folders notice less than 92 % of the changes.
-mutants: setup
-	@.venv/bin/python -c 'import cosmic_ray' 2> /dev/null ||
-	  .venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[mutants]'
-	exec .venv/bin/python scripts/mutants.py $(ARGS)
+mutants: $(NIGHTLY)
+	@exec .venv/bin/python scripts/mutants.py $(ARGS)
 
 docs: setup
-	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
+	@.venv/bin/python -c 'import material' 2> /dev/null || $(INSTALL) --quiet '.[docs]'
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
 	echo "site/index.html"
 
 # One line that changes, where it goes to a terminal. Errors of pip are on standard error.
@@ -113,13 +113,26 @@ PIP_PROGRESS := if [ -t 1 ]; then awk '{ line = "" } /^Collecting/ { line = ++n 
   /^Building|^Preparing|^Installing/ { line = "unpacking " n " packages" } \
   line { printf "\r\033[K  %s", line; fflush() } END { printf "\r\033[K" }'; else cat > /dev/null; fi
 
+# Bytecode of what is used is made by scripts/prepare.py; that of everything takes as long as to unpack it.
+INSTALL := .venv/bin/python -m pip install --disable-pip-version-check --no-compile --editable
+
 setup: $(INSTALLED)
 
 $(INSTALLED): $(MADE) setup.py setup.cfg package.xml pyproject.toml
 	@echo "Installing the package and what it needs into .venv: one to three minutes the first time ..."
-	.venv/bin/python -m pip install --disable-pip-version-check --editable '.[$(if $(JAZZY),,ros$(comma))test]' | $(PIP_PROGRESS)
+	$(INSTALL) '.[$(if $(JAZZY),,ros$(comma))test]' | $(PIP_PROGRESS)
 	echo "Compiling the control laws ..."
-	.venv/bin/python scripts/prepare.py
+	PYTHONDONTWRITEBYTECODE= .venv/bin/python scripts/prepare.py
+	touch $@
+
+$(NIGHTLY): $(INSTALLED)
+	@echo "Installing what only the nightly tests need ..."
+	$(INSTALL) '.[nightly]' | $(PIP_PROGRESS)
+	if [ "$$(id -u)" = 0 ] && command -v apt-get > /dev/null; then
+	  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+	    user-mode-linux kmod iproute2 can-utils ||
+	    echo "Not installed: user-mode-linux, kmod, iproute2, can-utils; the tests of a kernel's CAN are skipped." >&2
+	fi
 	touch $@
 
 comma := ,

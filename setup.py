@@ -90,10 +90,8 @@ setup(
         "fleet": FLEET,
         # The pages in docs/ as HTML: make docs.
         "docs": DOCS,
-        # Changes of the source that tests must notice: make mutants.
-        "mutants": ["cosmic-ray>=8.4"],
+        # What make test needs.
         "test": [
-            *DOCS,
             "pytest",
             # Live graphs on shared machines: see test/repeats.py.
             "pytest-rerunfailures>=16.3",
@@ -103,28 +101,36 @@ setup(
             *OPCUA,
             *TUNING,
             *FLEET,
-            # Other readers of its files; a server that speaks S3, and the client.
+            # Another implementation of the CRCs; cantools brings it too.
+            "crccheck",
+            # What ROS says of package.xml.
+            "catkin_pkg",
+            "mypy",
+            # The peer of benchmarks/peer_opensmc.py; MIT, needs numpy only.
+            "opensmc>=2.0,<3",
+            "psutil",
+            "ruff",
+            # colcon, and a test, run setup.py with the environment's own setuptools; virtual environments of Python
+            # 3.12 and later have none, and 80 dropped what colcon's builds call.
+            "setuptools>=65.5,<80",
+        ],
+        # What make nightly needs besides.
+        "nightly": [
+            *DOCS,
+            "coverage>=7.10",
+            "pytest-cov",
+            # Changes of the source that tests must notice: make mutants.
+            "cosmic-ray>=8.4",
+            "dask[distributed]",
+            # Other readers of the history's files; a server that speaks S3, and the client.
             "pandas",
             "polars",
             "s3fs",
             "moto[s3]",
             "flask",
             "flask-cors",
-            # Another implementation of the CRCs; cantools brings it too.
-            "crccheck",
-            "dask[distributed]",
-            "mypy",
-            # The peer of benchmarks/peer_opensmc.py; MIT, needs numpy only.
-            "opensmc>=2.0,<3",
-            "psutil",
-            "pytest-cov",
-            "coverage>=7.10",
-            "ruff",
             "colcon-common-extensions",
             "colcon-ros",
-            # colcon runs setup.py with the environment's own setuptools; virtual environments of Python 3.12
-            # and later have none, and 80 dropped what colcon's builds call.
-            "setuptools>=65.5,<80",
         ],
     },
     entry_points={

@@ -11,6 +11,9 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.fleet.history.bag_places import bags_in, is_finished
 from straightcomp_ros.fleet.history.store import Store
 
+# What speaks S3 is large, and few have it.
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def bucket(months):

@@ -9,12 +9,11 @@ import sys
 import time
 from unittest.mock import Mock
 
-import pandas
-import polars
 import pyarrow.dataset
 import pyarrow.parquet
 import pytest
 from stores import COUNT, SAMPLES, added, files_of, strokes_of
+from tiers import nightly
 
 from straightcomp_ros.fleet.history import HistoryError, adding
 from straightcomp_ros.fleet.history.bag_places import bags_in
@@ -42,13 +41,14 @@ def test_adding_the_same_bags_again_changes_nothing(months, alone):
     assert (again.added, again.refused) == (COUNT, 2) and files_of(store) == files
 
 
-@pytest.mark.parametrize("workers", ["two processes", "dask"])
+@pytest.mark.parametrize("workers", ["two processes", *nightly(["dask"])])
 def test_workers_make_the_store_that_one_process_makes_to_the_last_bit(months, alone, tmp_path, request, workers):
     where = {"dask": request.getfixturevalue("scheduler")} if workers == "dask" else {"jobs": 2}
     assert added(tmp_path, months, **where).added == COUNT
     assert files_of(tmp_path) == alone[1]
 
 
+@pytest.mark.nightly
 def test_several_processes_may_add_to_one_store_at_once(months, alone, tmp_path):
     """Each would add all bags: they meet at every file."""
     words = ["history", "add", str(months), "-o", str(tmp_path), "--jobs", "1"]
@@ -69,8 +69,7 @@ def right(store, expected):
     return all(row in expected for row in found) and all(stored.count(row["checksum"]) == 2 for row in known)
 
 
-@pytest.mark.parametrize("moment", ["before", "after"])
-@pytest.mark.parametrize("nth", [1, 2])
+@pytest.mark.parametrize(("moment", "nth"), [("before", 2), *nightly([("before", 1), ("after", 1), ("after", 2)])])
 def test_a_kill_at_a_rename_leaves_a_store_that_is_right(months, alone, tmp_path, moment, nth):
     """The moments at which a store could be wrong: a whole file is there, but not under its name, and the reverse."""
     program = f"""
@@ -209,7 +208,11 @@ def test_a_bag_that_cannot_be_read_or_meets_an_error_of_ours_is_refused_and_trie
         assert store.has(place)
 
 
+@pytest.mark.nightly
 def test_duckdb_polars_pandas_and_arrow_read_the_same_strokes(alone):
+    import pandas
+    import polars
+
     strokes = alone[0] / "strokes"
     wanted = list(strokes_of(alone[0])[0])
     by_polars = polars.read_parquet(strokes, hive_partitioning=True).select(wanted).to_arrow()

@@ -44,10 +44,19 @@ def of_ros(names):
     return set(filter(belongs_to_ros, names))
 
 
-# The class of a stream's messages is imported by its name.
-BY_PACKAGE = foreign_imports(PACKAGE, "launch") | {one.layout.type_name.partition("/")[0] for one in STREAMS}
-BY_TESTS = foreign_imports("test", "benchmarks", "trials")
-FROM_PYPI, TESTS_FROM_PYPI = BY_PACKAGE - of_ros(BY_PACKAGE), BY_TESTS - of_ros(BY_TESTS)
+@cache
+def by_package():
+    # The class of a stream's messages is imported by its name.
+    return foreign_imports(PACKAGE, "launch") | {one.layout.type_name.partition("/")[0] for one in STREAMS}
+
+
+@cache
+def by_tests():
+    return foreign_imports("test", "benchmarks", "trials")
+
+
+def from_pypi(names):
+    return names - of_ros(names)
 
 
 @pytest.fixture(scope="module")
@@ -76,20 +85,22 @@ def depends(*kinds):
 
 
 def test_everything_that_is_imported_is_listed_with_a_key_or_the_reason_why_not():
-    assert set(LISTED) >= FROM_PYPI | TESTS_FROM_PYPI
-    assert set(LISTED) <= FROM_PYPI | TESTS_FROM_PYPI | {"psutil"}, "psutil: in the text of a test's process"
+    assert set(LISTED) >= from_pypi(by_package()) | from_pypi(by_tests())
+    assert set(LISTED) <= from_pypi(by_package()) | from_pypi(by_tests()) | {"psutil"}, (
+        "psutil: in the text of a test's process"
+    )
     assert [name for name, entry in LISTED.items() if ("rosdep" in entry) == ("no_key" in entry)] == []
 
 
 def test_setup_requires_what_the_package_imports_and_nothing_else(setup_arguments):
     optional = {name for name in LISTED if "extra" in LISTED[name]}
     required, extras = setup_arguments["install_requires"], setup_arguments["extras_require"]
-    assert pip_names(FROM_PYPI - optional) == names_of(required)
+    assert pip_names(from_pypi(by_package()) - optional) == names_of(required)
     for extra in ("tuning", "fleet", "opcua"):
         assert pip_names(name for name in optional if LISTED[name]["extra"] == extra) == names_of(extras[extra])
-    assert pip_names(TESTS_FROM_PYPI) <= names_of([*required, *extras["test"]])
+    assert pip_names(from_pypi(by_tests())) <= names_of([*required, *extras["test"], *extras["nightly"]])
     ros = {name.split("[")[0].removeprefix("ros-jazzy-").replace("-", "_") for name in names_of(extras["ros"])}
-    assert ros == of_ros(BY_PACKAGE) - NO_WHEELS - WITH_RCLPY
+    assert ros == of_ros(by_package()) - NO_WHEELS - WITH_RCLPY
 
 
 @pytest.mark.parametrize("extra", ["tuning", "fleet"])
@@ -100,10 +111,14 @@ def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(extra):
 
 def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line():
     by_key = {name for name in LISTED if "rosdep" in LISTED[name]}
-    assert of_ros(BY_PACKAGE) | {LISTED[name]["rosdep"] for name in FROM_PYPI & by_key} <= depends("exec")
-    assert of_ros(BY_TESTS) | {LISTED[name]["rosdep"] for name in TESTS_FROM_PYPI & by_key} <= depends("exec", "test")
+    assert of_ros(by_package()) | {LISTED[name]["rosdep"] for name in from_pypi(by_package()) & by_key} <= depends(
+        "exec"
+    )
+    assert of_ros(by_tests()) | {LISTED[name]["rosdep"] for name in from_pypi(by_tests()) & by_key} <= depends(
+        "exec", "test"
+    )
     line = re.search(r"python3 -m pip install ([^;]*);", MANIFEST)
     assert line, "package.xml has no pip line that ends with a semicolon"
-    assert pip_names(FROM_PYPI - by_key) <= names_of(word.strip("'") for word in line[1].split())
+    assert pip_names(from_pypi(by_package()) - by_key) <= names_of(word.strip("'") for word in line[1].split())
     known = {entry["rosdep"] for entry in LISTED.values() if "rosdep" in entry}
-    assert depends("exec", "test") <= known | of_ros(BY_PACKAGE | BY_TESTS) | ONLY_ON_ROS
+    assert depends("exec", "test") <= known | of_ros(by_package() | by_tests()) | ONLY_ON_ROS

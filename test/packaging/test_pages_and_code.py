@@ -1,6 +1,5 @@
 """What the pages say of topics, parameters and commands is what the code has; they build, and their links are right."""
 
-import importlib.util
 import re
 import shlex
 import shutil
@@ -118,10 +117,9 @@ def test_the_overview_leads_to_every_page():
     assert linked == {str(page.relative_to(docs)) for page in docs.rglob("*.md")} - {"index.md"}
 
 
+@pytest.mark.nightly
 def test_the_pages_build_without_a_warning_and_a_link_that_leads_nowhere_fails_the_build(tmp_path):
     """What `make docs` runs."""
-    if importlib.util.find_spec("mkdocs") is None:
-        pytest.skip("NOT TESTED: the HTML pages; mkdocs is not installed. Remedy: pip install -e '.[docs]'")
     options = re.search(r"-m mkdocs (.*)", (REPOSITORY / "Makefile").read_text(encoding="utf-8"))[1].split()
 
     def build(folder, site):

@@ -1,6 +1,5 @@
 """`straightcomp robustness`: figures of many machines, the same numbers however the trials are spread."""
 
-import importlib.util
 import json
 import math
 import re
@@ -134,11 +133,6 @@ def test_a_machine_that_is_not_in_order_fails_the_command_and_is_marked_and_name
 
 TRIALS = 5
 
-needs_dask = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="NOT TESTED: sweeps on Dask. Remedy: pip install -e '.[test]'",
-)
-
 
 def test_two_processes_give_what_one_gives(scenario):
     fractions = []
@@ -147,12 +141,12 @@ def test_two_processes_give_what_one_gives(scenario):
     assert fractions[0] == 0.0 and fractions[-1] == 1.0 and fractions == sorted(fractions)
 
 
-@needs_dask
+@pytest.mark.nightly
 def test_dask_workers_give_what_this_machine_gives_to_the_last_bit(scenario, scheduler):
     assert sweep(scenario, 9, range(TRIALS), dask=scheduler) == sweep(scenario, 9, range(TRIALS), jobs=2)
 
 
-@needs_dask
+@pytest.mark.nightly
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere://1"])
 def test_a_scheduler_that_is_not_there_is_named(scenario, monkeypatch, address):
     monkeypatch.setattr("straightcomp_ros.offline.workers._CONNECT_S", 1.0)
