@@ -90,6 +90,7 @@ def test_without_the_peer_one_sentence_says_how_to_install_it(monkeypatch, capsy
     assert said.out == "" and said.err.count("\n") == 1 and "pip install opensmc" in said.err
 
 
+@pytest.mark.nightly
 def test_every_machine_can_be_set_and_the_peer_holds_the_platform_on_the_reference():
     for node, changes in peer.MACHINES.values():
         figures_of(with_values(SHORT, node, changes), starts=1)
@@ -99,6 +100,7 @@ def test_every_machine_can_be_set_and_the_peer_holds_the_platform_on_the_referen
         assert 0.0 < found.pp.min < found.pp.max < 1e-6
 
 
+@pytest.mark.nightly
 def test_the_published_figure_of_the_peer_is_what_the_benchmark_finds():
     """From one of the nine starts."""
     page = (Path(__file__).resolve().parents[1] / "docs" / "accuracy.md").read_text(encoding="utf-8")

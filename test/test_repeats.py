@@ -4,6 +4,9 @@ from pathlib import Path
 
 import pytest
 
+# Of the tests themselves.
+pytestmark = pytest.mark.nightly
+
 LIVE = """
 import pytest
 

@@ -7,6 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rewritten_bag import SMC, rewritten
+from tiers import nightly
 
 from straightcomp_ros.analysis.interruption import stalls_of
 from straightcomp_ros.analysis.record import motion_of
@@ -35,7 +36,7 @@ def off(topic, stamp, numbers):
     return stamp, numbers
 
 
-@pytest.mark.parametrize(("at", "amplifier"), [(0.5, off), (FORWARD, None), (3.0, off)])
+@pytest.mark.parametrize(("at", "amplifier"), [(FORWARD, None), *nightly([(0.5, off), (3.0, off)])])
 def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, capsys, at, amplifier):
     def change(topic, stamp, numbers):
         if stamp < at * S:
@@ -86,10 +87,13 @@ DAY = 86400.0
         (ends(1.0, 0.999), "interrupted"),
         (X_JUMPS, "interrupted"),
         (begins_at_zero, "clock_jumped"),
-        *((jump_from(FORWARD, by), "clock_jumped") for by in (-3 * DAY, -0.05, 3600.0)),
-        *((jump_from(FORWARD, by, log_too=True), "clock_jumped") for by in (-1.0, -0.05, 0.05)),
+        (jump_from(FORWARD, -0.05), "clock_jumped"),
+        (jump_from(FORWARD, 0.05, log_too=True), "clock_jumped"),
+        *nightly((jump_from(FORWARD, by), "clock_jumped") for by in (-3 * DAY, 3600.0)),
+        *nightly((jump_from(FORWARD, by, log_too=True), "clock_jumped") for by in (-1.0, -0.05)),
         # At rest: set back so far, no stroke may be left of what was put in another order.
-        *((jump_from(*jump), "") for jump in ((0.01, 1.0), (2.25, -1.0), (2.25, DAY))),
+        (jump_from(2.25, -1.0), ""),
+        *nightly((jump_from(*jump), "") for jump in ((0.01, 1.0), (2.25, DAY))),
         # Stopped in motion, streams end some milliseconds apart.
         (ends(0.99, 1.0), "in_order"),
     ],

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from stores import COUNT, SAMPLES, added
+from tiers import nightly
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.cli.main import main
@@ -225,7 +226,7 @@ def test_files_reports_and_tables_show_each_name_as_it_is(named, tmp_path, capsy
     assert all(name in printed for name in (*shown, "<b>bold</b>")) and "\x1b" not in printed
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, *nightly([2])])
 def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(template, tmp_path, capsys, jobs):
     good = template.attachments[PARAMETERS_ATTACHMENT].decode()
     cases = {"a": good, "b": BOMB, "c": good, "d": "x: " + "[" * 400, "e[/x]": "[/x]: 1", "f": good}

@@ -27,7 +27,7 @@ from straightcomp_ros.offline.simulation import Simulation
 pytestmark = pytest.mark.keeps_time
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
-EVERYDAY = {("smc_observer", "sample"), ("smc", "timer"), ("smc_observer", "composed")}
+EVERYDAY = {("smc", "timer"), ("smc_observer", "composed")}
 
 
 @pytest.mark.live

@@ -19,7 +19,7 @@ COUNT = re.compile(r"\d+")
 UNITS = ("_us", "_cores", "_hz")
 
 
-@pytest.fixture(scope="module", params=["separate", "composed"])
+@pytest.fixture(scope="module", params=[pytest.param("separate", marks=pytest.mark.nightly), "composed"])
 def nodes(request, shared_graph, tmp_path_factory):
     """Driver, feedforward and controller at work, each in its process or all in one, and a logger that is managed."""
     folder = tmp_path_factory.mktemp("bags")

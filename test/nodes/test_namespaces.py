@@ -13,7 +13,7 @@ from straightcomp_ros.safety.faults import Fault
 pytestmark = pytest.mark.keeps_time
 
 
-@pytest.mark.parametrize("composed", [False, True])
+@pytest.mark.parametrize("composed", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_two_graphs_in_two_namespaces_do_not_disturb_each_other(graph, tmp_path, composed):
     chosen, file = loop_parameters(), tmp_path / "parameters.yaml"
     chosen["driver"]["realtime.cpus"] = "loop"

@@ -14,6 +14,7 @@ from drawn_dbc import drawn_board
 from forgery import forged
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tiers import nightly
 
 from scripts import make_firmware_frames
 from straightcomp_ros.cli.main import main
@@ -158,7 +159,7 @@ def bad_loop(can, stage=STAGE, samples=3000, seed=1):
 
 
 @pytest.mark.parametrize("can", [CLASSIC, FD, FOREIGN, SPLIT, BARE], ids=["classic", "fd", "foreign", "split", "bare"])
-@pytest.mark.parametrize("program", ["board_posix", "board_sanitized"])
+@pytest.mark.parametrize("program", ["board_sanitized", *nightly(["board_posix"])])
 def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(firmware_of, program, can):
     # A count of x that lies between two of the frame's is another matter, see below.
     stage = STAGE if can is not BARE else StageParameters(encoder=EncoderParameters(x_resolution=2e-7))
@@ -170,7 +171,7 @@ def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(firmw
     judge_equal(reference, firmware_of(can) / program, stage=stage)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", [0, *nightly(range(1, 10))])
 def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(firmware_of, tmp_path, seed):
     text, meaning = drawn_board(seed)
     file = tmp_path / f"drawn_{seed}.dbc"

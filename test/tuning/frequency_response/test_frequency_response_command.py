@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import nightly
 
 from straightcomp_ros.cli.main import main
 
@@ -26,6 +27,8 @@ SLOW = {
     "smc": ("--law", "smc"),
     "heavy_platform": ("--stage", str(STAGES / "heavy_platform.yaml")),
     "rate_1_khz": ("--stage", str(STAGES / "rate_1_khz.yaml")),
+    # Against much friction slow motions drown in its reversals; all others are measured.
+    "sticky": ("--stage", str(STAGES / "sticky.yaml")),
 }
 
 
@@ -34,8 +37,6 @@ SLOW = {
     [
         pytest.param((), 15.0, id="shipped"),
         pytest.param(("--law", "linear"), 15.0, id="linear"),
-        # Against much friction slow motions drown in its reversals; all others are measured.
-        pytest.param(("--stage", str(STAGES / "sticky.yaml")), 15.0, id="sticky"),
         pytest.param(("--moving",), 10.0, id="moving"),
         *(pytest.param(one, 15.0, id=name, marks=pytest.mark.nightly) for name, one in SLOW.items()),
     ],
@@ -58,7 +59,7 @@ def test_the_measured_margins_are_near_those_of_the_description():
         assert found[name] == pytest.approx(model[name], rel=rel), name
 
 
-@pytest.mark.parametrize("truth", ["mass=1.4", "force=0.7", "amplifier=0.4"])
+@pytest.mark.parametrize("truth", ["mass=1.4", *nightly(["force=0.7", "amplifier=0.4"])])
 def test_a_description_that_is_wrong_is_rejected(truth):
     wrong = ("--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
     assert not measured(*wrong, exit_code=1)["model_explains_the_plant"]
@@ -70,7 +71,9 @@ def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys):
     assert "take less current, or allow more travel" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("mass", "verdict"), [(1.0, "explains the plant"), (1.4, "does not explain the plant")])
+@pytest.mark.parametrize(
+    ("mass", "verdict"), [(1.4, "does not explain the plant"), *nightly([(1.0, "explains the plant")])]
+)
 def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(capsys, tmp_path, mass, verdict):
     plot = tmp_path / "loop.svg"
     options = ("--law", "linear", "--draws", "4", "--set", f"driver.simulated.truth.mass={mass}")
