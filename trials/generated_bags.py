@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.run_verdict import encoder_count
+from straightcomp_ros.analysis.judged_motion import encoder_count
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.information import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
+from straightcomp_ros.analysis.judged_motion import STILL
 from straightcomp_ros.analysis.metrics import LINES, MetricsError, evaluate, stroke_figures
 from straightcomp_ros.analysis.movements import standstill_figures
 from straightcomp_ros.analysis.record import Array, runs_of
-from straightcomp_ros.analysis.run_verdict import STILL, judged_run
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml

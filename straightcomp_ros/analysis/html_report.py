@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import html_page as page
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
+from straightcomp_ros.analysis.judged_motion import is_simulated
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
-from straightcomp_ros.analysis.run_verdict import is_simulated
 from straightcomp_ros.analysis.straightness_statement import budget_rows
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.survey import Direction

@@ -2,40 +2,31 @@
 
 The reasons are tried from the most specific to the most general, because one leads to another: a stalled host makes the
 platform oscillate, an oscillation saturates the current, and each of them makes the run inaccurate.
-
-A run is judged by what its stage was promised (:mod:`straightcomp_ros.offline.promise`): the error of the described
-machine under the same law, and a map as good as its described noise. An error of half of what a platform that stands
-still would leave is too large whatever was promised.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import causes, error_detail
 from straightcomp_ros.analysis import judgement as words
 from straightcomp_ros.analysis.interruption import Stall
-from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import RESTING, residual_over
-from straightcomp_ros.analysis.record import (
-    AT_LIMIT,
-    Array,
-    MetricsError,
-    ReferenceMap,
-    Stroke,
-    StrokeRecord,
-    group_means,
-    motion_of,
-    runs_of,
+from straightcomp_ros.analysis.judged_motion import (
+    ACCURATE,
+    FEW_COUNTS,
+    HARM,
+    GuideFit,
+    JudgedMotion,
+    bounds_of,
+    encoder_count,
+    recorded_drive,
 )
-from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.analysis.metrics import residual_over
+from straightcomp_ros.analysis.record import AT_LIMIT, Array, ReferenceMap, StrokeRecord, group_means, runs_of
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
@@ -43,57 +34,6 @@ from straightcomp_ros.straightness.residual import least_squares_residual, peak_
 if TYPE_CHECKING:
     from straightcomp_ros.offline.promise import Promise
 
-
-def bounds_of(
-    parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None = None
-) -> dict[str, Any]:
-    """The bounds of a :class:`JudgedMotion` by name, from parameters of each node alone, by dotted name, as a bag has
-    them, and from the map.
-
-    A node that is there has its defaults for what is not named; of one that is not, nothing is known. A board on CAN
-    reports neither its stop nor its converter, unless it is the emulator.
-    """
-    bounds: dict[str, Any] = {}
-    shipped, limits = StageParameters(), []
-    if "controller" in parameters:
-        limits.append(parameters["controller"].get("stage.actuator.current_limit", shipped.actuator.current_limit))
-    driver = parameters.get("driver", {"hardware": "unknown"})
-    if is_simulated(driver):
-        bounds["stop"] = float(driver.get("stage.platform.stop", shipped.platform.stop))
-        limits.append(recorded_drive(driver).largest_current)
-    if limits:
-        bounds["current_limit"] = float(min(limits))
-    if straightness is not None:
-        runout = float(parameters.get("feedforward", {}).get("stage.guide.runout", shipped.guide.runout))
-        bounds["span"] = (straightness.span[0] - runout, straightness.span[1] + runout)
-    if "controller" in parameters:
-        for name in ("friction", "sensor_noise", "map_noise"):
-            known = parameters["controller"].get(f"stage.uncertainty.{name}", getattr(shipped.uncertainty, name))
-            bounds[name] = float(known)
-        modes = (parameters["controller"].get(f"stage.platform.modes.{one}.frequency") for one in ("first", "second"))
-        bounds["modes"] = tuple(float(one) for one in modes if one)
-    return bounds
-
-
-def is_simulated(driver: Mapping[str, Any]) -> bool:
-    """Whether the driver with these parameters by dotted name has a simulated stage, if need be behind a board."""
-    return driver.get("hardware", "simulated") == "simulated" or bool(driver.get("can.simulated_stage", False))
-
-
-def recorded_drive(driver: Mapping[str, Any]) -> DriveParameters:
-    """D/A converter and amplifier from the driver's parameters by dotted name; defaults for what they do not name."""
-    given = {name: driver.get(f"stage.drive.{name}", value) for name, value in asdict(DriveParameters()).items()}
-    return DriveParameters(int(given.pop("dac_bits")), *map(float, given.values()))
-
-
-RECOVERY = 0.1
-"""Time in s after a disturbance in which its error decays: some ten periods of the slowest usual loop's bandwidth."""
-RECOVERY_SAMPLES = 200
-"""The same in samples, for a loop that samples slowly: its bandwidth is lower too."""
-_COUNTED = 1e-12
-"""Difference of two readings in m below which they are the same count, but for rounding."""
-_HARM = 2.0
-"""A disturbance did harm if the error is larger by this factor, p-p, than without the samples that it disturbed."""
 _UNDISTURBED = 0.2
 """Fraction of a run that must be undisturbed so that its error can be compared with the rest's."""
 _RARE, _PEAK = 0.01, 3.0
@@ -104,152 +44,13 @@ _ONE_SIDED = 0.5
 both limits in turn has about 0."""
 _LACKS = 0.05
 """Fraction of the motion in which a law may lack force, if the error is not made there."""
-_SIGMAS = 8.0
-"""Standard deviations, p-p, of what the noise of a survey leaves in its map: of 1,000 surveys with 200 points, one
-exceeds it."""
 _PIECES, _READINGS = 200, 5
 """Pieces of x over which the readings of a displacement sensor are averaged, and the least mean number in each."""
-_MAP_COUNTS = 2.0
-"""Counts of the encoder, p-p, below which an error of the map is not seen."""
-_ACCURATE = 0.5
-"""Largest error relative to the uncompensated deviation, both p-p, whatever was promised."""
-_FEW_COUNTS = 3.0
-"""Counts of the encoder, p-p, which the best law leaves: no less is asked for on a nearly straight guide."""
 _OF_LOOP = 0.0125
 """Frequency relative to the rate from which an error without a held line is the loop's: slower ones it rejects, and
 what then is left of a disturbance has no line either."""
 _HUNTS = 0.02
 """Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
-STILL = 0.1e-6
-"""Travel in m of a reference that asks for nothing: the run is uncompensated. Twenty times less than the best guide."""
-_STILL_SHARE = 0.01
-"""The same relative to the true guide's deviation."""
-
-
-class GuideFit(NamedTuple):
-    """How the guide's true deviation fits the map, from the least squares line, in m: p-p of the guide, p-p of what a
-    platform that follows the map exactly would leave, and why it does."""
-
-    guide_pp: float
-    left_pp: float
-    cause: str = ""
-    noise: float = 0.0  # standard deviation of the sensor's noise that is left
-
-
-@dataclass(frozen=True, eq=False)
-class JudgedMotion:
-    """The motion of a run, from its first to its last sample, pauses included; arrays (n,), in s, m and A. Positions
-    and error are the true ones if they are known, otherwise as the encoders see them. Unknown bounds are infinite."""
-
-    time: Array
-    x: Array
-    y: Array
-    r: Array
-    current: Array
-    error: Array  # r − y
-    count: float  # one count of the encoder of y
-    fit: GuideFit | None = None  # of guide and map; None where the guide is not known
-    stalls: Sequence[Stall] = ()  # of the host within the motion
-    current_limit: float = math.inf  # largest |i_c| that the law may command and the D/A converter can
-    stop: float = math.inf  # the platform's mechanical stop at ± this position
-    span: tuple[float, float] = (-math.inf, math.inf)  # of x in which the map's reference follows the guide or runs out
-    late: str = ""  # that commands came later than described, as of `late_commands`
-    by_encoder: bool = False  # whether y and the error are the encoder's
-    promise: Callable[[], Promise | None] = lambda: None  # what the description leaves on this motion
-    # Of the description, see `UncertaintyParameters`.
-    friction: float = 2.0
-    sensor_noise: float = 0.5
-    map_noise: float = 0.02e-6
-    modes: Sequence[float] = ()  # Hz, described resonances of the platform
-
-    @cached_property
-    def period(self) -> float:
-        """Sampling period in s."""
-        return float(np.median(np.diff(self.time)))
-
-    @property
-    def recovery(self) -> int:
-        """Samples in which the error of a disturbance decays."""
-        return max(round(RECOVERY / self.period), RECOVERY_SAMPLES)
-
-    @cached_property
-    def pp(self) -> float:
-        """Error in m, peak to peak."""
-        return peak_to_peak(self.error)
-
-    @cached_property
-    def travel(self) -> float:
-        """Of the reference in m, peak to peak."""
-        return peak_to_peak(self.r)
-
-    @property
-    def uncompensated(self) -> float:
-        """What a platform that stands still would leave: p-p of the reference, or of the guide if that is more."""
-        return max(self.travel, self.fit.guide_pp if self.fit else 0.0)
-
-    @property
-    def still(self) -> bool:
-        """Whether the reference asks for nothing: the run is uncompensated."""
-        guide = self.fit.guide_pp if self.fit else 0.0
-        return self.travel <= max(STILL, self.count, _STILL_SHARE * guide)
-
-    @cached_property
-    def promised(self) -> Promise | None:
-        """What the stage was promised; asked for only where the error is more than the encoder's few counts."""
-        return self.promise()
-
-    @cached_property
-    def largest(self) -> float:
-        """Largest error in m, p-p, of a run that is in order; infinite for one that is uncompensated."""
-        least = _FEW_COUNTS * self.count
-        if self.still:
-            return math.inf
-        if self.pp <= least:
-            return least
-        largest = max(_ACCURATE * self.uncompensated, least)
-        if not self.promised:
-            return min(largest, max(self.uncompensated, self.count))
-        # The error grows at most as the friction. The encoder's noise, and what it rounds, add to both sides.
-        rounded = 2.0 * self.sensor_noise + (2.0 if self.by_encoder else 1.0)
-        return min(largest, max(least, self.friction * self.promised.smooth + rounded * self.count))
-
-    @property
-    def largest_of_map(self) -> float:
-        """Largest deviation of the guide from the map in m, p-p."""
-        noise = math.hypot(self.map_noise, self.fit.noise if self.fit else 0.0)
-        return max(_MAP_COUNTS * self.count, _SIGMAS * noise)
-
-    @cached_property
-    def strokes(self) -> Sequence[Stroke]:
-        """Of the stage; none where its motion cannot be told."""
-        try:
-            return motion_of(self.time, self.x).strokes
-        except MetricsError:
-            return ()
-
-    def resting(self) -> list[Array]:
-        """The error (m,) in each pause between strokes, from :data:`RESTING` after a stroke on."""
-        begins = [int(np.searchsorted(self.time, self.time[one.stop - 1] + RESTING)) for one in self.strokes]
-        pauses = zip(begins, self.strokes[1:], strict=False)
-        return [self.error[begin : following.start] for begin, following in pauses if begin < following.start]
-
-    def disturbed(self, times: Sequence[Stall]) -> NDArray[np.bool_]:
-        """The samples (n,) in any of these times, or so soon after that their error has not decayed yet."""
-        mask = np.zeros(self.time.size, dtype=bool)
-        for start, end in times:
-            begin, stop = np.searchsorted(self.time, (start, end))
-            mask[begin : stop + self.recovery] = True
-        return mask
-
-    def calm(self, mask: NDArray[np.bool_]) -> float:
-        """Error p-p in m without the samples ``mask`` (n,), if that leaves any; with all samples otherwise."""
-        return self.pp if mask.all() else peak_to_peak(self.error[~mask])
-
-    def harmed(self, mask: NDArray[np.bool_]) -> bool:
-        """Whether the error p-p was made in the samples ``mask`` (n,): `_HARM` times less, and more than a count less,
-        in the others."""
-        calm = self.calm(mask)
-        return self.pp > _HARM * calm and self.pp - calm > self.count
 
 
 def judged_run(
@@ -311,13 +112,6 @@ def late_commands(latency: Array, driver: Mapping[str, Any]) -> str:
     )
 
 
-def encoder_count(readings: Array) -> float:
-    """The smallest step between two different readings (n,) in m; 0 if all are the same."""
-    steps = np.diff(np.unique(readings))
-    steps = steps[steps > _COUNTED]
-    return float(steps.min()) if steps.size else 0.0
-
-
 def _promise(
     record: StrokeRecord, parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None
 ) -> Promise | None:
@@ -342,12 +136,14 @@ def _guide_fit(
         known = moving[:0] if sensor is None else moving[np.isfinite(sensor[moving])]
         if sensor is None or known.size < _READINGS * _PIECES:
             return None
-        # Means over pieces of x have little of the sensor's noise, and what they have is known from its spread.
+        # Means over pieces of x each way have little of the sensor's noise: its spread says how much.
         x, readings = record.x[known], sensor[known]
         piece = np.minimum(((x - x.min()) / np.ptp(x) * _PIECES).astype(np.intp), _PIECES - 1)
-        (x, guide), square = group_means(x, readings, piece), group_means(x, readings**2, piece)[1]
+        piece += _PIECES * np.isin(known, record.motion.samples("backward"))
+        (middle, guide), square = group_means(x, readings, piece), group_means(x, readings**2, piece)[1]
+        followed = guide + group_means(x, record.followed(reference)[known], piece)[1]
         noise = float(np.sqrt(np.mean(np.maximum(square - guide**2, 0.0)) * guide.size / known.size))
-        guide, left = (least_squares_residual(x, one) for one in (guide, guide + reference.evaluate(x)[0]))
+        x, (guide, left) = middle, (least_squares_residual(middle, one) for one in (guide, followed))
     cause = causes.of_map(x, left, reference.deviations, straightness)
     return GuideFit(peak_to_peak(guide), peak_to_peak(left), cause, noise)
 
@@ -382,7 +178,7 @@ def _starved(motion: JudgedMotion, later: Verdict | None) -> str:
         return ""
     return (
         f"the servo works, the computer was busy: error {_um(calm)} p-p, but {stalls} made it {_um(motion.pp)}; "
-        f"allowed: {_HARM:g} times; {remedy}"
+        f"allowed: {HARM:g} times; {remedy}"
     )
 
 
@@ -441,7 +237,7 @@ def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None
     found = max(error_detail.sustained_oscillation(error, reference, motion.period) for error, reference in pieces)
     if found.amplitude <= allowed and motion.pp > motion.largest:
         found = max(error_detail.irregular_oscillation(error, reference, motion.period) for error, reference in pieces)
-        large = motion.pp > _ACCURATE * motion.uncompensated
+        large = motion.pp > ACCURATE * motion.uncompensated
         if not large and found.frequency < _OF_LOOP / motion.period:
             return None
     return (found, allowed) if found.amplitude > allowed else None
@@ -450,7 +246,7 @@ def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None
 def _disturbed(motion: JudgedMotion) -> Verdict | None:
     """The verdict on an error that is a line, or is made by jumps: by what is behind it."""
     error = f"error {_um(motion.pp)} p-p"
-    at_rest = max(_FEW_COUNTS * motion.count, _HUNTS * motion.uncompensated)
+    at_rest = max(FEW_COUNTS * motion.count, _HUNTS * motion.uncompensated)
     hunts = [rest for rest in motion.resting() if causes.stick_slip(rest, motion.period)]
     hunting = max((pp for pp in map(peak_to_peak, hunts) if pp > at_rest), default=0.0)
     line = _line(motion)
@@ -502,8 +298,12 @@ def _noisy_map(motion: JudgedMotion) -> str:
     sound loop makes of the whole reference is the loop's own."""
     if not motion.largest < motion.pp <= error_detail.ASKED * motion.uncompensated or not motion.promised:
         return ""
-    with_noise = motion.promised.as_mapped
-    if with_noise <= max(motion.largest, _HARM * motion.promised.smooth) or _HARM * with_noise < motion.pp:
+    with_noise = motion.promised.as_mapped()
+    if (
+        not with_noise
+        or with_noise <= max(motion.largest, HARM * motion.promised.smooth)
+        or HARM * with_noise < motion.pp
+    ):
         return ""
     return (
         f"the error is {_um(motion.pp)} p-p because the map has the noise of its survey: with it the described stage "

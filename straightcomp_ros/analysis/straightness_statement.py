@@ -45,7 +45,8 @@ from straightcomp_ros.straightness.survey_runs import cubic_spline
 COVERAGE_FACTOR = 2.0
 _COVERAGE = 0.9545
 """Of a normal distribution within ±2 standard deviations."""
-_PIECES = 200
+_PIECES, _POINTS = 200, 2000
+"""Pieces of x for which a stroke is averaged, and the points of a curve measured once that are taken as they are."""
 _DRAWS = 200
 """The standard deviation of a contribution is then known to 5 %."""
 _THIRDS = 20
@@ -66,12 +67,14 @@ class Input(NamedTuple):
         uncertainty: standard uncertainty in m of one error; None if it is not known.
         points: x in m at which the errors are independent, with a spline between; None: from sample to sample.
         seen: whether the errors are in the measured curve, or in the true one alone.
+        form: (points, m) what makes the errors of m independent ones; None where they are independent.
     """
 
     name: str
     uncertainty: float | None
     points: Array | None = None
     seen: bool = True
+    form: Array | None = None
 
 
 class Contribution(NamedTuple):
@@ -207,7 +210,8 @@ def stated(
         if one.uncertainty is not None and one.points is None:
             changes = _readings(one.uncertainty, strokes, random)
         elif one.uncertainty is not None:
-            changes = _changes(one, one.uncertainty, *_mean_curve(strokes)[:2], random)
+            curve = strokes[0][1:] if not repeats and strokes[0][1].size <= _POINTS else _mean_curve(strokes)[:2]
+            changes = _changes(one, one.uncertainty, *curve, random)
         shares = changes.std(axis=0) / math.sqrt(len(strokes) if one.points is None else 1)
         corrections = (-1.0 if one.seen else 1.0) * changes.mean(axis=0)
         for budget, share, correction in zip(budgets, shares.tolist(), corrections.tolist(), strict=True):
@@ -286,7 +290,9 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     assert one.points is not None
     if one.seen:
         mean = _without(one.points, uncertainty, x, mean)
-    errors = random.normal(0.0, uncertainty, (one.points.size, _DRAWS))
+    errors = random.normal(0.0, uncertainty, ((one.points.size if one.form is None else one.form.shape[1]), _DRAWS))
+    if one.form is not None:
+        errors = one.form @ errors
     changed = mean + cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
     drawn = _straightness(x, changed, changed, changed[:, [0, -1]])
     return np.asarray(drawn - _of_stroke(np.arange(x.size, dtype=np.float64), x, mean))

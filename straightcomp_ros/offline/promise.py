@@ -3,15 +3,16 @@
 A design, and a certificate, state the error of a simulation of the described machine. That simulation is made here
 again from the parameters that every run carries, so that a bag, a simulation and a replay are judged by one figure and
 no second record of it can differ. The machine is as described, its guide is the map, nothing disturbs it and no command
-is late.
+is late. An error p-p is one extreme of a stroke, which moves with the encoder's noise: where it matters, the promise is
+the largest of a few strokes with the described noise.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,21 +28,26 @@ from straightcomp_ros.parameters.node_parameters import (
     FeedforwardNodeParameters,
     node_parameters,
 )
+from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Survey, SurveyError
 
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
+_STROKES = 4
+"""With noise. Of single strokes of a stage at 8 kHz with an encoder of 5 nm the error p-p is 0.016 to 0.060 µm."""
 _SMOOTH = "1"
 """As much smoothing of the survey as its noise warrants, whatever the parameters say: no guide has the noise."""
 
 
 class Promise(NamedTuple):
-    """Error p-p in m of the described machine: with the noise of the survey taken off, and with the map as it is."""
+    """Error p-p in m of the described machine with the noise of the survey taken off; what simulates the largest of
+    several strokes with the encoder's noise; and what simulates it with the map as it is. None: the platform is lost."""
 
     smooth: float
-    as_mapped: float
+    largest: Callable[[], float | None]
+    as_mapped: Callable[[], float | None]
 
 
 def promise_of(
@@ -59,7 +65,11 @@ def promise_of(
             node_parameters("feedforward", {"feedforward": {**stage, **feedforward}}),
             node_parameters("controller", {"controller": controller}),
         )
-        return _simulated(*nodes, _motion(record, nodes[2].stage.motion), _Hashed(straightness.survey))
+        left = partial(_simulated, *nodes, _motion(record, nodes[2].stage.motion), _Hashed(straightness.survey))
+        smooth = left(_SMOOTH)
+        if smooth is None:
+            return None
+        return Promise(smooth, partial(left, _SMOOTH, _STROKES), partial(left, nodes[1].stage.guide.smooth))
     except (ParameterError, SurveyError, MetricsError, ValueError):
         return None
 
@@ -101,28 +111,34 @@ def _simulated(
     controller: ControllerNodeParameters,
     motion: Any,
     hashed: _Hashed,
-) -> Promise | None:
+    smooth: str,
+    noisy: int = 0,
+) -> float | None:
+    """The largest error p-p in m of as many ``noisy`` strokes, or that of one without noise of the encoder."""
     stage = controller.stage
     if stage.rate < LOWEST_RATE:
         return None
     law = make_law(controller.control, stage)
-    found = []
-    for smooth in (_SMOOTH, feedforward.stage.guide.smooth):
-        guide = dataclasses.replace(feedforward.stage.guide, smooth=smooth)
-        scenario = Scenario(
-            driver=driver,
-            description=stage,
-            controls={controller.control.law: controller.control},
-            feedforward=feedforward.feedforward,
-            followed=dataclasses.replace(feedforward.stage, guide=guide),
-            lead_ns=controller.lead_ns,
-            trajectory=Trajectory(forward_and_back(motion)),
-            survey=hashed.survey,
-        )
-        stroke = scenario.stroke()
-        cycle = scenario.cycle(law, stroke)
-        if cycle.current.size < stroke.stamps.size:
+    scenario = Scenario(
+        driver=driver,
+        description=stage,
+        controls={controller.control.law: controller.control},
+        feedforward=feedforward.feedforward,
+        followed=dataclasses.replace(
+            feedforward.stage, guide=dataclasses.replace(feedforward.stage.guide, smooth=smooth)
+        ),
+        lead_ns=controller.lead_ns,
+        trajectory=Trajectory(forward_and_back(motion)),
+        survey=hashed.survey,
+    )
+    stroke = scenario.stroke()
+    window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
+    followed, scale = along(stroke.map, stroke.true_x)[0], stage.uncertainty.sensor_noise * stage.encoder.y_resolution
+    largest = 0.0
+    for seed in range(max(1, noisy)):
+        noise = scale * np.random.default_rng(seed).standard_normal(followed.size) if noisy else None
+        cycle = scenario.cycle(law, stroke, noise=noise)
+        if cycle.current.size < followed.size:
             return None
-        window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
-        found.append(peak_to_peak(stroke.map.evaluate(stroke.true_x[window])[0] - cycle.true_y[window]))
-    return Promise(*found)
+        largest = max(largest, peak_to_peak((followed - cycle.true_y)[window]))
+    return largest

@@ -173,19 +173,19 @@ class StraightnessMap:
         return self.offset - self.reference(x)[0]
 
     def evaluate(
-        self, x: ArrayLike, direction: Direction | None = None
+        self, x: ArrayLike, direction: Direction | NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """:meth:`reference` for an array, or that of the table for ``direction``: three arrays of the shape of ``x``,
-        the same to the last bit."""
+        """:meth:`reference` for an array, or that of the table for ``direction`` (an array: 1 forward, -1 backward):
+        three arrays of the shape of ``x``, the same to the last bit."""
         positions = np.asarray(x, dtype=np.float64)
         mean = self._mean.over(positions)
         if self._half is None or direction is None:
             return mean
-        sign = 1.0 if direction == "forward" else -1.0
+        sign = {"forward": 1.0, "backward": -1.0}[direction] if isinstance(direction, str) else direction
         r, slope, curvature = (of + sign * half for of, half in zip(mean, self._half.over(positions), strict=True))
         return r, slope, curvature
 
-    def deviations(self, x: ArrayLike, direction: Direction | None = None) -> NDArray[np.float64]:
+    def deviations(self, x: ArrayLike, direction: Direction | NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """:meth:`deviation` for an array, or by the table for ``direction``."""
         return self.offset - self.evaluate(x, direction)[0]
 

@@ -7,15 +7,9 @@ import pytest
 
 from straightcomp_ros.analysis.causes import of_map
 from straightcomp_ros.analysis.interruption import Stall
+from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, bounds_of, encoder_count
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
-from straightcomp_ros.analysis.run_verdict import (
-    GuideFit,
-    JudgedMotion,
-    bounds_of,
-    encoder_count,
-    late_commands,
-    verdict_of,
-)
+from straightcomp_ros.analysis.run_verdict import late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -68,8 +62,8 @@ AT_TURNS = sum(bump(turn, 0.5e-6) for turn in np.arange(0.5, 4.8, 1.0) / 0.6)
 IN_TURN = 0.1 * np.clip(np.abs(TIME - 4.0), 0.5, None)
 
 
-def promised(smooth: float, as_mapped: float = 0.0):
-    return lambda: Promise(smooth * 1e-6, (as_mapped or smooth) * 1e-6)
+def promised(smooth: float, as_mapped: float = 0.0, largest: float = 0.0):
+    return lambda: Promise(smooth * 1e-6, lambda: largest * 1e-6, lambda: (as_mapped or smooth) * 1e-6)
 
 
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
@@ -180,6 +174,7 @@ CASES = {
         ),
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.29), by_encoder=True)),
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2), friction=3.0)),
+        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2, largest=0.31))),
         ("in_order", "", motion(2.9 * SMALL, promise=promised(0.0))),
         ("inaccurate", "", motion(0.55 * R, promise=promised(100.0))),
     ],

@@ -23,6 +23,8 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.straightness.survey import write_survey
+from trials.noise import surveyed
 
 pytestmark = pytest.mark.keeps_time
 
@@ -194,6 +196,15 @@ def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, i
     assert simulated_and_live(in_lockstep, offline, tmp_path, composed).record.law == law
     assert audit(tmp_path / "bag").passed
     assert np.ptp(offline.current) > 0.005  # it did work for its result
+
+
+def test_the_graph_in_lockstep_follows_a_map_with_two_tables_as_the_simulation_does(tmp_path, in_lockstep):
+    file = str(tmp_path / "survey.csv")
+    write_survey(file, surveyed(10e-3, 25e-9, hysteresis=0.3e-6))
+    in_lockstep["stage"].update({"guide.file": file, "motion.start": 0.7})
+    in_lockstep["driver"]["simulated.truth.guide"] = file
+    live = simulated_and_live(in_lockstep, Simulation(in_lockstep).run(), tmp_path)
+    assert live.map.directed and live.record.reference.directed
 
 
 @pytest.mark.nightly

@@ -167,7 +167,7 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
     values = {"driver": {}, "feedforward": {"stage.guide.file": file}, "controller": {}, "stage": dict(CYCLE)}
     record, straightness = first_cycle({**values, "driver": {"simulated.truth.mass": 4.0}})
     found = promise_of(record, by_node(values), straightness)
-    assert found.smooth < 0.3e-6 < 1e-6 < found.as_mapped
+    assert found.smooth < 0.3e-6 < 1e-6 < found.as_mapped()
     assert promise_of(record, {"driver": {}}, straightness) is promise_of(record, by_node(values), None) is None
     assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.analysis.run_verdict import is_simulated
+from straightcomp_ros.analysis.judged_motion import is_simulated
 from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
 from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters

@@ -1,7 +1,7 @@
 """Zero, scale and sign of a survey, from a few strokes over the same guide with a displacement sensor.
 
 A sensor read m in stroke k at the machine's x; the stroke went in the direction d = ±1. With the survey's deviation δ
-over its own x, u, whose middle is u_m,
+over its own x, u, whose middle is u_m (of two tables that of the direction),
 
     m = c_k + tilt (x − u_m) + gain δ(u),        x = u + shift + scale (u − u_m) + lag d
 
@@ -143,7 +143,7 @@ def align(straightness: StraightnessMap, strokes: Sequence[Run], reach: float) -
     def fit(place: Array, keep: NDArray[np.bool_]) -> _Fit:
         arm, way = x[keep] - middle, ways[keep]
         u = middle + (arm - place[0] - place[2] * way) / (1.0 + place[1])
-        reference, slope, _ = straightness.evaluate(u)
+        reference, slope, _ = straightness.evaluate(u, way)
         offsets = (numbers[keep][:, None] == np.unique(numbers[keep])).astype(np.float64)
         linear = np.column_stack([straightness.offset - reference, arm, offsets])
         solved = np.linalg.lstsq(linear, readings[keep], rcond=None)[0]
@@ -196,7 +196,7 @@ def align(straightness: StraightnessMap, strokes: Sequence[Run], reach: float) -
     found = {name: Estimate(values[name], of) for name, of in zip(names, deviations.tolist(), strict=False)}
     inside = (x > first) & (x < last)
     lines = fit(np.zeros(3), inside).design[:, 3 + both :]
-    apart = readings[inside] - straightness.deviations(x[inside])
+    apart = readings[inside] - straightness.deviations(x[inside], ways[inside])
     before = apart - lines @ np.linalg.lstsq(lines, apart, rcond=None)[0]
     result = Alignment(
         middle=middle,

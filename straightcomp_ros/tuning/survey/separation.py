@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import MAP
+from straightcomp_ros.analysis.straightness_statement import Input, Statement, stated
 from straightcomp_ros.straightness.smoothing import measured, point_noise
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
@@ -52,6 +53,8 @@ class Separated(NamedTuple):
     edge_mean: Array
     guide_s: Array | None
     edge_s: Array | None
+    guide_lines: list[Statement]
+    edge_lines: list[Statement]
     left_out: int
 
 
@@ -92,11 +95,15 @@ def separated(
         repeatability(one, x, np.array([run.deviation for run in one.runs])).mean for one in (guide, edge)
     )
     noises = [point_noise(one, x, of_survey, measured(one, x)) for one, of_survey in ((normal, first), (second, other))]
-    guide_s = edge_s = None
-    if noises[0] is not None and noises[1] is not None:
-        variances = np.repeat(np.square(np.array(noises, np.float64)), x.size)
-        guide_s, edge_s = (np.sqrt(operator**2 @ variances) for operator in (of_guide, of_edge))
-    return Separated(guide, edge, x, guide_mean, edge_mean, guide_s, edge_s, len(every) - 2 * len(guides))
+    each, found, lines = np.repeat(np.array(noises, np.float64), x.size), list[Array | None](), list[list[Statement]]()
+    for mean, operator in ((guide_mean, of_guide), (edge_mean, of_edge)):
+        errors = operator * each
+        s = np.sqrt(np.sum(errors**2, axis=1))
+        noise = None if None in noises else float(np.sqrt(np.mean(s**2)))
+        source = Input("noise", noise, x, form=errors / (noise or 1.0))
+        found.append(None if noise is None else s)
+        lines.append(stated("before", guides[0].direction, [(x, x, mean)], [source], repeats=False))
+    return Separated(guide, edge, x, guide_mean, edge_mean, *found, *lines, len(every) - 2 * len(guides))
 
 
 def _levelling(x: Array, powers: int = 2) -> Array:

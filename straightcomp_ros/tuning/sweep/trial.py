@@ -15,9 +15,10 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.judged_motion import JudgedMotion
 from straightcomp_ros.analysis.judgement import INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
-from straightcomp_ros.analysis.run_verdict import JudgedMotion, verdict_of
+from straightcomp_ros.analysis.run_verdict import verdict_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating

@@ -348,7 +348,6 @@ def _reverse(options: argparse.Namespace) -> None:
     --negate` or `map build --invert`."""
     import numpy as np
 
-    from straightcomp_ros.straightness.residual import least_squares_residual, minimum_zone, peak_to_peak
     from straightcomp_ros.straightness.survey import SurveyError, read_survey, write_survey
     from straightcomp_ros.tuning.survey.separation import separated
 
@@ -363,10 +362,10 @@ def _reverse(options: argparse.Namespace) -> None:
     names = f"{Path(options.normal).name} and {Path(options.second).name}"
     how = "straightedge reversal" if shift is None else f"a shift of the {options.moved} by {shift:g} mm"
     figures: dict[str, Any] = {"points": len(found.x), "pairs": len(found.guide.runs), "left_out_runs": found.left_out}
-    parts = (("guide", found.guide_mean, found.guide_s), ("edge", found.edge_mean, found.edge_s))
-    for name, mean, s in parts:
-        figures[f"{name}_least_squares_um"] = peak_to_peak(least_squares_residual(found.x, mean)) * 1e6
-        figures[f"{name}_minimum_zone_um"] = minimum_zone(found.x, mean) * 1e6
+    for name, lines, s in (("guide", found.guide_lines, found.guide_s), ("edge", found.edge_lines, found.edge_s)):
+        for one in lines:
+            figures[f"{name}_{one.line}_um"] = one.value * 1e6
+            figures[f"{name}_{one.line}_U_um"] = None if one.unknown else one.expanded_uncertainty * 1e6
         figures[f"{name}_standard_uncertainty_um"] = None if s is None else float(np.sqrt(np.mean(s**2))) * 1e6
     kept = [f"{name}: {text}" for name, text in normal.facts.items()]
     write_survey(output, found.guide, [*kept, f"separated by: {how}, guide of {names}"])
@@ -428,7 +427,9 @@ def _align(options: argparse.Namespace) -> None:
             for name in rejected:
                 notes.print(f"{source}: run {name} is rejected: it differs from the others")
         if options.residual:
-            strokes = [replace(run, deviation=run.deviation + straightness.deviations(run.x)) for run in strokes]
+            strokes = [
+                replace(run, deviation=run.deviation + straightness.deviations(run.x, run.direction)) for run in strokes
+            ]
         found = align(straightness, strokes, options.reach * 1e-3)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error

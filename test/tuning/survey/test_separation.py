@@ -46,6 +46,21 @@ def test_the_standard_uncertainty_of_guide_and_edge_holds_95_percent_of_the_trut
     assert found.guide_s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
 
 
+@pytest.mark.parametrize("draws", [50, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("moved", [None, "straightedge", "sensor"])
+def test_the_straightness_of_guide_and_edge_lies_within_its_expanded_uncertainty(moved, draws):
+    def lines(seed, noise):
+        random, of_shift = np.random.default_rng(seed), (0.06, moved) if moved else ()
+        found = separated(*(shifted(random, noise, 0.06, moved) if moved else surveys(random, noise)), *of_shift)
+        return [*found.guide_lines, *found.edge_lines]
+
+    exact, few = lines(0, 0.0), 0.93 - 0.8 / np.sqrt(draws) * (draws < 1000)
+    pairs = [zip(lines(seed, 0.2e-6), exact, strict=True) for seed in range(draws)]
+    held = [[abs(one.value - true.value) <= one.expanded_uncertainty for one, true in pair] for pair in pairs]
+    assert np.all(np.mean(held, axis=0) >= few), np.mean(held, axis=0)
+    assert np.all(np.mean(held, axis=0) <= 0.97) or draws < 1000, np.mean(held, axis=0)
+
+
 def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_are_refused():
     normal, turned = surveys(np.random.default_rng(2), 0.0, ("forward", "forward", "backward"))
     forward = Survey(turned.runs[:1])
