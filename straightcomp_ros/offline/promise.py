@@ -43,7 +43,7 @@ _SMOOTH = "1"
 
 class Promise(NamedTuple):
     """Error p-p in m of the described machine with the noise of the survey taken off; what simulates the largest of
-    several strokes with the encoder's noise; and what simulates it with the map as it is. None: the platform is lost."""
+    several strokes with the encoder's noise; and what simulates it with the map as it is. None: platform is lost."""
 
     smooth: float
     largest: Callable[[], float | None]

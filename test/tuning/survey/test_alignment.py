@@ -54,6 +54,18 @@ def test_three_strokes_find_a_shift_of_1_mm_within_a_tenth_a_scale_of_1e_4_withi
     assert np.ptp(tilted) == pytest.approx(TILT * 1.76, rel=1e-3)
 
 
+@pytest.mark.parametrize("draws", [15, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_three_strokes_at_0_1_m_per_s_find_every_scale_within_2e_5_and_as_well_as_their_readings_allow(draws):
+    errors = []
+    for seed in range(draws):
+        random = np.random.default_rng(seed)
+        found = aligned(surveyed(random, shift=1e-3, scale=1e-4), stroked(random, a_mm=20))
+        errors.append(found.scale.value - 1e-4)
+        # By Cramér and Rao: white noise of each reading, with shift, gain, tilt and a zero of each stroke not known.
+        assert found.scale.uncertainty == pytest.approx(6.4e-6, rel=0.1)
+    assert np.mean(np.abs(errors) <= 2e-5) >= 0.99
+
+
 @pytest.mark.parametrize("draws", [40, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_each_interval_holds_the_truth_in_95_percent_of_draws_and_the_sign_is_never_wrong(draws):
     held = []
