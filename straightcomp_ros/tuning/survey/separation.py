@@ -103,7 +103,8 @@ def separated(
         source = Input("noise", noise, x, form=errors / (noise or 1.0))
         found.append(None if noise is None else s)
         lines.append(stated("before", guides[0].direction, [(x, x, mean)], [source], repeats=False))
-    return Separated(guide, edge, x, guide_mean, edge_mean, *found, *lines, len(every) - 2 * len(guides))
+    left_out = len(every) - 2 * len(guides)
+    return Separated(guide, edge, x, guide_mean, edge_mean, found[0], found[1], lines[0], lines[1], left_out)
 
 
 def _levelling(x: Array, powers: int = 2) -> Array:
