@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent import futures
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
 from typing import Protocol, TypeVar
@@ -234,14 +235,17 @@ class WorkerThread:
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         self._failed = failed
         self._thread = ThreadPoolExecutor(max_workers=1)
+        self._last: Future[None] | None = None
 
     def run(self, job: Callable[[], None]) -> None:
         """Queue ``job`` and return at once."""
-        self._thread.submit(job).add_done_callback(self._report)
+        self._last = self._thread.submit(job)
+        self._last.add_done_callback(self._report)
 
     def wait(self) -> None:
-        """Wait for all jobs."""
-        self._thread.submit(lambda: None).result()
+        """Wait for all jobs. Without one no thread is started: the caller may have another scheduling than the loop."""
+        if self._last is not None:
+            futures.wait([self._last])
 
     def close(self) -> None:
         """Wait for all jobs, and end the thread."""
