@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
-from straightcomp_ros.analysis.pictures import BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.style import BLUE, GREY, VERMILION
 from straightcomp_ros.bags import BagError
 
 

@@ -1,5 +1,5 @@
-"""Writes docs/reference.md: topics, services, CAN frames, parameters and the tables of a history, from the files that
-define them."""
+"""Writes docs/reference.md: topics, services, CAN frames, parameters and the tables of a history, and in
+docs/troubleshooting.md the table of faults, from the files that define them."""
 
 import ast
 import inspect
@@ -20,10 +20,12 @@ from straightcomp_ros.parameters.declaration import Declaration, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
+TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
 SERVES = {"safety_panel": "driver"}
 """Modules with services of one node, and that node."""
 ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime", "tuning/graph")]
@@ -83,6 +85,15 @@ def reference() -> str:
         lines += [f"### Node {node}", "", *_parameters(own)]
     lines += _history_tables()
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def troubleshooting() -> str:
+    """Text of the page of symptoms, with the present table of faults."""
+    rows = ((one.label, one.value.means, one.value.causes, one.value.remedy) for one in Fault)
+    table = "".join(f"| `{label}` | {' | '.join(texts)} |\n" for label, *texts in rows)
+    table = re.sub(r"docs/(\w+\.md)", r"[\1](\1)", table)
+    page = TROUBLESHOOTING.read_text(encoding="utf-8")
+    return re.sub(r"(^\| `\w+` \|.*\n)+", lambda _: table, page, flags=re.MULTILINE)
 
 
 def _history_tables() -> list[str]:
@@ -202,3 +213,4 @@ def _default(value: object) -> str:
 
 if __name__ == "__main__":
     write_whole(FILE, reference())
+    write_whole(TROUBLESHOOTING, troubleshooting())

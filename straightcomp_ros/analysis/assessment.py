@@ -146,15 +146,19 @@ class LimitCheck(NamedTuple):
         """Whether the value is within the limit; a figure that was not recorded fails."""
         return self.value is not None and self.minimum <= self.value <= self.maximum
 
-    def __str__(self) -> str:
+    @property
+    def allowed(self) -> str:
+        """The limits in words."""
         bounds = ((">=", self.minimum), ("<=", self.maximum))
-        allowed = " and ".join(f"{sign} {value:g}" for sign, value in bounds if math.isfinite(value))
+        return " and ".join(f"{sign} {value:g}" for sign, value in bounds if math.isfinite(value))
+
+    def __str__(self) -> str:
         found = "was not recorded" if self.value is None else f"is {self.value:.6g}"
-        return f"{self.name} {found}; allowed: {allowed}"
+        return f"{self.name} {found}; allowed: {self.allowed}"
 
 
-def checked_limits(path: str | Path, figures: Mapping[str, Any]) -> list[LimitCheck]:
-    """A check of ``figures`` for each limit of a YAML file, in its order.
+def checked_limits(path: str | Path, figures: Mapping[str, Any] | None = None) -> list[LimitCheck]:
+    """A check of ``figures`` for each limit of a YAML file, in its order; the limits alone without them.
 
         true_pp_um: 0.5                    # at most
         lost_samples: {max: 0}
@@ -177,14 +181,14 @@ def checked_limits(path: str | Path, figures: Mapping[str, Any]) -> list[LimitCh
     return [_check(where, str(name), limit, figures) for name, limit in tree.items()]
 
 
-def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any]) -> LimitCheck:
-    if name not in figures:
+def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any] | None) -> LimitCheck:
+    if figures is not None and name not in figures:
         raise ParameterError(f"{where}: figure '{name}' is unknown{instead(name, figures)}")
     given = limit if isinstance(limit, Mapping) else {"max": limit}
     bounds = {key: _number(one) for key, one in given.items()}
     if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
         raise ParameterError(f"{where}: {name}: {limit!r}; allowed: a number, or {{min: number, max: number}}")
-    minimum, maximum, value = bounds.get("min", -math.inf), bounds.get("max", math.inf), figures[name]
+    minimum, maximum, value = bounds.get("min", -math.inf), bounds.get("max", math.inf), (figures or {}).get(name)
     if minimum > maximum:
         raise ParameterError(f"{where}: {name}: min {minimum:g} is above max {maximum:g}")
     return LimitCheck(name, minimum, maximum, value if value is not None and math.isfinite(value) else None)

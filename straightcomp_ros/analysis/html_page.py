@@ -3,7 +3,7 @@
 import html
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ from markupsafe import Markup, escape
 from plotly.io import to_html
 from plotly.offline import get_plotlyjs
 
-# Okabe and Ito's palette: distinguishable with any colour vision, and by lightness on a black-and-white print.
-BLACK, BLUE, VERMILION, GREEN, GREY = "#000000", "#0072B2", "#D55E00", "#009E73", "#A8A8A8"
+from straightcomp_ros.analysis.figure_words import heading
+
+_NUMBER = re.compile(r"(\(?-?\d+(\.\d+)?\)?|\?)$")
 
 
 def _shown(value: Any) -> Any:
@@ -25,13 +26,24 @@ def _shown(value: Any) -> Any:
 
 
 def _numeric(rows: Sequence[dict[str, Any]]) -> set[str]:
-    """The headings of the columns that hold numbers, or nothing."""
-    return {name for row in rows for name, value in row.items() if not isinstance(value, str | bool)}
+    """The headings of the columns that hold numbers, or nothing; or nothing but texts of numbers."""
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    return {
+        name
+        for name, values in columns.items()
+        if any(not isinstance(one, str | bool) for one in values)
+        or all(isinstance(one, str) and _NUMBER.match(one) for one in values)
+    }
 
 
 def with_code(text: Any) -> Markup:
     """A text with commands between backticks."""
     return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text))))
+
+
+def worded(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of figures by name, with words and units in place of the names."""
+    return [{heading(name): value for name, value in row.items()} for row in rows]
 
 
 _ENVIRONMENT = Environment(
@@ -50,9 +62,9 @@ def html_page(
     return str(blocks.page(title, heading, note, sections, Markup(get_plotlyjs()) if with_plots else ""))
 
 
-def html_plot(figure: go.Figure, bar: bool = True) -> Markup:
-    """A plot as a part of a page; ``bar``: with Plotly's bar of tools."""
-    config = {"displaylogo": False, "responsive": True, **({} if bar else {"displayModeBar": False})}
+def html_plot(figure: go.Figure) -> Markup:
+    """A plot as a part of a page."""
+    config = {"responsive": True, "displayModeBar": False}
     described = _without_markup(figure.to_plotly_json())
     return Markup(to_html(described, full_html=False, include_plotlyjs=False, config=config, validate=False))
 
@@ -70,6 +82,10 @@ def _without_markup(value: Any) -> Any:
 def line_figure(x: str, y: str) -> go.Figure:
     """An empty plot with titles of its axes."""
     figure = go.Figure()
-    figure.update_layout(template="plotly_white", height=330, margin={"l": 70, "r": 20, "t": 45, "b": 50})
+    figure.update_layout(template="plotly_white", height=300, margin={"l": 70, "r": 20, "t": 45, "b": 50})
+    # The page's own colour behind it, light or dark, and its type.
+    figure.update_layout(
+        paper_bgcolor="rgba(0,0,0,0)", plot_bgcolor="rgba(0,0,0,0)", font_family="system-ui, sans-serif"
+    )
     figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"}, xaxis_title=x, yaxis_title=y)
     return figure

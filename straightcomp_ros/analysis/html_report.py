@@ -10,7 +10,9 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import html_page as page
+from straightcomp_ros.analysis import style
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
+from straightcomp_ros.analysis.figure_words import heading
 from straightcomp_ros.analysis.judged_motion import is_simulated
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
@@ -27,8 +29,14 @@ _SHOWN = 40
 """Events in a list."""
 
 
-def report_html(assessment: Assessment, other: Assessment | None = None, checks: Sequence[LimitCheck] = ()) -> str:
-    """The page for ``assessment``, compared with the run ``other``, and with the ``checks`` of its limits."""
+def report_html(
+    assessment: Assessment,
+    other: Assessment | None = None,
+    checks: Sequence[LimitCheck] = (),
+    incident: tuple[Markup, Sequence[tuple[str, str]]] = (Markup(""), ()),
+) -> str:
+    """The page for ``assessment``, compared with the run ``other``, and with the ``checks`` of its limits; what is to
+    be said first of an ``incident``, and its sections."""
     verdict, bag = assessment.verdict, str(assessment.bag)
     plots = (
         ("Straightness over the stroke, relative to the least squares line", _straightness(assessment)),
@@ -38,22 +46,25 @@ def report_html(assessment: Assessment, other: Assessment | None = None, checks:
         ("Control current", _current(assessment)),
         ("Loop timing", _timing(assessment)),
     )
-    notes = [(_whose(assessment), "note"), (f"Verdict: {verdict}", "note" if verdict.in_order else "fail")]
-    notes += [(text, "fail") for text in assessment.warnings]
-    limits = [{"verdict": one.passed, "limit": str(one)} for one in checks]
+    first = incident[0] + page.blocks.card(f"Verdict: {verdict}", _whose(assessment), verdict.in_order)
+    first += Markup("").join(page.blocks.paragraph(text, "fail") for text in assessment.warnings)
+    limits = [
+        {"figure": heading(one.name), "value": one.value, "allowed": one.allowed, "": one.passed} for one in checks
+    ]
     runs = {"this run": assessment.figures()} | ({} if other is None else {str(other.bag): other.figures()})
-    figures = [{"figure": name, **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
+    figures = [{"figure": heading(name), **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
     return page.html_page(
         bag,
         f"Straightness compensation, law “{assessment.record.law}”",
-        Markup("").join(page.blocks.paragraph(*note) for note in notes),
+        first,
         [
+            *incident[1],
             ("Limits", page.blocks.table(limits) if limits else ""),
             *((title, page.blocks.plots([page.html_plot(plot)])) for title, plot in plots if plot is not None),
-            ("Strokes", page.blocks.table([stroke.to_display() for stroke in assessment.strokes])),
+            ("Strokes", page.blocks.table(page.worded(stroke.to_display() for stroke in assessment.strokes))),
             (
                 "Straightness and its uncertainty (ISO 230-1)",
-                page.blocks.table(budget_rows(assessment.straightness)),
+                page.blocks.table(page.worded(budget_rows(assessment.straightness))),
             ),
             *_events(assessment),
             ("Figures", page.blocks.table(figures, columns=other is None)),
@@ -80,9 +91,9 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     seen = "map and encoder" if record.guide is None else "true"
     figure = page.line_figure("slider position x / mm", f"deviation / µm ({seen})")
     curves: tuple[tuple[str, Array, str, Direction | None], ...] = (
-        ("before", of_guide, page.BLACK, None),
-        ("after, forward", after, page.BLUE, "forward"),
-        ("after, backward", after, page.VERMILION, "backward"),
+        ("before", of_guide, style.BLACK, None),
+        ("after, forward", after, style.BLUE, "forward"),
+        ("after, backward", after, style.VERMILION, "backward"),
     )
     for name, values, colour, direction in curves if before else curves[1:]:
         chosen = np.isin(record.motion.samples(), record.motion.samples(direction))
@@ -102,20 +113,20 @@ def _errors(assessment: Assessment) -> tuple[Array, list[Array]]:
 def _error(assessment: Assessment, other: Assessment | None) -> go.Figure:
     figure = page.line_figure("time / s", "error r − y / µm")
     time, errors = _errors(assessment)
-    names = (("encoder", page.BLUE if len(errors) == 1 else page.GREY), ("true", page.BLUE))
+    names = (("encoder", style.BLUE if len(errors) == 1 else style.GREY), ("true", style.BLUE))
     for (name, colour), values in zip(names, errors, strict=False):
         _curve(figure, time, values, name, colour)
     if other is not None:
         others_time, others = _errors(other)
-        _curve(figure, others_time - others_time[0] + time[0], others[-1], str(other.bag), page.VERMILION)
-    _mark(figure, assessment.amplifier_off, "amplifier off", page.VERMILION)
-    _mark(figure, assessment.gaps, "samples lost", page.GREEN)
+        _curve(figure, others_time - others_time[0] + time[0], others[-1], str(other.bag), style.VERMILION)
+    _mark(figure, assessment.amplifier_off, "amplifier off", style.VERMILION)
+    _mark(figure, assessment.gaps, "samples lost", style.GREEN)
     return figure
 
 
 def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
     figure = page.line_figure("frequency / Hz", "amplitude density / (µm/√Hz)")
-    for one, colour in ((assessment, page.BLUE), (other, page.VERMILION)):
+    for one, colour in ((assessment, style.BLUE), (other, style.VERMILION)):
         if one is not None and len(one.spectrum.density) > 1:
             density = np.sqrt(one.spectrum.density[1:]) * 1e6
             name = "this run" if one is assessment else str(one.bag)
@@ -129,16 +140,16 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
 def _current(assessment: Assessment) -> go.Figure:
     moving = assessment.record.moving
     figure = page.line_figure("time / s", "control current / mA")
-    _curve(figure, moving.time, moving.current * 1e3, "command", page.BLACK)
-    _mark(figure, assessment.saturated, "at the current limit", page.VERMILION)
+    _curve(figure, moving.time, moving.current * 1e3, "command", style.BLACK)
+    _mark(figure, assessment.saturated, "at the current limit", style.VERMILION)
     return figure
 
 
 def _timing(assessment: Assessment) -> go.Figure | None:
     evaluation = assessment.evaluation
     curves = (
-        ("sample to command", evaluation.latency * 1e6, page.BLUE),
-        ("sample to publication", evaluation.lateness * 1e6, page.VERMILION),
+        ("sample to command", evaluation.latency * 1e6, style.BLUE),
+        ("sample to publication", evaluation.lateness * 1e6, style.VERMILION),
     )
     both = np.concatenate([values for _, values, _ in curves])
     if not len(both):
@@ -192,9 +203,10 @@ def _events(assessment: Assessment) -> Iterator[tuple[str, Markup]]:
         "Command at the current limit": assessment.saturated,
         "Amplifier off while the stage moved": assessment.amplifier_off,
     }
-    events = {title: [interval._asdict() for interval in found] for title, found in intervals.items()}
+    names = ("from / s", "to / s", "samples")
+    events = {title: [dict(zip(names, one, strict=True)) for one in found] for title, found in intervals.items()}
     events["Stick-slip"] = [
-        {"time_s": e.time, "x_mm": e.x * 1e3, "stuck_ms": e.duration * 1e3, "slip_um": e.slip * 1e6}
+        {"time / s": e.time, "x / mm": e.x * 1e3, "stuck / ms": e.duration * 1e3, "slip / µm": e.slip * 1e6}
         for e in assessment.stick_slips
     ]
     for title, rows in events.items():

@@ -16,18 +16,9 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import BuiltMap
-from straightcomp_ros.analysis.pictures import (
-    BLACK,
-    BLUE,
-    GREY,
-    PALE_BLUE,
-    PALE_VERMILION,
-    VERMILION,
-    as_text,
-    save_whole,
-    show_grid,
-)
+from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
 from straightcomp_ros.analysis.straightness_statement import COVERAGE_FACTOR, map_input, stated
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, SOFT, VERMILION
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
@@ -59,12 +50,12 @@ def plot_map(built: BuiltMap, path: Path, machine: str = "") -> None:
     for left, facts in columns:
         height = 0.94
         for name, text in facts:
-            figure.text(left, height, name, fontsize=6.5, color="#555555")
+            figure.text(left, height, name, fontsize=6.5, color=SOFT)
             for line in textwrap.wrap(text, _LONGEST)[:_LINES] or [""]:
                 figure.text(left + 0.115, height, as_text(line), fontsize=6.5)
                 height -= 0.0145
     for name, left, right in (("Measured by", 0.06, 0.36), ("Date", 0.40, 0.58), ("Signature", 0.62, 0.94)):
-        figure.text(left, 0.035, name, fontsize=8, color="#555555")
+        figure.text(left, 0.035, name, fontsize=8, color=SOFT)
         figure.add_artist(Line2D([left + 0.012 * len(name), right], [0.034, 0.034], color=BLACK, linewidth=0.6))
     for draw, axes in zip((_survey, _runs, _smoothing), figure.subplots(3, 1, sharex=True), strict=True):
         draw(axes, built)

@@ -12,12 +12,10 @@ from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import Metrics, straightness_over
 from straightcomp_ros.analysis.record import StrokeRecord, group_means
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, GRID, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
-# Okabe and Ito's palette: distinguishable with any colour vision, and by lightness on a black-and-white print.
-BLACK, BLUE, VERMILION, GREY = "#000000", "#0072B2", "#D55E00", "#A8A8A8"
-PALE_BLUE, PALE_VERMILION = "#9CCBE6", "#F2BE9A"
 LENGTH_OF_MEAN_MM = 10.0
 
 
@@ -120,6 +118,6 @@ def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None
 
 def show_grid(axes: Axes) -> None:
     """Draw a pale grid behind the curves, which fill the width."""
-    axes.grid(color="#D8D8D8", linewidth=0.5)
+    axes.grid(color=GRID, linewidth=0.5)
     axes.set_axisbelow(True)
     axes.margins(x=0.01)

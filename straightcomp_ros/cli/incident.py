@@ -13,6 +13,7 @@ from shlex import quote
 
 from straightcomp_ros.cli.options import add_force, add_json, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
+from straightcomp_ros.parameters.output_files import write_whole
 
 SUMMARY = "pack an incident into one file, or open one"
 PURPOSE = "judge"
@@ -68,7 +69,7 @@ def _pack(options: argparse.Namespace) -> None:
 
 def _open(options: argparse.Namespace) -> None:
     from straightcomp_ros.analysis.pictures import plot_run
-    from straightcomp_ros.offline.incident import BAG, IncidentError, judged, unpack
+    from straightcomp_ros.offline.incident import BAG, IncidentError, incident_page, judged, unpack
 
     file = Path(options.file)
     folder = Path(options.output) if options.output else file.with_suffix("")
@@ -93,6 +94,8 @@ def _open(options: argparse.Namespace) -> None:
         with contextlib.suppress(ValueError):
             plot_run(found.evaluation.record, found.evaluation.map, found.assessment.metrics, picture, title)
     doctor = json.loads((folder / "doctor.json").read_text(encoding="utf-8"))
+    page = folder / "incident.html"
+    write_whole(page, incident_page(found, details, doctor))
     if options.json:
         print_json({**found.to_json(), "folder": str(folder), "as_packed": details, "doctor": doctor})
         return
@@ -108,5 +111,5 @@ def _open(options: argparse.Namespace) -> None:
             console.print(text, soft_wrap=True, highlight=False)
     for one in details.get("left_out", []):
         console.print(f"not in it: {one}", soft_wrap=True, highlight=False)
-    written = [folder, *([picture] if picture.exists() else [])]
-    print_written(*written, then=f"straightcomp evaluate {quote(str(folder / BAG))} --report report.html")
+    written = [folder, *([picture] if picture.exists() else []), page]
+    print_written(*written, then=f"open {quote(str(page))} in a browser")

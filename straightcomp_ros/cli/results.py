@@ -13,6 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
+from straightcomp_ros.analysis.figure_words import in_words
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, printable, styled
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
@@ -26,20 +27,13 @@ if TYPE_CHECKING:
     from straightcomp_ros.offline.starts import Spread
     from straightcomp_ros.stage.description import StageParameters
 
-_ROWS = (
-    ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
-    ("true_pp_um", "compensation error p-p, true", "µm", 3),
-    ("encoder_rms_um", "compensation error RMS, encoder", "µm", 3),
-    ("true_rms_um", "compensation error RMS, true", "µm", 3),
-    ("uncompensated_pp_um", "straightness p-p before (ISO 230-1)", "µm", 2),
-    ("residual_pp_um", "straightness p-p after (ISO 230-1)", "µm", 2),
-    ("expected_samples", "samples expected", "", 0),
-    ("received_samples", "samples received", "", 0),
-    ("lost_samples", "samples lost", "", 0),
-    ("lost_commands", "samples without a command", "", 0),
-    ("latency_p50_us", "loop latency p50", "µs", 0),
-    ("latency_p99_us", "loop latency p99", "µs", 0),
-)
+_ROWS = {
+    **dict.fromkeys(("encoder_pp_um", "true_pp_um", "encoder_rms_um", "true_rms_um"), 3),
+    **dict.fromkeys(("uncompensated_pp_um", "residual_pp_um"), 2),
+    **dict.fromkeys(("expected_samples", "received_samples", "lost_samples", "lost_commands"), 0),
+    **dict.fromkeys(("latency_p50_us", "latency_p99_us"), 0),
+}
+"""Figures of a run on the terminal, and the digits of each."""
 
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
@@ -124,7 +118,8 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
     over_starts, law = over_starts or {}, figures["law"]
     headings = ("figure", "value", "unit", "paper")
     table = titled_table(f"Straightness compensation, law '{law}'", *headings, left=("unit",))
-    for key, words, unit, digits in _ROWS:
+    for key, digits in _ROWS.items():
+        words, unit = in_words(key)
         if figures.get(key) is not None:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
             value = over_starts[key].text(digits) if key in over_starts else f"{figures[key]:.{digits}f}"

@@ -4,10 +4,12 @@ Open the address that is printed in a browser; the part behind the # is the toke
 process of its own and only watches. Where the graph's nodes run with real-time priority, give --priority the same."""
 
 import argparse
+import math
 import sys
+from pathlib import Path
 
 from straightcomp_ros.cli.options import add_json, add_namespace, check_range
-from straightcomp_ros.cli.output import print_json, require_ros
+from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 
 SUMMARY = "live plots of the running graph in a browser"
 PURPOSE = "run"
@@ -22,6 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--priority", type=int, default=0, metavar="N", help=priority)
     advice = "show the advice of `straightcomp history advise` in this file"
     add("--maintenance", default="", metavar="FILE", help=advice)
+    limits = "show the limit of encoder_pp_um in this file with the error, e.g. the limits.yaml beside a certificate"
+    add("--limits", default="", metavar="FILE", help=limits)
     add_json(parser)
 
 
@@ -34,7 +38,9 @@ def run(options: argparse.Namespace) -> int:
     require_ros()
     check_range("--port", options.port, 0, 65535)
     realtime = from_mapping(RealtimeParameters, {"priority": options.priority})
-    from straightcomp_ros.nodes.view_node import view
+    from straightcomp_ros.nodes.view_node import Limit, view
+
+    limit = Limit(largest_error(options.limits), Path(options.limits).name) if options.limits else None
 
     arguments = ["--ros-args", *in_namespace(options.namespace)] if options.namespace else []
 
@@ -45,4 +51,14 @@ def run(options: argparse.Namespace) -> int:
             print(url)
         sys.stdout.flush()
 
-    return view(options.port, ready, realtime, arguments, options.maintenance)
+    return view(options.port, ready, realtime, arguments, options.maintenance, limit)
+
+
+def largest_error(file: str) -> float:
+    """The largest error p-p in µm by a file of limits; CommandFailed where it has none."""
+    from straightcomp_ros.analysis.assessment import checked_limits
+
+    found = {one.name: one.maximum for one in checked_limits(file)}
+    if not math.isfinite(found.get("encoder_pp_um", math.inf)):
+        raise CommandFailed(f"limits {file}: has no maximum of encoder_pp_um, which the view shows", exit_code=2)
+    return found["encoder_pp_um"]

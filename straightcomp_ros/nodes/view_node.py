@@ -1,28 +1,34 @@
 """Feeds the live view: reads and decimates the graph's streams, passes the page's button presses to the driver."""
 
+import math
 import os
 import queue
+from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, POSITION, REFERENCE
-from straightcomp_ros.runtime.graph_client import GraphClient
+from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.runner import Runnable, run
+from straightcomp_ros.safety.faults import explained
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
-from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer
+from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer, distribution
 
 _FETCH_S = 0.05
-_SLOT_S = 0.02
+SLOT_S = 0.02
 _ANSWER_WITHIN_S = 2.0
 _ALONE_S = 5.0
 """Time from which a view that sees no node says so: discovery takes a second or two."""
+_LATENCIES, _SUMMARY_EVERY = 40_000, 20
+"""Latencies whose distribution is shown: of 20 s at 2 kHz; and of how many fetches one counts them anew."""
 _NODES = ("driver", "feedforward", "controller", "logger")
-_SHOWN = {
+SHOWN = {
     # Deviation of the guide by the map: the negative of the reference.
     "deviation": (REFERENCE, "r", -1.0, 1e6),
     "y": (POSITION, "y", 1.0, 1e6),
@@ -36,11 +42,18 @@ _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": 
 """Name in the diagnostics, by name on the page."""
 
 
+class Limit(NamedTuple):
+    """The largest error p-p in µm that a movement may have, and whose limit it is."""
+
+    um: float
+    source: str
+
+
 class ViewNode(Runnable):
     """Serves the page at ``port`` and calls ``ready`` with its address. Only the main thread uses ROS; others serve it.
 
     ``realtime`` must equal that of the graph's nodes: see docs/realtime.md. ``maintenance`` is a file of advice, empty
-    for none.
+    for none. ``limit`` is shown with the error.
     """
 
     def __init__(
@@ -50,11 +63,17 @@ class ViewNode(Runnable):
         ready: Callable[[str], object],
         realtime: RealtimeParameters,
         maintenance: str,
+        limit: Limit | None = None,
     ) -> None:
+        self._limit = limit
         self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime = node, Future(), realtime
         self._graph = GraphClient(node, _NODES, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
-        self._board = Board({name: Series(_SLOT_S, scale) for name, (*_, scale) in _SHOWN.items()})
+        self._board = Board({name: Series(SLOT_S, scale) for name, (*_, scale) in SHOWN.items()})
+        self._driver = RemoteParameters(node, ("driver",))
+        self._latencies: deque[float] = deque(maxlen=_LATENCIES)
+        self._distribution: dict[str, object] = {}
+        self._fetches = 0
         self._wanted: list[Callable[[], None]] = []
         buttons = {
             "enable": partial(self._ask, self._switch_on, "amplifier on"),
@@ -72,9 +91,14 @@ class ViewNode(Runnable):
         if self.done.done():
             return
         fetched = self._graph.fetch()
-        for name, (stream, column, sign, _) in _SHOWN.items():
+        for name, (stream, column, sign, _) in SHOWN.items():
             place = stream.layout.columns.index(column)
             self._board.add(name, [(stamp_ns, sign * numbers[place]) for stamp_ns, numbers, _ in fetched[stream]])
+        place = DRIVER_STATE.layout.columns.index("command_latency")
+        self._latencies.extend(n[place] for _, n, _ in fetched[DRIVER_STATE] if math.isfinite(n[place]))
+        if self._fetches % _SUMMARY_EVERY == 0:
+            self._distribution = distribution(self._latencies)
+        self._fetches += 1
         while self._wanted:
             self._wanted.pop(0)()
         self._show()
@@ -97,13 +121,19 @@ class ViewNode(Runnable):
             node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
             for node, state in seen.nodes.items()
         }
+        driver = self._driver.values.get("driver", {})
+        named = f"stage “{driver['stage.name']}”, hardware {driver['hardware']}" if driver else ""
         self._board.show(
             {
+                "stage": named,
+                "due_us": 1e6 * driver["stage.drive.delay"] / driver["stage.rate"] if driver else None,
+                "latency": self._distribution,
+                "limit": self._limit and self._limit._asdict(),
                 "fresh": seen.fresh,
                 "amplifier_on": seen.amplifier_on,
                 "x_mm": seen.x * 1e3,
                 "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
-                "faults": dict(seen.faults),
+                "faults": [{"node": node, **explained(text)} for node, text in seen.faults.items()],
                 "maintenance": self._advice.due().text,
                 "nodes": nodes,
             }
@@ -143,6 +173,7 @@ def view(
     realtime: RealtimeParameters,
     arguments: list[str],
     maintenance: str = "",
+    limit: Limit | None = None,
 ) -> int:
     """Serve the view until SIGINT or SIGTERM, see :class:`ViewNode`, with ROS ``arguments``; returns the exit code."""
-    return run("view", lambda node: ViewNode(node, port, ready, realtime, maintenance), arguments)
+    return run("view", lambda node: ViewNode(node, port, ready, realtime, maintenance, limit), arguments)

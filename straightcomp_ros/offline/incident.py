@@ -39,7 +39,7 @@ from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
-from straightcomp_ros.safety.faults import LABELLED
+from straightcomp_ros.safety.faults import LABELLED, explained
 
 SUMMARY, DETAILS, BAG = "INCIDENT.txt", "incident.json", "bag"
 LARGEST = 1 << 30
@@ -334,6 +334,31 @@ def _summary(details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], co
         "open it with: straightcomp incident open FILE",
     ]
     return "\n".join(lines) + "\n"
+
+
+def incident_page(found: Judged, details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]]) -> str:
+    """The page of an opened incident as HTML: its cause and what to do, what the doctor there said, and the report of
+    the run, if the stage moved."""
+    # Only here: the logger, which packs incidents, needs no plots.
+    from straightcomp_ros.analysis.html_page import blocks, html_page
+    from straightcomp_ros.analysis.html_report import report_html
+
+    fault = explained(found.cause)
+    remedy = f"It means: {fault['means']}. Likely causes: {fault['causes']}. What to do: {fault['remedy']}"
+    well = bool(found.assessment and found.assessment.verdict.in_order)
+    first = blocks.card(fault["text"], remedy if fault["remedy"] else f"Audit: {found.audit}", well)
+    facts = [("packed", details.get("made")), ("bag", details.get("bag")), ("audit", found.audit)]
+    facts += [(f"{name} on the computer that packed it", details.get(name)) for name in ("verdict", "audit")]
+    names = {"state": "state", "name": "what", "detail": "found", "remedy": "what helps"}
+    complaints = [{word: one[name] for name, word in names.items()} for one in doctor if one["state"] != "ok"]
+    sections = [
+        ("The incident", blocks.table([{"": name, " ": value} for name, value in facts])),
+        ("What the doctor found on that computer", blocks.table(complaints) if complaints else ""),
+        ("Not in the file", blocks.list(details["left_out"]) if details.get("left_out") else ""),
+    ]
+    if found.assessment:
+        return report_html(found.assessment, incident=(first, sections))
+    return html_page("Incident", f"Incident of {details.get('bag')}", first, sections, with_plots=False)
 
 
 def unpack(file: Path, folder: Path) -> dict[str, Any]:

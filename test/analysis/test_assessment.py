@@ -151,6 +151,8 @@ def test_the_report_needs_no_network_and_has_all_plots(make_record, tmp_path, as
     found = assessed(make_record(), "bag <1>", warnings=("not finished",))
     text = report_html(found, found, checked_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures()))
     assert text.count('class="plotly-graph-div"') == 6
+    # Words with units in place of names with underscores.
+    assert not re.search(r">[a-z0-9]+_[a-zA-Z0-9_]+<", text) and "latency p99 / µs" in text
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
     assert "bag &lt;1&gt;" in text and "bag <1>" not in text
     assert "not finished" in text and "FAILED" in text and "@media print" in text

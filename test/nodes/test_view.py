@@ -19,7 +19,9 @@ def page(graph, tmp_path):
     file = tmp_path / "gantry.json"
     file.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
     graph.start("driver", {"stage.rate": 200})
-    command = verb_command("view", "--port", "0", "--maintenance", str(file))
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("encoder_pp_um: 0.6\ncontrol_rms_step_A: 0.1\n")
+    command = verb_command("view", "--port", "0", "--maintenance", str(file), "--limits", str(limits))
     view = graph.start_program("view", command, read_output=True)
     return urlsplit(view.stdout.readline().strip())
 
@@ -48,6 +50,7 @@ def test_it_shows_the_graph_and_its_buttons_reach_the_driver(page):
             slots += news["series"]["x"]
     answer.close()
     assert state["fresh"] and not state["amplifier_on"]
+    assert state["limit"] == {"um": 0.6, "source": "limits.yaml"} and state["faults"] == []
     assert state["maintenance"] == "as of 2026-05-01: worn; mend"
     assert state["nodes"]["driver"]["state"] != "absent" and state["nodes"]["logger"]["state"] == "absent"
     assert float(state["nodes"]["driver"]["rate_hz"]) > 0

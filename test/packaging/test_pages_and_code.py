@@ -84,6 +84,7 @@ def test_every_parameter_that_a_command_sets_exists(page):
 def test_the_reference_is_what_the_code_says():
     """Remedy: python scripts/make_reference.py"""
     assert make_reference.FILE.read_text(encoding="utf-8") == make_reference.reference()
+    assert make_reference.TROUBLESHOOTING.read_text(encoding="utf-8") == make_reference.troubleshooting()
 
 
 def test_every_service_of_a_node_says_what_it_does():

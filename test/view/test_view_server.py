@@ -5,10 +5,14 @@ import socket
 from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection
 from itertools import islice
+from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer
+from straightcomp_ros.analysis.html_page import html_page
+from straightcomp_ros.analysis.style import BLUE, SHEET
+from straightcomp_ros.safety.faults import Fault, explained
+from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer, distribution
 
 MS = 1_000_000
 
@@ -64,6 +68,29 @@ def test_the_page_is_for_this_machine_under_its_own_names_and_needs_nothing_from
     assert "http://" not in text and "https://" not in text and "src=" not in text and "@import" not in text
     assert server.token not in text
     assert ask(server, "GET", "/etc/passwd")[0] == 404
+
+
+def test_every_page_has_the_one_style_sheet_and_pictures_its_colours(server):
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    pages = ask(server, "GET", "/")[2].decode(), html_page("a", "a", "", []), (docs / "css" / "style.css").read_text()
+    assert all(SHEET.strip() in page for page in pages) and BLUE == "#0072B2"
+    assert "extra_css: [css/style.css]" in (docs.parent / "mkdocs.yml").read_text()
+
+
+def test_a_fault_is_shown_with_what_it_means_and_what_to_do_and_the_error_with_its_limit(server):
+    page = ask(server, "GET", "/")[2].decode()
+    for shown in ("fault.means", "fault.causes", "fault.remedy", "state.limit.um", "limit.source"):
+        assert shown in page
+    for fault in Fault:
+        found = explained(f"{fault.label}: y = 1 mm")
+        assert found["text"].startswith(fault.label) and all(found.values()) and "others" not in found["remedy"]
+    assert explained("no map")["remedy"] == ""
+
+
+def test_the_distribution_of_latencies_counts_each_once():
+    found = distribution([100e-6] * 98 + [2e-3, 50e-3])
+    assert sum(found["counts"]) == 100 and found["p50"] == pytest.approx(100.0) and found["max"] == pytest.approx(50e3)
+    assert found["edges"][0] <= 100.0 and found["edges"][-1] >= 50e3 and distribution([]) == {}
 
 
 def test_news_hold_the_state_and_each_slot_once(server):

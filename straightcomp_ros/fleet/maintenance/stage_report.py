@@ -15,19 +15,10 @@ import numpy as np
 import plotly.graph_objects as go
 from markupsafe import Markup
 
-from straightcomp_ros.analysis.html_page import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    VERMILION,
-    blocks,
-    html_page,
-    html_plot,
-    line_figure,
-)
+from straightcomp_ros.analysis.html_page import blocks, html_page, html_plot, line_figure
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.analysis.metrics import LINES
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREEN, GREY, VERMILION
 from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import (
     BASELINE,
@@ -69,7 +60,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     for change in (change for one in advice for change in one.changes):
         changes[change.figure].append(change)
     plots = [
-        html_plot(history_plot(levels, name, changes[name]), bar=False)
+        html_plot(history_plot(levels, name, changes[name]))
         for name, values in levels.figures.items()
         if np.count_nonzero(np.isfinite(values)) > 1
     ]
@@ -110,7 +101,7 @@ def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
         others = ", ".join(BY_NAME[change.figure].words for change in one.changes[1:])
         note = f"found on {one.found}" + (f"; changed with it: {others}" if others else "")
         remedy = f"What helps: {one.remedy}." if one.due else "Nothing to do: it is back where it was."
-        cards += blocks.card(one.text, remedy, not one.due, note, html_plot(evidence(levels, one), bar=False))
+        cards += blocks.card(one.text, remedy, not one.due, note, html_plot(evidence(levels, one)))
     return f"What needs attention: {sum(one.due for one in advice)}", cards
 
 

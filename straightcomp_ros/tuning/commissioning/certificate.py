@@ -8,24 +8,28 @@ import base64
 import datetime
 import hashlib
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
-from straightcomp_ros.analysis.html_page import blocks, html_page, with_code
+from straightcomp_ros.analysis.figure_words import heading
+from straightcomp_ros.analysis.html_page import blocks, html_page, with_code, worded
 from straightcomp_ros.analysis.straightness_statement import budget_rows, with_uncertainty
 from straightcomp_ros.bags.information import origin
-from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.declaration import declarations, to_mapping
 from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
 from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, remarks
+from straightcomp_ros.tuning.identification.estimate import DERIVED
 
 _LATER = "In `limits.yaml`, for `straightcomp evaluate --limits`."
 _BUDGET = """\
@@ -198,10 +202,10 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     section("Findings", (("step", "finding"), found))
     checks = [tuple(one[key] for key in ("name", "value", "allowed", "passed")) for one in content["checks"]]
     section("Figures and their limits", (("figure", "measured", "allowed", ""), checks))
-    if stated := budget_rows(figures("acceptance").get("straightness", [])):
+    if stated := worded(budget_rows(figures("acceptance").get("straightness", []))):
         table = tuple(stated[0]), [tuple(one.values()) for one in stated]
         section("Straightness (ISO 230-1)", table, note=_STRAIGHTNESS)
-    later = [tuple(one[key] for key in ("name", "value", "limit")) for one in content["later_limits"]]
+    later = [(heading(one["name"]), one["value"], one["limit"]) for one in content["later_limits"]]
     section("Limits for later strokes", (("figure", "this stroke", "later strokes: at most"), later), note=_LATER)
     budget = [
         (one["cause"].replace("as described", "as found"), one["pp_um"], one["rms_um"])
@@ -219,7 +223,7 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     sections.append(("What the data cannot tell", blocks.list(open_questions) if open_questions else ""))
     model, margins = response.get("model_margins", {}), response.get("margins", {})
     rows = [
-        (name, *("beyond the lines" if one is None else f"{one:.3g}" for one in (value, model.get(name))))
+        (heading(name), *("beyond the lines" if one is None else f"{one:.3g}" for one in (value, model.get(name))))
         for name, value in margins.items()
     ]
     section("Margins", (("margin", "measured", "model"), rows))
@@ -313,7 +317,12 @@ def _machine(parameters: Mapping[str, Mapping[str, Any]], content: Mapping[str, 
         return "hardly identifiable" if one.get("poor") else f"{one['low']:.4g} to {one['high']:.4g}"
 
     described = content["described"]
-    found = [(name, described.get(name, ""), one["value"], interval(one)) for name, one in parameters.items()]
-    yield ("parameter (SI)", "described", "found", "95 % interval"), found
+    words = {
+        one.name: re.split("[,;]", one.description)[0] + f" / {one.unit}" * bool(one.unit)
+        for one in declarations(StageParameters)
+    }
+    words |= {name: f"{name.partition('.')[2].replace('_', ' ')} / ({unit})" for name, unit in DERIVED.items()}
+    found = [(words[name], described.get(name, ""), one["value"], interval(one)) for name, one in parameters.items()]
+    yield ("fact", "described", "found", "95 % interval"), found
     path = [(name, one["described"], one["found"], interval(one)) for name, one in content["current_path"].items()]
     yield ("current path", "described", "found", "range for which the law is designed"), path

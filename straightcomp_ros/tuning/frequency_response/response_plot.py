@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION, as_text, save_whole
+from straightcomp_ros.analysis.pictures import as_text, save_whole
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, GRID, PALE_BLUE, VERMILION
 from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
 
 _REACH = 2.5
@@ -48,7 +49,7 @@ def plot_response(found: ComparedResponse, path: Path, title: str) -> None:
         axes.set_xlabel("frequency / Hz")
     _nyquist(figure.add_subplot(grid[:, 2]), found)
     for axes in figure.axes:
-        axes.grid(color="#D8D8D8", linewidth=0.5)
+        axes.grid(color=GRID, linewidth=0.5)
     save_whole(figure, path)
 
 

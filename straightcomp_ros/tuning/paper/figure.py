@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-GRID = "#D8D8D8"
+from straightcomp_ros.analysis.style import GRID
+
 SMALL = 8
 """Size in points of legends and remarks."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, legend_above, sheet
 from straightcomp_ros.tuning.paper.machine import (

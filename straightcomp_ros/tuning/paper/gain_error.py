@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import brentq
 
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.machine import Machine, Response, largest, release

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM, TOLERANCE
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.stage.description import StageParameters

@@ -153,7 +153,7 @@ def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter, StrMethodFormatter
 
-    from straightcomp_ros.analysis.pictures import as_text, save_whole
+    from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
 
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
@@ -180,7 +180,6 @@ def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
     axes.set_xlabel("true compensation error, peak to peak / µm")
     axes.set_ylabel("fraction of the machines at or below")
     axes.set_title(as_text(title), fontsize=11)
-    axes.grid(color="#D8D8D8", linewidth=0.5)
-    axes.set_axisbelow(True)
+    show_grid(axes)
     axes.legend(loc="lower right", fontsize=9)
     save_whole(figure, path)

@@ -1,0 +1,199 @@
+"""Makes what a person looks at from the sample bags, and pictures of it by Chromium: wide, narrow and printed.
+
+    python -m scripts.page_pictures FOLDER [--commission DIR]
+
+Report, incident, stage report, map page, the live view with the last seconds of a bag and a fault, and the pages of
+docs/; with the folder of a commission also its certificate. Needs `chromium`, and for the printed ones `pdftoppm`
+(poppler-utils). Look at them after a change of a page or of `analysis/style.css`.
+"""
+
+import argparse
+import base64
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import closing
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.cli.main import main as straightcomp
+from straightcomp_ros.contract import ENCODER, POSITION, POSITION_EVERY
+from straightcomp_ros.nodes.view_node import SHOWN, SLOT_S
+from straightcomp_ros.safety.faults import Fault, explained
+from straightcomp_ros.view.page_server import Board, Series, ViewServer, distribution
+from trials.incidents import record_fault
+from trials.worn_stage import stroke_pool, write_store
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+BAG = REPOSITORY / "bags" / "smc"
+_WIDTHS = {"wide": 1280, "narrow": 390}
+_HEIGHT, _TALLEST = 800, 6000
+"""Pixels of the window, and of a picture of a long page."""
+_DRAWN_S = 1.5
+"""Until plots are drawn, and the live view has its news."""
+
+
+class Browser:
+    """Chromium without a window, told what to do over a pair of pipes (Chrome DevTools Protocol)."""
+
+    def __init__(self, profile: str) -> None:
+        reads, self._to = os.pipe()
+        self._from, writes = os.pipe()
+        options = (
+            f"--headless --no-sandbox --disable-gpu --hide-scrollbars --remote-debugging-pipe --user-data-dir={profile}"
+        )
+        command = f"exec chromium {options} 3<&{reads} 4>&{writes} 2>/dev/null"
+        self._process = subprocess.Popen(["bash", "-c", command], pass_fds=(reads, writes))
+        self._numbers, self._answers = count(1), os.fdopen(self._from, "rb")
+        for one in (reads, writes):
+            os.close(one)
+        target = self._ask("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.ask("Page.enable")
+
+    def ask(self, method: str, **parameters: Any) -> Any:
+        return self._ask(method, sessionId=self._session, **parameters)
+
+    def _ask(self, method: str, sessionId: str | None = None, **parameters: Any) -> Any:
+        number = next(self._numbers)
+        message = {"id": number, "method": method, "params": parameters} | (
+            {"sessionId": sessionId} if sessionId else {}
+        )
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        text = b""
+        while True:
+            text += (byte := self._answers.read(1))
+            if not byte:
+                raise RuntimeError("chromium has ended")
+            if byte == b"\0":
+                answer = json.loads(text[:-1])
+                text = b""
+                if answer.get("id") == number:
+                    return answer["result"]
+
+    def wait_for(self, condition: str) -> None:
+        while not self.ask("Runtime.evaluate", expression=condition)["result"]["value"]:
+            time.sleep(0.1)
+
+    def close(self) -> None:
+        os.close(self._to)
+        self._process.kill()
+        self._process.wait()
+
+
+def pictures(browser: Browser, name: str, address: str, folder: Path) -> None:
+    """Write NAME_wide.png, NAME_dark.png, NAME_narrow.png and NAME_print-1.png …"""
+    for kind, width in {**_WIDTHS, "dark": _WIDTHS["wide"]}.items():
+        size = {"width": width, "height": _HEIGHT, "deviceScaleFactor": 1, "mobile": width < 500}
+        browser.ask("Emulation.setDeviceMetricsOverride", **size)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if kind == "dark" else "light"}
+        browser.ask("Emulation.setEmulatedMedia", features=[scheme])
+        for url in ("about:blank", address):
+            browser.ask("Page.navigate", url=url)
+            browser.wait_for("document.readyState == 'complete'")
+        time.sleep(_DRAWN_S)
+        content = browser.ask("Page.getLayoutMetrics")["cssContentSize"]
+        if content["width"] > width:
+            print(f"{name}: is {content['width']} pixels wide in a window of {width}", file=sys.stderr)
+        clip = {"x": 0, "y": 0, "width": width, "height": min(_TALLEST, content["height"]), "scale": 1}
+        shot = browser.ask("Page.captureScreenshot", clip=clip, captureBeyondViewport=True)["data"]
+        (folder / f"{name}_{kind}.png").write_bytes(base64.b64decode(shot))
+    browser.ask("Emulation.setEmulatedMedia", features=[])
+    printed = folder / f"{name}.pdf"
+    pdf = browser.ask(
+        "Page.printToPDF", printBackground=False, preferCSSPageSize=True, paperWidth=8.27, paperHeight=11.69
+    )
+    printed.write_bytes(base64.b64decode(pdf["data"]))
+    subprocess.run(["pdftoppm", "-r", "60", "-png", str(printed), str(folder / f"{name}_print")], check=True)
+
+
+def verb(words: str) -> None:
+    straightcomp(words.split())
+
+
+def report(folder: Path) -> str:
+    verb(f"evaluate {BAG} --report {folder}/report.html --force")
+    return (folder / "report.html").as_uri()
+
+
+def incident(folder: Path) -> str:
+    record_fault(Fault.Y_OUT_OF_RANGE, folder / "faulty" / "bag")
+    verb(f"incident {folder}/faulty/bag -o {folder}/incident.zip --force")
+    verb(f"incident open {folder}/incident.zip -o {folder}/incident")
+    return (folder / "incident" / "incident.html").as_uri()
+
+
+def stage_report(folder: Path) -> str:
+    write_store(folder / "store", stroke_pool(1), days=160, begin=60)
+    verb(f"history report {folder}/store -o {folder}/stages --force")
+    return max((folder / "stages").glob("*.html"), key=lambda page: page.stat().st_size).as_uri()
+
+
+def survey_map(folder: Path) -> str:
+    verb(f"map build {REPOSITORY}/examples/noisy_survey.csv -o {folder}/map.csv --plot {folder}/map.png --force")
+    return (folder / "map.png").as_uri()
+
+
+def docs(folder: Path) -> str:
+    words = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(folder / "site")]
+    subprocess.run(words, cwd=REPOSITORY, check=True)
+    return (folder / "site" / "safety.html").as_uri()
+
+
+def view(_: Path) -> str:
+    """The live view, with the last 20 s of the bag and a fault."""
+    board = Board({name: Series(SLOT_S, scale) for name, (*_, scale) in SHOWN.items()})
+    streams = {ENCODER if stream is POSITION else stream for stream, *_ in SHOWN.values()}
+    columns = read_streams(BAG, {one.topic: one.layout for one in streams})
+    for name, (stream, column, sign, _) in SHOWN.items():
+        found = columns[ENCODER.topic if stream is POSITION else stream.topic]
+        each = slice(None, None, POSITION_EVERY if stream is POSITION else 1)
+        stamps, values = found.stamp[each].tolist(), (sign * found.columns[column][each]).tolist()
+        board.add(name, list(zip(stamps, values, strict=True)))
+    latency = evaluate_bag(BAG).latency
+    node = {"state": "active", "rate_hz": "2000.0", "overruns": "0", "lost": "0", "late_p99_us": "81"}
+    fault = explained(f"{Fault.Y_OUT_OF_RANGE.label}: y = 412.3 µm; allowed: within ±400 µm ('watch.y_limit')")
+    board.show(
+        {
+            "fresh": True,
+            "amplifier_on": False,
+            "x_mm": 12.345,
+            "stroke_error_pp_um": 0.171,
+            "maintenance": "",
+            "stage": "stage “synthetic”, hardware simulated",
+            "due_us": 250.0,
+            "latency": distribution(latency),
+            "limit": {"um": 0.4, "source": "limits.yaml"},
+            "faults": [{"node": "driver", **fault}],
+            "nodes": {name: node for name in ("driver", "feedforward", "controller", "logger")},
+        }
+    )
+    return ViewServer(0, board, {}).url
+
+
+PAGES = {one.__name__: one for one in (report, incident, stage_report, survey_map, docs, view)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("--commission", type=Path, metavar="DIR", help="folder of `straightcomp commission`")
+    parser.add_argument("--only", nargs="+", choices=PAGES, default=PAGES, help="pictures of these pages alone")
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as work, closing(Browser(f"{work}/profile")) as browser:
+        pages = {name: PAGES[name](Path(work)) for name in options.only}
+        if options.commission:
+            pages["certificate"] = (options.commission / "certificate.html").absolute().as_uri()
+        for name, address in pages.items():
+            pictures(browser, name, address, options.folder)
+
+
+if __name__ == "__main__":
+    main()
