@@ -27,19 +27,20 @@ def firmware():
 
 @pytest.fixture(scope="session")
 def firmware_of(firmware):
-    """``firmware_of(can)`` is the folder with the same programs for the frames of the board with these parameters."""
+    """``firmware_of(can, program)`` is that program for the frames of the board with these parameters."""
 
-    def built(can):
+    def built(can, program):
         if not can.dbc:
-            return firmware
+            return firmware / program
         folder = BUILD / Path(can.dbc).stem
         with _alone():
             folder.mkdir(exist_ok=True)
             for name, text in frames_in_c([can.make_wire()]).items():
                 if not (folder / name).exists() or (folder / name).read_text() != text:
                     (folder / name).write_text(text)
-            _make(shutil.which("cc") or "gcc", f"GENERATED={folder}", f"BUILD={folder / 'build'}")
-        return folder / "build"
+            target = folder / "build" / program
+            _make(shutil.which("cc") or "gcc", str(target), f"GENERATED={folder}", f"BUILD={target.parent}")
+        return target
 
     return built
 

@@ -117,7 +117,7 @@ def test_handshake_switching_on_a_stroke_and_switching_off(board, driver, fd):
     ids=["own frames", "foreign frames", "foreign frames, firmware"],
 )
 def test_a_stroke_under_the_control_law(request, cable, fd, file, program):
-    path = program and request.getfixturevalue("firmware_of")(parameters(fd, BOARD, file).can) / program
+    path = program and request.getfixturevalue("firmware_of")(parameters(fd, BOARD, file).can, program)
     with (
         contextlib.closing(EmulatedBoard(fd, path, file, stage=LAW_STAGE)),
         contextlib.closing(ServoDriver(fd, file, LAW_STAGE)) as driver,

@@ -35,7 +35,7 @@ def with_program(request):
     if not request.param:
         return lambda board: board
     firmware_of = request.getfixturevalue("firmware_of")
-    return lambda board: replace(board, firmware=str(firmware_of(board) / request.param))
+    return lambda board: replace(board, firmware=str(firmware_of(board, request.param)))
 
 
 @BUSES

@@ -260,7 +260,7 @@ def made(request):
 
         def world(file):
             can = board_of(file)
-            program = str(request.getfixturevalue("firmware_of")(can) / request.param) if request.param else ""
+            program = str(request.getfixturevalue("firmware_of")(can, request.param)) if request.param else ""
             return stack.enter_context(contextlib.closing(World(can.fd, dbc=can.dbc, wire=can.wire, firmware=program)))
 
         yield world

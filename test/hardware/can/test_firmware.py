@@ -168,7 +168,7 @@ def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(firmw
     # The run is worth comparing. Without a counter no command is refused as repeated.
     assert {Amplifier.OFF, Amplifier.ON, Amplifier.FAULT} == set(amplifier) and amplifier.count(Amplifier.ON) > 1000
     assert reference.board.refused_commands > 20 or can is BARE
-    judge_equal(reference, firmware_of(can) / program, stage=stage)
+    judge_equal(reference, firmware_of(can, program), stage=stage)
 
 
 @pytest.mark.parametrize("seed", [0, *nightly(range(1, 10))])
@@ -179,7 +179,7 @@ def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(firmware_of, tmp_p
     can = CanParameters(dbc=str(file), wire=meaning, simulated_stage=True)
     reference = bad_loop(can, samples=1500)
     assert [amplifier for amplifier, _ in reference.states].count(Amplifier.ON) > 300
-    judge_equal(reference, firmware_of(can) / "board_sanitized")
+    judge_equal(reference, firmware_of(can, "board_sanitized"))
 
 
 def encoders(run, begin=0):
@@ -277,7 +277,7 @@ def test_the_sample_counter_wraps_as_the_emulators_does(firmware_of, tmp_path, c
     can = replace(can, dbc=str(short), wire=shipped_wire(can.fd))
     reference = bad_loop(can, samples=5000)
     assert reference.board.counter == 4999 - 3840
-    judge_equal(reference, firmware_of(can) / "board_posix")
+    judge_equal(reference, firmware_of(can, "board_posix"))
 
 
 def test_a_command_timeout_is_reported_at_the_sample_at_which_the_emulator_reports_it(firmware):
