@@ -1,4 +1,4 @@
-"""What of a parametrized test runs when."""
+"""Which cases of a parametrized test run every day, and which at night."""
 
 from collections.abc import Iterable
 from typing import Any

@@ -55,6 +55,7 @@ def test_a_design_tells_what_it_promises_what_limits_it_and_where_it_fails(stage
     assert stage.read_text() == before
 
 
+@pytest.mark.nightly
 def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infeasible, capsys):
     assert main(["design", str(STAGES / "infeasible.yaml"), "--law", "linear"]) == 1
     said = capsys.readouterr().err

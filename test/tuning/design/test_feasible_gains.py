@@ -60,9 +60,13 @@ def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go_and_g
     assert set(growths(usual, corners, {**found.values, "control.smc.velocity_bandwidth": 2e6})) == {math.inf}
 
 
-def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help_and_known_facts_are_no_corners():
+@pytest.mark.nightly
+def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help():
     with pytest.raises(DesignError, match=r"must be known better: the mass within ± 0\.\d+ of it, or the air gap"):
         safe_law(scenario(mass=0.7, force=0.7, longest_delay=2.4))
+
+
+def test_known_facts_are_no_corners():
     assert safe_law(scenario(mass=0.0, force=0.0, amplifier=1.0)).corners == 4
 
 
