@@ -11,6 +11,9 @@ import pkgutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+# Before the processes are forked, so that they do not each make its bytecode.
+import numba  # noqa: F401
+
 import straightcomp_ros
 from straightcomp_ros.control.laws import prepare_all
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
