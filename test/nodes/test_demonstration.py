@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from tiers import nightly
 from waiting import comes_true
 
 from straightcomp_ros.bags import BagError
@@ -29,16 +30,14 @@ from trials.noise import surveyed
 pytestmark = pytest.mark.keeps_time
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
-EVERYDAY = {("smc", "timer"), ("smc_observer", "composed")}
+TRIGGERS = ("sample", "timer", "composed")
+EVERYDAY = [("smc", "timer"), ("smc_observer", "composed")]
 
 
 @pytest.mark.live
 @pytest.mark.parametrize(
     ("law", "trigger"),
-    [
-        pytest.param(*case, marks=[] if case in EVERYDAY else [pytest.mark.nightly])
-        for case in itertools.product(LAWS, ("sample", "timer", "composed"))
-    ],
+    [*EVERYDAY, *nightly(one for one in itertools.product(LAWS, TRIGGERS) if one not in EVERYDAY)],
 )
 def test_a_live_stroke_is_recorded_compensated_and_audited_with_each_law_and_trigger(
     tmp_path, short_cycle, law, trigger
@@ -76,9 +75,7 @@ def test_a_live_stroke_is_recorded_compensated_and_audited_with_each_law_and_tri
 
 
 @pytest.mark.live
-@pytest.mark.parametrize(
-    "victim", ["driver", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("controller", "logger"))]
-)
+@pytest.mark.parametrize("victim", ["driver", *nightly(["controller", "logger"])])
 def test_a_node_that_dies_in_mid_stroke_ends_the_demonstration_with_its_name(
     tmp_path, short_cycle, victim, monkeypatch
 ):

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 from parameters_of_tests import FORGIVING
+from tiers import nightly
 from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
@@ -50,7 +51,7 @@ SELDOM = [(node, number) for number in (signal.SIGINT, signal.SIGTERM) for node 
 
 @pytest.mark.parametrize(
     ("node", "number"),
-    [*EVERYDAY, *(pytest.param(*one, marks=pytest.mark.nightly) for one in SELDOM if one not in EVERYDAY)],
+    [*EVERYDAY, *nightly(one for one in SELDOM if one not in EVERYDAY)],
 )
 def test_a_node_stops_on_a_signal_without_a_traceback(single, tmp_path, node, number):
     process = single.start(node, {"output": str(tmp_path / "bag")} if node == "logger" else {})

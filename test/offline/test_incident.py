@@ -5,6 +5,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tiers import nightly
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recovery import recover
@@ -16,13 +17,11 @@ from straightcomp_ros.safety.faults import Fault
 from trials.incidents import one_incident
 
 BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
-USUAL = (Fault.Y_OUT_OF_RANGE, Fault.HEARTBEAT_LOST)
+USUAL = Fault.Y_OUT_OF_RANGE
 
 
 @pytest.mark.parametrize(
-    "fault",
-    [pytest.param(one, marks=[] if one in USUAL else pytest.mark.nightly) for one in Fault],
-    ids=lambda one: one.label,
+    "fault", [USUAL, *nightly(one for one in Fault if one is not USUAL)], ids=lambda one: one.label
 )
 def test_the_first_line_names_the_fault_and_a_computer_without_ros_computes_the_same_commands(fault, tmp_path):
     row = one_incident(fault, tmp_path)
