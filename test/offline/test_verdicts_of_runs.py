@@ -335,6 +335,7 @@ def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_
     map_, oscillates = load_map(MapParameters()), Verdict("oscillates", "the loop oscillates")
     held = HeldUp(scheduling="FIFO 40")
     priority = dict.fromkeys(("driver", "feedforward", "controller"), replace(summarise([]), held_up=held))
+    evaluated = {bag: (evaluate_bag(bag), judged(bag)) for bag in (harmless, spoilt)}
     for bag, timing, strict, other, code in (
         (harmless, {}, False, None, 0),
         (spoilt, {}, False, None, 0),
@@ -342,8 +343,7 @@ def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_
         (spoilt, priority, False, None, 1),
         (spoilt, {}, False, oscillates, 1),
     ):
-        found = evaluate_bag(bag)
-        verdict = other or judged(bag)
+        found, verdict = evaluated[bag][0], other or evaluated[bag][1]
         result = Demonstration(bag, found, map_, evaluate(found.record, map_), timing, verdict)
         monkeypatch.setattr(demo, "demonstrate", lambda *_, result=result, **__: result)
         words = ["demo", "-o", str(tmp_path / "out"), *["--strict"] * strict]
