@@ -25,7 +25,7 @@ from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.hardware.interface import Sample
-from straightcomp_ros.offline.incident import pack
+from straightcomp_ros.offline.incident import NO_REASON, pack
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -50,6 +50,7 @@ _SAID = {
     Fault.CLOCK_JUMP: ("driver", "the system's clock was stepped by +3.000 s"),
     Fault.BOARD: ("driver", "the board has restarted"),
     Fault.TRIPPED: ("driver", "emergency stop: panel"),
+    Fault.NOT_REFERENCED: ("driver", "x is not referenced: the board was switched off"),
     Fault.CLIENT_GONE: ("driver", "the client that commissions the machine has ended"),
 }
 _INJECTED = {
@@ -100,7 +101,7 @@ def one_incident(fault: Fault, folder: Path, user: str | None = None) -> dict[st
         "fault": fault.label,
         "bytes": packed.size,
         "first_line": first,
-        "named": first.startswith(f"fault {fault.label}: "),
+        "named": first.startswith(f"fault {fault.label}: ") and not first.endswith(NO_REASON),
         "same": (opened["cause"], opened["audit"]) == (first, there["audit"]) and " 0 differ" in opened["audit"],
         "verdict": opened["verdict"],
         "audit": opened["audit"],

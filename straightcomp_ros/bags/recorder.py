@@ -14,7 +14,7 @@ import numpy as np
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.bags.writer import FLUSH_AGE, SYNC_INTERVAL, BagWriter, Message
+from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter, Message
 from straightcomp_ros.messages.cdr import NANOSECONDS
 
 BREAK: Message = ("", b"", 0, 0)
@@ -123,6 +123,7 @@ class RecorderOptions:
         compression, max_size, max_duration: see :class:`straightcomp_ros.bags.writer.BagWriter`.
         queue_limit, snapshot_s: see :class:`straightcomp_ros.bags.recorder.Intake`.
         min_free: bytes that must stay free on the disk.
+        sync_interval: time in s from one sync to the next, see :meth:`BagWriter.sync_older`.
     """
 
     output: str = ""
@@ -132,6 +133,7 @@ class RecorderOptions:
     queue_limit: int = 200_000
     snapshot_s: float = 0.0
     min_free: int = 0
+    sync_interval: float = 0.2
 
 
 def check_disk(folder: Path, min_free: int) -> None:
@@ -260,7 +262,7 @@ class Recorder:
                     self._splitting.clear()
                     self._bag.split()
                 self._bag.flush_older(FLUSH_AGE)
-                self._bag.sync_older(SYNC_INTERVAL)
+                self._bag.sync_older(self._options.sync_interval)
             self._write(intake)
         except (OSError, BagError) as error:
             self.failure = error

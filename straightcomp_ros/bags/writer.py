@@ -25,9 +25,6 @@ CHUNK_SIZE = 512 * 1024
 FLUSH_AGE = 0.15
 """Age in s at which a recording writes its open chunk, full or not. With the delays of fetching and writing on a busy
 machine, a SIGKILL takes less than half a second."""
-SYNC_INTERVAL = 0.2
-"""Time in s from one sync of a recording to the next: with :data:`FLUSH_AGE`, the delays and the sync itself, a power
-cut takes less than a second."""
 
 
 class BagWriter:
@@ -196,9 +193,9 @@ class BagWriter:
             self.flush()
 
     def sync_older(self, age: float) -> None:
-        """Bring what is written to the disk when the last sync began ``age`` seconds ago; call it often, from a thread
-        that may wait for the disk."""
-        if self._closed or self._file_finished or time.monotonic() - self._synced < age:
+        """Bring what is written to the disk when the last sync began ``age`` seconds ago, never for 0; call it often,
+        from a thread that may wait for the disk."""
+        if not age or self._closed or self._file_finished or time.monotonic() - self._synced < age:
             return
         self._synced = time.monotonic()
         with self._disk(f"bag {self.path} cannot be written"):

@@ -1,13 +1,23 @@
 """Measure this computer: the running graph, or the functions that are called in each cycle."""
 
 import argparse
+import statistics
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters, output_folder
+from straightcomp_ros.cli.options import (
+    add_json,
+    add_parameter_options,
+    add_repeatable,
+    changed,
+    check_range,
+    chosen_parameters,
+    output_folder,
+    whole_number,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, require_ros, working
 from straightcomp_ros.cli.results import rounded, titled_table
 
@@ -34,10 +44,12 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
         "run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling; formerly --fifo)"
     )
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
-    triggers = "repeat with the controller's other trigger (sample, timer), and print the ratio of both"
-    add("--triggers", action="store_true", help=triggers)
+    against = "repeat with this parameter, e.g. controller.trigger=timer, and print the ratio of both"
+    add_repeatable(parser, "--against", "NODE.NAME=VALUE", against)
     add("--composed", action="store_true", help="repeat with driver, feedforward and controller in one process")
     add("--view", action="store_true", help="repeat with the live view open")
+    rounds = "measure all of these in turns, N times, and compare their medians (default: %(default)s)"
+    add("--rounds", type=whole_number(1), default=1, metavar="N", help=rounds)
     add("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
     add_json(parser)
 
@@ -49,7 +61,6 @@ def _graph(options: argparse.Namespace) -> None:
     sample to command and its losses. The window begins when all nodes are connected and have settled.
     """
     from straightcomp_ros.bench.graph_bench import bench_parameters, view_programs
-    from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 
     require_ros()
     check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
@@ -57,25 +68,32 @@ def _graph(options: argparse.Namespace) -> None:
     if options.soak is not None:
         check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
         seconds = 60.0 * options.soak
-    values = bench_parameters(chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority)
+    given, asked = chosen_parameters(options), {"rate": options.rate, "seconds": seconds, "priority": options.priority}
+    values = bench_parameters(given, **asked)
+    kinds: dict[str, dict[str, Any]] = {"graph": {}}
+    if options.against:
+        kinds["against"] = {"values": bench_parameters(changed(given, options.against), **asked)}
+    if options.composed:
+        kinds["composed"] = {"composed": True}
+    if options.view:
+        kinds["with_view"] = {"programs": view_programs(options.priority)}
+    rounds: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="straightcomp_bench_") as scratch:
         kept = output_folder("--output", options.output, empty=True) if options.output else Path(scratch)
-        folder = kept.absolute()
-        figures, growth = _measured(values, folder / "graph", seconds, "graph")
-        if options.soak is not None:
-            figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}
-        if options.composed:
-            figures["composed"], _ = _measured(values, folder / "composed", seconds, "composed", composed=True)
-            figures["composed_ratio"] = ratios(figures["composed"], figures)
-        if options.view:
-            view = view_programs(options.priority)
-            figures["with_view"], _ = _measured(values, folder / "view", seconds, "with view", view)
-        if options.triggers:
-            first = values["controller"].setdefault("trigger", ControllerNodeParameters().trigger)
-            second = values["controller"]["trigger"] = _other(first)
-            figures["trigger"] = first
-            figures[second], _ = _measured(values, folder / second, seconds, second)
-            figures["ratio"] = ratios(figures, figures[second])
+        for number in range(1, options.rounds + 1):
+            measured: dict[str, Any] = {}
+            for name, kind in kinds.items():
+                place = kept.absolute() / (f"{name}_{number}" if options.rounds > 1 else name)
+                measured[name], growth = _measured(kind.get("values", values), place, seconds, name, kind)
+                if name == "graph" and options.soak is not None:
+                    measured[name]["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}
+            rounds.append(measured)
+    middle = {name: medians([one[name] for one in rounds]) for name in kinds}
+    others = {name: rounds[0][name] for name in kinds if name != "graph"}
+    shown = {f"{name}_ratio": ratios(middle[name], middle["graph"]) for name in others}
+    figures = {**rounds[0]["graph"], **others, **shown}
+    if options.rounds > 1:
+        figures["rounds"] = [{name: medians([found]) for name, found in one.items()} for one in rounds]
     if options.json:
         print_json(figures)
     else:
@@ -83,28 +101,23 @@ def _graph(options: argparse.Namespace) -> None:
 
 
 def _measured(
-    values: dict[str, dict[str, Any]],
-    folder: Path,
-    seconds: float,
-    words: str,
-    view: Any = None,
-    *,
-    composed: bool = False,
+    values: dict[str, dict[str, Any]], folder: Path, seconds: float, words: str, kind: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, float]]:
     """Figures, and the growth of each node's memory in MB/h."""
     from straightcomp_ros.bench.graph_bench import BenchFailed, measure
 
-    if (folder / "bag").exists():
-        raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
+    more = {name: value for name, value in kind.items() if name != "values"}
     try:
         with working(f"measuring {words}") as advance:
-            return measure(values, folder, seconds, progress=advance, programs=view, composed=composed)
+            return measure(values, folder, seconds, progress=advance, **more)
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
 
 
-def _other(trigger: str) -> str:
-    return "timer" if trigger == "sample" else "sample"
+def medians(measured: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """CPU and latency of several measurements."""
+    latency = {key: statistics.median(one["latency_us"][key] for one in measured) for key in _LATENCY_WORDS.values()}
+    return {"cpu_cores": statistics.median(one["cpu_cores"] for one in measured), "latency_us": latency}
 
 
 def ratios(figures: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, float]:
@@ -126,17 +139,23 @@ def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace) -> Non
     if "soak" in figures:
         growth = figures["soak"]["growth_mb_per_hour"]
         console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slope:.1f}" for node, slope in growth.items()))
-    if "composed" in figures:
-        _print_measurement(figures["composed"], "Driver, feedforward and controller in one process")
-        shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["composed_ratio"].items())
-        console.print(f"composed / separate: {shown}")
-    if "with_view" in figures:
-        _print_measurement(figures["with_view"], "With the live view open")
-    if "trigger" in figures:
-        second = _other(figures["trigger"])
-        _print_measurement(figures[second], f"With trigger '{second}'")
-        shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())
-        console.print(f"{figures['trigger']} / {second}: {shown}")
+    words = {
+        "against": f"With {', '.join(options.against)}",
+        "composed": "Driver, feedforward and controller in one process",
+        "with_view": "With the live view open",
+    }
+    for name in [name for name in words if name in figures]:
+        _print_measurement(figures[name], words[name])
+        shown = ", ".join(f"{key} {rounded(value, 2)}" for key, value in figures[f"{name}_ratio"].items())
+        console.print(f"{name} / graph: {shown}")
+    if "rounds" in figures:
+        title = "In turns: latency from sample to command in µs, and CPU in cores"
+        table = titled_table(title, "round", "graph", *_LATENCY_WORDS, "CPU", left=("graph",))
+        for number, one in enumerate(figures["rounds"], 1):
+            for name, found in one.items():
+                latency = (rounded(found["latency_us"][key]) for key in _LATENCY_WORDS.values())
+                table.add_row(number, name, *latency, rounded(found["cpu_cores"], 2))
+        console.print(table)
     if options.output:
         print_written(options.output, then="straightcomp evaluate the bags in it")
 

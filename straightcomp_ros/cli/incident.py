@@ -100,6 +100,8 @@ def _open(options: argparse.Namespace) -> None:
         print_json({**found.to_json(), "folder": str(folder), "as_packed": details, "doctor": doctor})
         return
     console.print(found.cause, soft_wrap=True, highlight=False)
+    if found.remedy:
+        console.print(f"what to do: {found.remedy}", soft_wrap=True, highlight=False)
     console.print(f"packed: {details.get('made')}, bag {details.get('bag')}", highlight=False)
     for name, here in (("verdict", found.verdict), ("audit", found.audit)):
         there = details.get(name)

@@ -197,6 +197,14 @@ def _changed(params_file: str | None, stage: str | None, changes: Values) -> Val
     return values
 
 
+def changed(values: Values, assignments: list[str]) -> Values:
+    """A copy of ``values`` with what assignments NODE.NAME=VALUE change; raises ParameterError for another form."""
+    copied = {node: dict(section) for node, section in values.items()}
+    for node, section in _settings(assignments).items():
+        copied[node].update(section)
+    return copied
+
+
 def _settings(assignments: list[str]) -> Values:
     from straightcomp_ros.parameters.declaration import ParameterError
     from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE

@@ -106,10 +106,12 @@ def run(options: argparse.Namespace) -> None:
             console.print(cycles_table(figures["law"], shown))
         console.print(results_table(figures, over_starts))
         print_verdict(verdict)
-        if options.bag:
-            print_written(options.bag, *([plot] if plot else []), then=f"straightcomp evaluate {quote(options.bag)}")
-        elif plot is not None:
-            print_written(plot, then="straightcomp demo runs the same in the node graph")
+        written = [one for one in (options.bag, options.learned, plot) if one]
+        then = (
+            f"straightcomp evaluate {quote(options.bag)}" if options.bag else "straightcomp demo runs the same as nodes"
+        )
+        if written:
+            print_written(*written, then=then)
     fail_unless_in_order(verdict)
 
 

@@ -13,6 +13,7 @@ from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Frames
+from straightcomp_ros.model.actuator import MU_0
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
@@ -37,22 +38,32 @@ _BUS_FULL = 0.8
 _STRAIGHT = 0.1e-6
 """Correction in m to each side below which a guide hardly needs one: such a survey is rather of another unit."""
 _USUAL = {
-    "motion.stroke": (0.01, 20.0),
-    "motion.speed": (1e-3, 5.0),
-    "motion.acceleration": (1e-3, 50.0),
-    "platform.mass": (0.05, 500.0),
-    "actuator.turns": (10.0, 10_000.0),
-    "actuator.pole_area": (1e-6, 0.1),
-    "actuator.air_gap": (0.1e-3, 10e-3),
-    "actuator.bias_current": (0.01, 20.0),
-    "friction.coulomb": (0.0, 200.0),
-    "friction.stribeck_velocity": (1e-6, 0.01),
-    "friction.bristle_stiffness": (1e4, 1e9),
-    "drive.bandwidth": (10.0, 100e3),
-    "encoder.x_resolution": (0.1e-9, 10e-6),
-    "encoder.y_resolution": (0.1e-9, 2e-6),
+    "motion.settle": (0.02, 19.9),
+    "motion.pause": (0.05, 49.9),
+    "guide.runout": (1.01e-3, 0.99),
+    "guide.reversal": (0.05e-3, 0.049),
+    "platform.modes.first.frequency": (5.0, 4900.0),
+    "platform.modes.first.damping": (1e-3, 0.99),
+    "platform.modes.first.coil": (0.02, 19.9),
+    "platform.modes.first.encoder": (0.02, 19.9),
+    "platform.modes.first.frequency_error": (6e-4, 0.5),
+    "platform.modes.first.participation_error": (1e-3, 0.9),
+    "friction.stribeck_velocity": (4e-6, 3.9e-3),
+    "drive.delay": (0.0101, 10.0),
+    "encoder.x_resolution": (2e-9, 1.9e-6),
+    "encoder.y_resolution": (1e-9, 0.99e-6),
+    "uncertainty.mass": (1e-3, 0.9),
+    "uncertainty.force": (1e-3, 0.9),
+    "uncertainty.air_gap": (1e-3, 0.9),
+    "uncertainty.sensor_noise": (0.02, 19.9),
+    "uncertainty.shortest_delay": (0.0101, 10.0),
+    "uncertainty.longest_delay": (0.0101, 10.0),
+    "uncertainty.jitter": (5e-4, 0.4),
+    "uncertainty.map_noise": (1e-9, 0.99e-6),
 }
-"""Of stages of this kind, in SI: what is outside has rather the wrong unit. A parameter's own range is far wider."""
+"""Of stages of this kind, in SI; a fact of zero is left out of the machine on purpose. Both ends are less than a factor
+of 1000 apart, or one of them is the parameter's own, so that a wrong prefix of a unit is outside."""
+_USUAL |= {name.replace("first", "second"): usual for name, usual in _USUAL.items() if ".first." in name}
 
 
 class Consequences:
@@ -104,17 +115,77 @@ def stage_findings(
         return
     found = Consequences(stage, control, straightness)
     facts = to_mapping(stage)
-    unusual = (
+    unusual = [
         f"stage.{name} {facts[name]:g} (usual: {low:g} to {high:g})"
         for name, (low, high) in _USUAL.items()
-        if not low <= facts[name] <= high
-    )
+        if facts[name] and not low <= abs(facts[name]) <= high
+    ]
+    unusual += [
+        f"{value:.3g} {words} (usual: {low:g} to {high:g}; stage.{', stage.'.join(names.split())})"
+        for words, value, low, high, names in _related(stage, found, straightness)
+        if value and not low <= value <= high
+    ]
     detail = ", ".join(unusual)
     remedy = "Check the units: all are SI, as kg, m, N and A."
     yield judged("units", not detail, detail or "every fact is usual for such a stage", remedy)
     yield from _guide_findings(stage, straightness, found, tracking.bandwidth)
     yield from _loop_findings(stage, control, found)
     yield from _drive_findings(stage, found)
+
+
+def _related(
+    stage: StageParameters, found: Consequences, straightness: StraightnessMap
+) -> Iterator[tuple[str, float, float, float, str]]:
+    """What facts make together, each as the words behind its value, the value, what is usual from and to, and the facts' names: a platform may
+    have grams or tons, but then its magnets do too. A value of zero has no such fact."""
+    motion, platform, magnets, friction = stage.motion, stage.platform, stage.actuator, stage.friction
+    drive, mass = stage.drive, stage.platform.mass
+    ramp, span = motion.speed / motion.acceleration, straightness.span[1] - straightness.span[0]
+    if not motion.file:
+        yield "of the survey in a stroke", abs(motion.stroke) / span, 1.5e-3, 2.0, "motion.stroke"
+    yield "s to the cruising speed", ramp, 5e-3, 4.9, "motion.speed motion.acceleration"
+    yield (
+        "times the cruising speed as the highest",
+        motion.highest_speed / motion.speed,
+        1.0,
+        2100.0,
+        "motion.highest_speed",
+    )
+    if motion.jerk:
+        share = motion.acceleration / motion.jerk / ramp
+        yield "of a ramp until its acceleration", share, 1.01e-3, 1.0, "motion.jerk"
+    force = found.current_stiffness * magnets.current_limit
+    facts = "platform.mass actuator.turns actuator.pole_area actuator.air_gap actuator.current_limit"
+    yield "m/s² by the magnets", force / mass, 0.3, 299.0, facts
+    flux = MU_0 * magnets.turns * magnets.bias_current / (2.0 * magnets.air_gap)
+    yield "T in the air gap by the bias", flux, 5e-3, 1.6, "actuator.turns actuator.bias_current actuator.air_gap"
+    stiffness = platform.stiffness / found.position_stiffness
+    yield "times the magnets' stiffness by the flexure", stiffness, 0.05, 49.0, "platform.stiffness"
+    if platform.stiffness:
+        ratio = 0.5 * platform.damping / math.sqrt(platform.stiffness * mass)
+        yield "as damping ratio of the flexure", ratio, 2e-3, 1.9, "platform.damping"
+    if friction.coulomb:
+        yield (
+            "times Coulomb friction as static friction",
+            friction.static / friction.coulomb,
+            1.0,
+            10.0,
+            "friction.static",
+        )
+    bending = friction.static / friction.bristle_stiffness * 1e6
+    yield "µm until the platform slides", bending, 0.02, 19.0, "friction.static friction.bristle_stiffness"
+    ratio = 0.5 * friction.bristle_damping / math.sqrt(friction.bristle_stiffness * mass)
+    yield "as damping ratio of the bristles", ratio, 0.01, 9.9, "friction.bristle_damping"
+    if friction.viscous:
+        yield "s until viscous friction stops the platform", mass / friction.viscous, 0.02, 19.9, "friction.viscous"
+    yield (
+        "times the current limit by the converter",
+        drive.current_range / magnets.current_limit,
+        0.5,
+        100.0,
+        "drive.gain",
+    )
+    yield "times the rate as the amplifier's bandwidth", drive.bandwidth / stage.rate, 0.02, 19.0, "drive.bandwidth"
 
 
 def _guide_findings(

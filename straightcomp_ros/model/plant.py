@@ -385,7 +385,9 @@ def advance_to_sample(
         advance(constants, state, state[BIAS], state[COMMAND], at - times[_NOW], current, end - at)
         state[COMMAND], times[_NOW] = current, end
     if times[_NOW] < until:
-        advance(constants, state, state[BIAS], state[COMMAND], until - times[_NOW], 0.0, 0)
+        rest = until - times[_NOW]
+        # A literal 0 would be a type of its own to numba, for which it compiles advance() once more.
+        advance(constants, state, state[BIAS], state[COMMAND], rest, 0.0, rest - rest)
         times[_NOW] = until
     state[PLACE] = seen = state[0]
     if extended:

@@ -231,6 +231,7 @@ def _options(parameters: LoggerNodeParameters) -> RecorderOptions:
         queue_limit=parameters.queue_limit,
         snapshot_s=parameters.snapshot,
         min_free=parameters.min_free_bytes,
+        sync_interval=parameters.sync_interval,
     )
 
 

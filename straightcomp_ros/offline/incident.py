@@ -65,7 +65,7 @@ _SECRET_IN_TEXT = re.compile(
     r"|(?P<user>://[^\s/:@]+:)(?P<password>[^\s/@]+)(?=@)",
     re.IGNORECASE,
 )
-_LEFT_OUT = "(left out)"
+_LEFT_OUT, NO_REASON = "(left out)", "without a reason"
 _PACKAGES = ("numpy", "scipy", "numba", "mcap", "rclpy", "rmw-fastrtps-cpp", "python-can", "asyncua")
 
 
@@ -80,6 +80,7 @@ class Judged:
     cause: str
     verdict: str
     audit: str
+    remedy: str = ""  # what to do, after a fault
     faults: Sequence[LatchedFault] = ()
     reports: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     evaluation: BagEvaluation | None = None
@@ -88,7 +89,8 @@ class Judged:
     def to_json(self) -> dict[str, Any]:
         """The texts, and the faults."""
         faults = [one._asdict() for one in self.faults]
-        return {"cause": self.cause, "verdict": self.verdict, "audit": self.audit, "faults": faults}
+        texts = {name: getattr(self, name) for name in ("cause", "remedy", "verdict", "audit")}
+        return {**texts, "faults": faults}
 
 
 def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
@@ -114,6 +116,7 @@ def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
         except (BagError, ParameterError) as error:
             found.audit = f"none: {error}"
     found.cause = _cause(found, logs)
+    found.remedy = explained(found.cause)["remedy"]
     return found
 
 
@@ -129,7 +132,7 @@ def _cause(found: Judged, logs: Mapping[str, str]) -> str:
         faults += [(one.label, one.reason) for one in found.faults]
     if faults:
         label, reason = faults[0]
-        return f"fault {label}: {reason.strip() or 'without a reason'}"
+        return f"fault {label}: {reason.strip() or NO_REASON}"
     return f"no fault; verdict {found.verdict}"
 
 
@@ -324,6 +327,7 @@ def _summary(details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], co
     lines = [
         str(details["cause"]),
         "",
+        *([f"what to do: {details['remedy']}"] if details["remedy"] else []),
         f"packed: {details['made']}, bag {details['bag']}",
         f"verdict: {details['verdict']}",
         f"audit: {details['audit']}",

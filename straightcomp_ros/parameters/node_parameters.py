@@ -186,6 +186,12 @@ class LoggerNodeParameters:
     min_free_bytes: int = parameter(
         200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf)"
     )
+    sync_interval: float = parameter(
+        0.2,
+        "Time from one sync of the recording to the disk to the next, which a power cut may cost with some tenths of a "
+        "second more; 0: when the system does it by itself",
+        "[0, 60] s",
+    )
     incidents: int = parameter(
         0,
         "Incidents that are kept beside the bag: at a latched fault its last minute is packed into one file with all "

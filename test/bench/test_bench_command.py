@@ -6,7 +6,7 @@ import math
 import pytest
 
 from straightcomp_ros.bench.step_costs import cost
-from straightcomp_ros.cli.bench import ratios
+from straightcomp_ros.cli.bench import medians, ratios
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.control.laws import LAWS
@@ -43,6 +43,8 @@ def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number():
         (["graph", "--seconds", "0.1"], "--seconds 0.1; allowed: 2 to 86400"),
         (["graph", "--soak", "nan"], "--soak nan; allowed: 0.03333 to 1440"),
         (["graph", "--rate", "5"], "parameter 'stage.rate': 5 Hz is too small"),
+        (["graph", "--against", "logger.sync_interval=-1"], "'sync_interval': -1.0 s is too small"),
+        (["graph", "--against", "sync=1"], "allowed: NODE.NAME=VALUE"),
         (["graph", "--priority", "99"], "parameter 'realtime.priority': 99 is too large"),
     ],
 )
@@ -59,3 +61,5 @@ def test_a_ratio_with_nothing_below_it_is_no_number():
     found = ratios(figures(1.0, 300.0), figures(2.0, 0.0))
     assert (found["cpu_cores"], found["latency_p50"]) == pytest.approx((0.5, 1.0))
     assert math.isnan(found["latency_p99"])
+    middle = medians([figures(1.0, 300.0), figures(9.0, 1.0), figures(2.0, 310.0)])
+    assert middle["cpu_cores"] == 2.0 and middle["latency_us"]["p99"] == 300.0

@@ -1,10 +1,14 @@
 """A board's DBC file and the description of its stage: what does not fit is found."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.doctor.stage_findings import stage_findings
+from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
+from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import write_survey
@@ -96,3 +100,52 @@ def test_stiction_that_the_encoder_does_not_see_is_found_with_what_helps(check, 
 def test_protection_that_is_missing_is_found(check):
     missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
     assert len(missing) == 3 and "counts to 256 only" in missing[0]
+
+
+STAGES = sorted((Path(__file__).parents[1] / "stages").glob("*.yaml"))
+ALL_FACTS = {
+    **{"motion.start": 0.2, "motion.stroke": 1.5, "motion.jerk": 2.0, "platform.stiffness": 2e4},
+    **{"platform.damping": 50.0, "platform.modes.first.frequency": 180.0, "platform.modes.second.frequency": 400.0},
+}
+"""A stage with a flexure, resonances and S-curves, so that no fact is zero."""
+NO_UNIT = {"motion.steps", "drive.dac_bits"}
+
+
+def found(path, **facts):
+    """Findings that are not ok, by name and state, of a stage file with other facts; one where it is refused."""
+    values = shipped_parameters(stage=path)
+    values["stage"] |= facts
+    try:
+        controller, feedforward = (node_parameters(node, values) for node in ("controller", "feedforward"))
+    except ParameterError:
+        yield "refused", "fail"
+        return
+    for one in stage_findings(controller.stage, controller.control, feedforward.feedforward):
+        if one.state != "ok":
+            yield one.name, one.state
+
+
+@pytest.mark.parametrize("path", STAGES, ids=lambda path: path.stem)
+def test_every_fact_of_a_sound_stage_is_usual(path):
+    assert ("units", "warn") not in list(found(path))
+
+
+@pytest.mark.parametrize(
+    ("path", "facts"),
+    [(OWN, ALL_FACTS), *(pytest.param(path, {}, marks=pytest.mark.nightly) for path in STAGES)],
+    ids=["all facts", *(path.stem for path in STAGES)],
+)
+def test_a_factor_of_1000_in_any_fact_is_refused_or_found(path, facts):
+    values = shipped_parameters(stage=path)
+    values["stage"] |= facts
+    stage, sound = node_parameters("controller", values).stage, set(found(path, **facts))
+    numbers = {
+        name: value
+        for name, value in to_mapping(stage).items()
+        if type(value) in (int, float) and value and name not in NO_UNIT
+    }
+    # A start that still lies on the survey is as good as any.
+    wrong = [(name, type(value)(value * factor)) for name, value in numbers.items() for factor in (1000, 1e-3)]
+    wrong = [(name, value) for name, value in wrong if name != "motion.start" or value > numbers[name]]
+    missed = [one for one in wrong if not any(new not in sound for new in found(path, **{**facts, one[0]: one[1]}))]
+    assert not missed

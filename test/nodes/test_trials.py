@@ -18,12 +18,21 @@ NODES = ("driver", "feedforward", "controller", "logger")
 
 
 @pytest.mark.live
-def test_both_triggers_are_measured_in_one_run_and_only_json_is_printed(capfd, tmp_path):
-    arguments = ["--rate", "100", "--soak", "0.07", "--triggers", "--json", "--output", str(tmp_path)]
+def test_two_values_of_a_parameter_are_measured_in_turns_and_only_json_is_printed(capfd, tmp_path):
+    arguments = [
+        "--rate",
+        "100",
+        "--soak",
+        "0.07",
+        "--against",
+        "controller.trigger=timer",
+        "--json",
+        "--output",
+        str(tmp_path),
+    ]
     assert main(["bench", "graph", *arguments]) == 0
     figures = json.loads(capfd.readouterr().out)
-    assert figures["trigger"] == "sample"
-    timer = figures["timer"]
+    timer = figures["against"]
     assert figures["soak"]["growth_mb_per_hour"].keys() == set(NODES)
     for measured in (figures, timer):
         assert measured["seconds"] == pytest.approx(4.2, abs=2.0)
@@ -40,10 +49,11 @@ def test_both_triggers_are_measured_in_one_run_and_only_json_is_printed(capfd, t
         assert measured["lost_samples"] == measured["bag"]["missing"]["command"] <= measured["bag"]["expected_samples"]
         latency = measured["latency_us"]
         assert 0 < latency["p50"] <= latency["p99"] <= latency["p999"] <= latency["max"]
-    assert figures["ratio"]["cpu_cores"] == pytest.approx(figures["cpu_cores"] / timer["cpu_cores"])
-    assert figures["ratio"]["latency_p50"] == pytest.approx(figures["latency_us"]["p50"] / timer["latency_us"]["p50"])
+    ratio = figures["against_ratio"]
+    assert ratio["cpu_cores"] == pytest.approx(timer["cpu_cores"] / figures["cpu_cores"])
+    assert ratio["latency_p50"] == pytest.approx(timer["latency_us"]["p50"] / figures["latency_us"]["p50"])
     # Both really recorded, and each its own.
-    assert all((tmp_path / graph / "bag" / "metadata.yaml").exists() for graph in ("graph", "timer"))
+    assert all((tmp_path / graph / "bag" / "metadata.yaml").exists() for graph in ("graph", "against"))
     assert main(["bench", "graph", *arguments]) == 2
     assert str(tmp_path) in capfd.readouterr().err
 

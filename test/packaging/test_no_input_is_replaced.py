@@ -21,7 +21,7 @@ INPUTS = [
     "friction smc -o smc/smc_0.mcap",
     "friction --excitation s.csv --set stage.guide.file=s.csv",
     "design one/stage.yaml -o one/survey.csv",
-    "history map store sound --map s.csv -o s.csv",
+    "history map store sound --survey s.csv -o s.csv",
     "simulate --params-file run.png --plot run.png",
     "simulate --bag smc",
     "recover smc -o survey",

@@ -100,7 +100,7 @@ MISSING = (
     *(f"evaluate {BAG} --limits none", "map build none", "map build folder", "map convert none.cal -o x.csv"),
     *("map export --survey none -o x.cal", "friction none", "frequency-response --stage none", "doctor --stage none"),
     *("history add none", "history report none", "history advise none", "history query none x", "demo --stage none"),
-    *("history map none x --map none", "can replay none.log", "can firmware none -o x", "commission none -o x"),
+    *("history map none x --survey none", "can replay none.log", "can firmware none -o x", "commission none -o x"),
 )
 
 

@@ -7,6 +7,7 @@ directory.
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import time
 from collections.abc import Iterator
@@ -68,8 +69,9 @@ def _add(options: argparse.Namespace) -> None:
     failure. Several processes may add to one store at once. Bags and stores may be URLs of any kind that fsspec knows,
     for example s3://bucket/folder.
 
-    A bag that was cut off, is damaged or has no stroke is refused: the store's table `refused` says why. The exit code
-    is 1 if a bag was refused now.
+    A bag that was cut off, is damaged or has no stroke is refused: the store's table `refused` says why. Among the bags
+    of a folder there are such ones; the exit code is 1 if a bag that was named itself was refused now, or if no other
+    bag was there.
     """
     from straightcomp_ros.fleet.history.adding import Tally, add
     from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
@@ -78,9 +80,12 @@ def _add(options: argparse.Namespace) -> None:
     check_range("--every", options.every, 0.1, _LONGEST_WAIT, "s")
     remap = parsed_remap(options.remap)
     store, tally, growing = Store(options.store), Tally(), GrowingFolders()
+    named, refused = set(), set()
     for url in options.bags:
-        if next(bags_in(url), None) is None and not options.follow:
+        first = next(bags_in(url), None)
+        if first is None and not options.follow:
             raise CommandFailed(f"{url}: no bag is there; allowed: a bag, or a folder with bags below it", exit_code=2)
+        named |= {first.location} & {url.rstrip("/"), os.path.abspath(url)} if first else set()
 
     with progress_bar() as bar:
         task = bar.add_task("looking for bags", total=None)
@@ -88,6 +93,7 @@ def _add(options: argparse.Namespace) -> None:
         def on_added(row: BagRow) -> None:
             bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
             if row.reason is not None:
+                refused.add(row.location)
                 notes.print(f"refused: {row.reason}", soft_wrap=True, highlight=False)
             if row.checksum is None:
                 growing.retry(row)
@@ -109,9 +115,12 @@ def _add(options: argparse.Namespace) -> None:
     else:
         counts = f"added {tally.added}, known and unchanged {tally.known}, refused {tally.refused}"
         console.print(f"{options.store}: bags {counts}; strokes added {tally.strokes}", soft_wrap=True)
-    if tally.refused:
-        remedy = f'straightcomp history query {options.store} "SELECT * FROM refused"'
-        raise CommandFailed(f"bags refused: {tally.refused}; the reasons: {remedy}")
+    why = f'straightcomp history query {shlex.quote(options.store)} "SELECT location, reason FROM refused"'
+    if tally.refused and (named & refused or not tally.added + tally.known):
+        raise CommandFailed(f"bags refused: {tally.refused}; the reasons: {why}")
+    if not options.json:
+        then = f"straightcomp history advise {shlex.quote(options.store)}"
+        print_written(options.store, then=f"{then}; why bags were refused: {why}" if tally.refused else then)
 
 
 def _query_arguments(parser: argparse.ArgumentParser) -> None:
@@ -245,7 +254,7 @@ def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("store", metavar="STORE", help="folder or URL")
     add("stage", metavar="STAGE", help="name of the stage")
-    add("--map", required=True, metavar="FILE", help="the survey that the strokes used")
+    add("--survey", "--map", required=True, metavar="FILE", help="the survey that the strokes used (formerly --map)")
     add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
     add_force(parser)
     add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
@@ -265,7 +274,7 @@ def _map(options: argparse.Namespace) -> None:
     from straightcomp_ros.straightness.guide_map import find_survey
 
     check_range("--days", options.days, 0.01, 3650.0, "days")
-    old = find_survey(options.map)
+    old = find_survey(options.survey)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     if output is not None and output.resolve() == old:
         raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
@@ -282,8 +291,8 @@ def _map(options: argparse.Namespace) -> None:
         print_json({**proposal.figures(), **change, "provenance": built.provenance, "output": options.output})
         return
     console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))
-    if output is not None:
-        print_written(output, then="to use it, name it in stage.guide.file")
+    if output is not None or plot is not None:
+        print_written(*filter(None, (output, plot)), then="name the map in stage.guide.file; straightcomp stage check")
 
 
 def _add_stages(parser: argparse.ArgumentParser) -> None:

@@ -46,8 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_repeatable(laws, "--law", None, "control law (default: all)", dest="laws", choices=LAWS)
     parser.set_defaults(law=None)
     add = parser.add_argument
-    add("--trials", type=whole_number(1), default=1000, metavar="N", help="machines (default: %(default)s)")
-    add_repeatable(parser, "--trial", "K", "run only machine K of this seed", type=whole_number(0), dest="chosen")
+    machines = "uncertain machines (default: %(default)s; formerly --trials)"
+    add("--machines", "--trials", dest="trials", type=whole_number(1), default=1000, metavar="N", help=machines)
+    one = "run only machine K of this seed (formerly --trial); may be repeated"
+    kind = whole_number(0)
+    add("--machine", "--trial", dest="chosen", action="append", default=[], metavar="K", type=kind, help=one)
     add("--seed", type=whole_number(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
     add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
     add_dask(parser)
@@ -94,10 +97,10 @@ def run(options: argparse.Namespace) -> None:
             if summary.outliers:
                 worst = ", ".join(f"{trial} ({pp * 1e6:.2f} µm)" for trial, pp in summary.outliers.items())
                 console.print(f"{summary.law}, worse than {OUTLIER:g} times its median: machine {worst}")
-                console.print("Run one alone with --trial K.")
+                console.print("Run one alone with --machine K.")
             print_verdict(summary.verdict, summary.law)
         if plot is not None:
-            print_written(plot, then="run one machine alone with --trial K")
+            print_written(plot, then="run one machine alone with --machine K")
     fail_unless_in_order(verdict)
 
 

@@ -40,7 +40,7 @@ def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_
     words = [*SHORT, "--law", "smc", "--trials", "2", "--jobs", "1", "--set", "stage.uncertainty.mass=0.3"]
     assert main(["robustness", *words]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert all(text in printed for text in ("smc", "mass ±30%", "not in order", "--trial"))
+    assert all(text in printed for text in ("smc", "mass ±30%", "not in order", "--machine"))
     assert re.search(r"times its median: machine [01] \(", printed)
 
 
