@@ -252,7 +252,7 @@ def _by_motion(stamps: Stamps, x: NDArray[np.float64], before: slice, after: sli
 
 
 def _duration(seconds: float) -> str:
-    for unit, size in (("days", 86400.0), ("h", 3600.0), ("s", 1.0)):
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("s", 1.0)):
         if abs(seconds) >= size:
             return f"{seconds / size:.6g} {unit}"
     return f"{seconds * 1e3:.4g} ms"

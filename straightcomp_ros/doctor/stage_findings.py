@@ -136,8 +136,9 @@ def stage_findings(
 def _related(
     stage: StageParameters, found: Consequences, straightness: StraightnessMap
 ) -> Iterator[tuple[str, float, float, float, str]]:
-    """What facts make together, each as the words behind its value, the value, what is usual from and to, and the facts' names: a platform may
-    have grams or tons, but then its magnets do too. A value of zero has no such fact."""
+    """What facts make together: the words behind a value, the value, what is usual from and to, and the facts' names.
+
+    A platform may have grams or tons, but then its magnets fit. A value of zero: the stage has no such fact."""
     motion, platform, magnets, friction = stage.motion, stage.platform, stage.actuator, stage.friction
     drive, mass = stage.drive, stage.platform.mass
     ramp, span = motion.speed / motion.acceleration, straightness.span[1] - straightness.span[0]

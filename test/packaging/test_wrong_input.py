@@ -8,6 +8,7 @@ from straightcomp_ros.cli.main import main
 
 BAG = str(Path(__file__).resolve().parents[2] / "bags" / "smc")
 SURVEY = str(Path(__file__).resolve().parents[2] / "bags" / "survey")
+SURVEY_CSV = str(Path(__file__).resolve().parents[2] / "config" / "survey_synthetic.csv")
 CASES = [
     ("frobnicate", "'frobnicate'"),
     ("simulate --law pid", "'pid' (choose from"),
@@ -100,6 +101,15 @@ MISSING = (
     *(f"evaluate {BAG} --limits none", "map build none", "map build folder", "map convert none.cal -o x.csv"),
     *("map export --survey none -o x.cal", "friction none", "frequency-response --stage none", "doctor --stage none"),
     *("history add none", "history report none", "history advise none", "history query none x", "demo --stage none"),
+    *(
+        "incident none",
+        "incident open none",
+        "map reverse none none -o x",
+        "map align none none",
+        "bench step --stage none",
+    ),
+    *("map build wrong_unit.csv", "map reverse wrong_unit.csv none -o x", "map align wrong_unit.csv none"),
+    *("commission stage.yaml -o x --check-survey none", "dsp --stage none", f"map align {SURVEY_CSV} none"),
     *("history map none x --survey none", "can replay none.log", "can firmware none -o x", "commission none -o x"),
 )
 

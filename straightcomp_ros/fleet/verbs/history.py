@@ -201,7 +201,7 @@ def _advise(options: argparse.Namespace) -> None:
         if options.json:
             continue
         if days <= BASELINE:
-            notes.print(f"{stage}: {days} days with strokes; allowed: > {BASELINE}, the baseline", soft_wrap=True)
+            notes.print(f"{stage}: days with strokes: {days}; allowed: > {BASELINE}, the baseline", soft_wrap=True)
             continue
         due = sum(one.due for one in advice)
         matters, style = (f"matters: {due}", "yellow") if due else ("nothing to do", "green")

@@ -227,7 +227,8 @@ def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]
 def _duration(seconds: float) -> str:
     units = ((365.25 * 86400, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"), (0.0, "s"))
     size, name = next(unit for unit in units if abs(seconds) >= unit[0])
-    return f"{seconds / (size or 1.0):.3g} {name}"
+    text = f"{seconds / (size or 1.0):.3g}"
+    return f"{text} {name.rstrip('s') if text == '1' and size else name}"
 
 
 def of_the_board(frames: Iterable[can.Message], identifiers: Collection[int]) -> Iterator[can.Message]:

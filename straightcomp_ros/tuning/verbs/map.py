@@ -88,17 +88,11 @@ def _build(options: argparse.Namespace) -> None:
 
     Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
     ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `stage.guide.file`."""
-    from straightcomp_ros.straightness.survey import SurveyError
-
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     with noted_warnings(UserWarning) as texts:
-        try:
-            built, passages = _built(options)
-        except SurveyError as error:
-            # The survey is this tool's work, no option: exit code 1.
-            raise CommandFailed(str(error)) from error
+        built, passages = _built(options)
     if output is not None:
         built.write(output)
     if plot is not None:
@@ -133,6 +127,7 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
     from straightcomp_ros.analysis.map_building import Choices, build
     from straightcomp_ros.parameters.declaration import ParameterError
     from straightcomp_ros.straightness.guide_map import MapParameters
+    from straightcomp_ros.straightness.survey import SurveyError
     from straightcomp_ros.tuning.survey.recording import Series, build_from_series
 
     try:
@@ -143,9 +138,13 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
         raise CommandFailed(f"--smooth: {error}", exit_code=2) from error
     source, noted = Path(options.source), _noted(options)
     read = _read(source, options)
-    if isinstance(read, Series):
-        return build_from_series(read, source, choices, noted)
-    return build(replace(read, facts={**read.facts, **noted}), source, choices), ()
+    try:
+        if isinstance(read, Series):
+            return build_from_series(read, source, choices, noted)
+        return build(replace(read, facts={**read.facts, **noted}), source, choices), ()
+    except SurveyError as error:
+        # What was read can be no map: this tool's own finding, no wrong use.
+        raise CommandFailed(str(error)) from error
 
 
 def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
@@ -354,8 +353,8 @@ def _reverse(options: argparse.Namespace) -> None:
     output, edge, shift = output_file(options, "--output"), output_file(options, "--edge"), options.shift
     if shift is not None:
         check_range("--shift", abs(shift), 0.01, 10_000.0, "mm")
+    normal, second = read_survey(options.normal), read_survey(options.second)
     try:
-        normal, second = read_survey(options.normal), read_survey(options.second)
         found = separated(normal, second, (shift or 0.0) * 1e-3, options.moved)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error
@@ -414,22 +413,22 @@ def _align(options: argparse.Namespace) -> None:
     for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0), ("delay", -1000.0, 1000.0)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, noted = output_file(options, "--output"), _noted(options)
+    survey = read_survey(options.survey)
+    straightness, strokes = StraightnessMap(survey, MapParameters(travel=0.01)), []
+    for source in map(Path, options.sources):
+        read = _read(source, options)
+        if isinstance(read, Series):
+            passages = recognise(read, options.step * 1e-3, _OUTLIERS)[0]
+            read = Survey(tuple(one.run for one in passages), str(source))
+        kept, rejected, _ = agreeing(read, _OUTLIERS)
+        strokes += kept
+        for name in rejected:
+            notes.print(f"{source}: run {name} is rejected: it differs from the others")
+    if options.residual:
+        strokes = [
+            replace(run, deviation=run.deviation + straightness.deviations(run.x, run.direction)) for run in strokes
+        ]
     try:
-        survey = read_survey(options.survey)
-        straightness, strokes = StraightnessMap(survey, MapParameters(travel=0.01)), []
-        for source in map(Path, options.sources):
-            read = _read(source, options)
-            if isinstance(read, Series):
-                passages = recognise(read, options.step * 1e-3, _OUTLIERS)[0]
-                read = Survey(tuple(one.run for one in passages), str(source))
-            kept, rejected, _ = agreeing(read, _OUTLIERS)
-            strokes += kept
-            for name in rejected:
-                notes.print(f"{source}: run {name} is rejected: it differs from the others")
-        if options.residual:
-            strokes = [
-                replace(run, deviation=run.deviation + straightness.deviations(run.x, run.direction)) for run in strokes
-            ]
         found = align(straightness, strokes, options.reach * 1e-3)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error

@@ -236,7 +236,7 @@ def test_columns_of_other_names_are_chosen_by_name(tmp_path, capsys):
     path = tmp_path / "survey.csv"
     rows = "".join(f"{x},{y}\n" for x, y in zip(X, UM, strict=True))
     path.write_text("carriage_pos_mm,lateral_error_um\n" + rows)
-    assert main(["map", "build", str(path)]) == 1
+    assert main(["map", "build", str(path)]) == 2
     assert "--x-column" in capsys.readouterr().err
     names = ["--x-column", "Carriage_pos_mm", "--deviation-column", "lateral_error_um"]
     assert main(["map", "build", str(path), *names, "--json"]) == 0
