@@ -16,7 +16,6 @@ _WORDS = {
     "lost_samples": "samples lost",
     "lost_references": "samples without a reference",
     "lost_commands": "samples without a command",
-    "samples": "samples in motion",
     "control_activity": "sum of the control current's steps",
     "control_rms_step": "control current from sample to sample, RMS",
     "resting_rms_step": "control current from sample to sample at rest, RMS",
@@ -28,6 +27,8 @@ _WORDS = {
     "saturations": "times at the current limit",
     "amplifier_off_in_motion": "times the amplifier went off in motion",
     "expanded_uncertainty": "U (k = 2)",
+    "correction_pp": "correction p-p",
+    "map_uncertainty_95": "uncertainty of the map (95 %)",
     "gain_low": "the loop's gain may fall to, times",
     "gain_high": "the loop's gain may rise to, times",
 }

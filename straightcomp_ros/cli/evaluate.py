@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from straightcomp_ros.analysis.figure_words import in_words
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, output_file
 from straightcomp_ros.cli.output import (
     CommandFailed,
@@ -125,7 +126,8 @@ def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessm
 
 def _print(assessment: Assessment, other: Assessment | None) -> None:
     title = f"{assessment.bag}, law '{assessment.evaluation.record.law}'"
-    table = titled_table(title, "figure", "value", *((str(other.bag), "difference") if other is not None else ()))
+    compared = (str(other.bag), "difference") if other is not None else ()
+    table = titled_table(title, "figure", "value", *compared, "unit", left=("unit",))
     theirs = other.figures() if other is not None else {}
     words, other_words = assessment.verdict._asdict(), other.verdict._asdict() if other is not None else {}
     for name, value in assessment.figures().items():
@@ -135,7 +137,8 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
             difference = "" if value is None or another is None else shown(another - value)
             cells += [marked(name, shown(another), other_words), difference]
         if any(cells[:2]):
-            table.add_row(name, *cells)
+            what, unit = in_words(name)
+            table.add_row(what, *cells, unit)
     console.print(table)
     headings = ("start s", "error p-p", "true p-p", "RMS", "before LS", "ends", "after LS", "ends")
     strokes = titled_table("Strokes: error and straightness (ISO 230-1) in µm", "stroke", *headings)
@@ -159,7 +162,7 @@ def _print_straightness(assessment: Assessment, words: Mapping[str, Any]) -> Non
     rows = budget_rows(assessment.straightness)
     if not rows:
         return
-    names = [name.removeprefix("u_").removesuffix("_um") for name in rows[0]][4:]
+    names = [in_words(name.removeprefix("u_"))[0] for name in rows[0]][4:]
     title = "Straightness by map and encoder in µm (ISO 230-1); U: expanded uncertainty (k = 2)"
     table = titled_table(title, "straightness", "measured", "value", "U", *names)
     for what, *cells in (row.values() for row in rows):

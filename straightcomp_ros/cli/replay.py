@@ -11,6 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from straightcomp_ros.analysis.figure_words import in_words
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, require_ros, working
@@ -91,8 +92,11 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
         words = ("recorded", "simulated\nas recorded", "what if")
         headings = [f"{word}\n{run.law}" for word, run in zip(words, runs, strict=False)]
         names = runs[0].metrics.to_display()
-        rows = ([name, *(marked(name, shown(one[name]), one) for one in columns)] for name in names)
-        console.print(titled_table(f"What if: {bag}", "figure", *headings, rows=rows))
+        table = titled_table(f"What if: {bag}", "figure", *headings, "unit", left=("unit",))
+        for name in names:
+            what, unit = in_words(name)
+            table.add_row(what, *(marked(name, shown(one[name]), one) for one in columns), unit)
+        console.print(table)
         for word, run in zip(words, runs, strict=False):
             print_verdict(run.verdict, f"'{' '.join(word.split())}'")
     fail_unless_in_order(verdict)

@@ -89,8 +89,10 @@ def titled_table(
 
 
 def figures_table(title: str, figures: Mapping[str, Any]) -> Table:
-    """Figures by name."""
-    return titled_table(title, "figure", "value", rows=((name, shown(value)) for name, value in figures.items()))
+    """Figures by name, in words and with their units."""
+    found = ((*in_words(name), shown(value)) for name, value in figures.items())
+    rows = ((words, value, unit) for words, unit, value in found)
+    return titled_table(title, "figure", "value", "unit", left=("unit",), rows=rows)
 
 
 def shown(value: Any) -> str:

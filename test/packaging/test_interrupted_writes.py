@@ -113,6 +113,7 @@ def judge_outcomes(tmp_path, case, most, monkeypatch):
     assert done.returncode == 0, done.stderr
     first, *facts = map(json.loads, done.stdout.splitlines())
     assert first["code"] in (0, 1) and first["writes"] > 2, first
+    assert first["code"] or ("\nwritten: " in f"\n{first['said']}" and "\nnext: " in first["said"]), first
     for fact in facts:
         assert not fact["spoiled"] and not fact["left"], fact
         if fact["kind"] == interrupted.KILL:

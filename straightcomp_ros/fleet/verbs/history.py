@@ -153,12 +153,13 @@ def _query(options: argparse.Namespace) -> None:
         print_json({"rows": rows})
     elif len(found.column_names) > _MOST_COLUMNS:
         for number, row in enumerate(rows, 1):
-            console.print(figures_table(f"row {number} of {len(rows)}", row))
+            cells = ((name, shown(value)) for name, value in row.items())
+            console.print(titled_table(f"row {number} of {len(rows)}", "column", "value", rows=cells))
     elif found.column_names:
         numbers = (types.is_integer, types.is_floating, types.is_decimal)
         left = {field.name for field in found.schema if not any(is_kind(field.type) for is_kind in numbers)}
-        cells = ([shown(value) for value in row.values()] for row in rows)
-        console.print(titled_table(f"rows: {len(rows)}", *found.column_names, left=left, rows=cells))
+        below = ([shown(value) for value in row.values()] for row in rows)
+        console.print(titled_table(f"rows: {len(rows)}", *found.column_names, left=left, rows=below))
 
 
 def _plain(value: Any) -> Any:
