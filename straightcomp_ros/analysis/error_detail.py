@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import Array
 
@@ -174,17 +175,17 @@ def tolerated_amplitude(error: Array, count: float, uncompensated: float) -> flo
     return max(count, _DEVIATION * uncompensated, _SHARE * float(np.std(error)))
 
 
-def sustained_oscillation(error: Array, reference: Array, period: float) -> Oscillation:
+def sustained_oscillation(error: Array, reference: Array, period: float, dither: float = 0.0) -> Oscillation:
     """The strongest line that ``error`` holds on either scale, or throughout if it is shorter.
 
     Its amplitude is the smallest over its segments. An ``error`` shorter than a segment (0.25 s) has none. ``error``
     and ``reference``, what the platform was to follow at the same samples, are (n,), finite, in m; ``period`` is that
-    of the samples in s.
+    of the samples in s. A line at the frequency of the law's own ``dither`` in Hz is none; 0: there is no dither.
     """
-    return max(_held_line(error, reference, period, *scale) for scale in _SCALES)
+    return max(_held_line(error, reference, period, dither, *scale) for scale in _SCALES)
 
 
-def irregular_oscillation(error: Array, reference: Array, period: float) -> Oscillation:
+def irregular_oscillation(error: Array, reference: Array, period: float, dither: float = 0.0) -> Oscillation:
     """What ``error`` does beyond what ``reference`` asks for, if that is most of it, whether it is a line or not.
 
     For an error that is known to be large: a loop that reaches the current limit changes its frequency from one moment
@@ -195,23 +196,28 @@ def irregular_oscillation(error: Array, reference: Array, period: float) -> Osci
     if error.size < length:
         return Oscillation(0.0, 0.0)
     power, asked = (_power(values, length).mean(axis=0) for values in (error, reference))
+    frequencies = np.fft.rfftfreq(length, period)
+    power[_shaken(frequencies, dither)] = 0.0
     own = np.where(power > ASKED**2 * asked, power, 0.0)
     # The first bins hold the window's own lobe around the mean.
     own[: _LOBE + 1] = 0.0
     if own.sum() < _MOST * power.sum():
         return Oscillation(0.0, 0.0)
-    return Oscillation(
-        float(np.sqrt(own.sum() / _HANN_BANDWIDTH)), float(np.fft.rfftfreq(length, period)[own.argmax()])
-    )
+    return Oscillation(float(np.sqrt(own.sum() / _HANN_BANDWIDTH)), float(frequencies[own.argmax()]))
 
 
-def _held_line(error: Array, reference: Array, period: float, span: float, lowest: float) -> Oscillation:
+def _shaken(frequencies: Array, dither: float) -> NDArray[np.bool_]:
+    """Which bins hold the dither's line; none where it is 0."""
+    return (np.abs(frequencies - dither) <= _LOBE * frequencies[1]) & (dither > 0.0)
+
+
+def _held_line(error: Array, reference: Array, period: float, dither: float, span: float, lowest: float) -> Oscillation:
     length = round(span / period)
     if error.size < length:
         return Oscillation(0.0, 0.0)
     frequencies = np.fft.rfftfreq(length, period)
     power, asked = (_power(values, length) for values in (error, reference))
-    power[:, frequencies < lowest] = 0.0
+    power[:, (frequencies < lowest) | _shaken(frequencies, dither)] = 0.0
     near = np.abs(np.arange(frequencies.size) - power.argmax(axis=1)[:, np.newaxis]) <= _LOBE
     own = np.where(near, power, 0.0)
     line, there = own.sum(axis=1), np.where(near, asked, 0.0).sum(axis=1)

@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.metrics import RESTING
 from straightcomp_ros.analysis.record import Array, MetricsError, Stroke, motion_of
+from straightcomp_ros.control.laws import dither_of
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -78,7 +81,20 @@ def bounds_of(
             bounds[name] = float(known)
         modes = (parameters["controller"].get(f"stage.platform.modes.{one}.frequency") for one in ("first", "second"))
         bounds["modes"] = tuple(float(one) for one in modes if one)
+        if shaken := _dither(parameters["controller"]):
+            bounds["dither"] = shaken
     return bounds
+
+
+def _dither(controller: Mapping[str, Any]) -> float:
+    """Frequency in Hz of the law's dither, by the controller's parameters; 0 where there is none, or none is known."""
+    try:
+        known = node_parameters("controller", {"controller": controller})
+    except ParameterError:
+        return 0.0
+    dither = dither_of(known.control.smc_observer, known.stage)
+    used = dither.amplitude > 0.0 and known.control.law == "smc_observer"
+    return dither.angle / math.tau * known.stage.rate if used else 0.0
 
 
 def is_simulated(driver: Mapping[str, Any]) -> bool:
@@ -127,6 +143,7 @@ class JudgedMotion:
     sensor_noise: float = 0.5
     map_noise: float = 0.02e-6
     modes: Sequence[float] = ()  # Hz, described resonances of the platform
+    dither: float = 0.0  # Hz, of the sine that the law itself adds; 0: none
 
     @cached_property
     def period(self) -> float:

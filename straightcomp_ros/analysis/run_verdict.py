@@ -234,9 +234,9 @@ def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None
     """What the error does beyond what the reference asks for, and what is allowed; None if it is not too much."""
     pieces = list(error_detail.stretches(motion.time, motion.error, motion.r))
     allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
-    found = max(error_detail.sustained_oscillation(error, reference, motion.period) for error, reference in pieces)
+    found = max(error_detail.sustained_oscillation(*piece, motion.period, motion.dither) for piece in pieces)
     if found.amplitude <= allowed and motion.pp > motion.largest:
-        found = max(error_detail.irregular_oscillation(error, reference, motion.period) for error, reference in pieces)
+        found = max(error_detail.irregular_oscillation(*piece, motion.period, motion.dither) for piece in pieces)
         large = motion.pp > ACCURATE * motion.uncompensated
         if not large and found.frequency < _OF_LOOP / motion.period:
             return None

@@ -137,6 +137,10 @@ CASES = {
             ("in_order", "", motion(16.0 * SMALL + 0.15e-6 * sine(line))),
         )
     ],
+    "a line at the frequency of the law's own dither is no oscillation of the loop": [
+        ("in_order", "", motion(HIDDEN, r=0.1 * R, count=1e-9, fit=None, dither=137.0)),
+        ("oscillates", "", motion(HIDDEN, r=0.1 * R, count=1e-9, fit=None, dither=170.0)),
+    ],
     "a fine encoder does not make an oscillation of what the guide hides": [
         ("in_order", "", motion(HIDDEN, count=1e-9)),
         ("oscillates", "", motion(HIDDEN, r=0.1 * R, count=1e-9, fit=None)),
@@ -240,6 +244,12 @@ def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_kno
     board = {"hardware": "can", "stage.platform.stop": 1e-3}
     assert bounds_of({"driver": board}) == {}
     assert bounds_of({"driver": {**board, "can.simulated_stage": True}})["stop"] == 1e-3
+    stiff = {"stage.friction.bristle_stiffness": 1e9}
+    assert bounds_of({"controller": stiff})["dither"] == pytest.approx(500.0)
+    assert not {"dither"} & {
+        *bounds_of({"controller": {**stiff, "control.law": "smc"}}),
+        *bounds_of({"controller": {}}),
+    }
 
 
 def test_the_count_of_the_encoder_is_the_smallest_step_of_its_readings():
