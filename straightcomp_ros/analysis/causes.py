@@ -162,11 +162,14 @@ def of_map(
         points = np.unique(straightness.survey.runs[0].x)
         away = np.abs(x[:, np.newaxis] - points).min(axis=1)
         room = 0.5 * float(np.median(np.diff(points)))
-        near, far = left[away < 0.3 * room], left[away > 0.7 * room]
-        if near.size and far.size and float(np.mean(near**2)) < _EXPLAINED * float(np.mean(far**2)):
-            return f"the guide bends between the survey's points, {2e3 * room:.4g} mm apart: survey more points"
+        near, far = away < 0.3 * room, away > 0.7 * room
+        if np.count_nonzero(near) > 2 and far.any():
+            # Relative to the points' own line: what is left between them may be to one side.
+            apart = left - np.polyval(np.polyfit(x[near], left[near], 1), x)
+            if float(np.mean(apart[near] ** 2)) < _EXPLAINED * float(np.mean(apart[far] ** 2)):
+                return f"the guide bends between the survey's points, {2e3 * room:.4g} mm apart: survey more points"
         noise = straightness.noise
-        if noise.repeated and float(np.mean(left**2)) <= (2.0 * noise.half_width / NORMAL_95) ** 2:
+        if float(np.mean(left**2)) <= (2.0 * noise.half_width / NORMAL_95) ** 2:
             return f"{noise}: repeat its runs, and smooth it (stage.guide.smooth)"
     return "use a survey of this guide, and check its sign, unit and zero of x"
 

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_runs import cubic_spline
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -45,6 +46,8 @@ _TOO_COARSE = 1.2
 """Typical square of the residual, in units of the noise, beyond which the guide is rougher than these knots follow."""
 _MEDIAN_OF_SQUARES = 0.455
 """Of a standard normal variable; not moved by a step at a joint, which no knots follow."""
+_BENDS = 2.0
+"""Largest curvature of a map relative to that of the smooth curve: more is noise, and asks for an acceleration."""
 _SMOOTHEST = 1e12
 """Largest λ in units of the inverse of the stiffest mode's penalty; beyond it rounding would reach the softest."""
 
@@ -133,8 +136,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     """The smoothing spline through ``mean`` (n,) at ``x`` (n,) of ``values`` (runs, n), all in m, and its noise.
 
     ``how`` is ``none``; ``auto``, by the noise; or the number by which that λ is multiplied. The spline is None where
-    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little or no run
-    was repeated.
+    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little, or no run
+    was repeated and the noise makes the curvature less than twice as large.
     """
     own, runs = measured(survey, x), len(values)
     if not own.all():
@@ -181,9 +184,7 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     clean = noise <= ROUNDING or freedom[best] > _CLEAN * len(x)
     typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
     clean |= fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
-    # Without repeated runs nothing shows how much of the residual is noise: a reference that excites the plant is a
-    # survey too.
-    if factor == 0.0 or (how == "auto" and (clean or not repeated)):
+    if factor == 0.0 or (how == "auto" and clean):
         return None, _as_measured(noise, runs, repeated, x)
 
     shapes = at_knots @ modes
@@ -195,7 +196,13 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         local[holds] = smoother
     amount = factor * np.exp(np.interp(middles, knots, np.log(choices[local])))
     inverse = np.linalg.inv(information + penalty(amount))
-    pieces = PPoly.from_spline(BSpline(padded, inverse @ sums, 3))
+    spline = BSpline(padded, inverse @ sums, 3)
+    # Without repeated runs the residual may be the guide: only what the law cannot be asked to follow is taken off.
+    if how == "auto" and not repeated:
+        bends = (np.abs(one(x, 2)).max() for one in (cubic_spline(x, mean), spline))
+        if next(bends) <= _BENDS * next(bends):
+            return None, _as_measured(noise, runs, repeated, x)
+    pieces = PPoly.from_spline(spline)
     deviation, twice = (
         noise * np.sqrt((at_knots @ (at_knots @ covariance).T).diagonal())
         for covariance in (inverse, np.linalg.inv(2.0 * information + penalty(amount)))

@@ -271,16 +271,19 @@ def test_a_verdict_says_that_commands_came_later_than_the_stage_describes():
 
 def guide_map(deviation, step: float) -> StraightnessMap:
     x = np.arange(0.0, 1.7601, step)
-    return StraightnessMap(Survey((Run("1", "forward", x, deviation(x)),)), MapParameters(max_gap=0.2, min_points=5))
+    survey = Survey((Run("1", "forward", x, deviation(x)),))
+    return StraightnessMap(survey, MapParameters(max_gap=0.2, min_points=5, smooth="none"))
 
 
 def test_a_map_that_does_not_fit_its_guide_is_explained_by_what_was_done_to_it():
     true, x = load_map(MapParameters(file="config/guide_synthetic.csv")).deviations, np.linspace(0.02, 1.74, 2000)
+    random = np.random.default_rng(1)
     surveys = {
         "shift its x by -3 mm": lambda at: true(at - 3e-3),
         "opposite sign": lambda at: -true(at),
         "multiplied by 2": lambda at: 0.5 * true(at),
         "bowed by 2 µm": lambda at: true(at) + 2e-6 * ((at - 0.88) / 0.86) ** 2,
+        "no run was repeated: repeat its runs": lambda at: true(at) + random.normal(0.0, 0.5e-6, at.size),
         "use a survey of this guide": lambda at: 9e-6 * np.sin(2.0 * np.pi * 3.3 * at / 1.76 + 1.0),
     }
     for said, deviation in surveys.items():

@@ -164,7 +164,8 @@ def test_a_survey_with_a_zero_that_is_off_is_found_by_the_truth_and_by_a_sensor(
 def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_noisy_map(tmp_path):
     guide, random = load_map(MapParameters(file=GUIDE)), np.random.default_rng(1)
     file = survey(tmp_path / "noisy.csv", lambda x: guide.deviations(x) + random.normal(0.0, 0.3e-6, x.size), step=1e-3)
-    values = {"driver": {}, "feedforward": {"stage.guide.file": file}, "controller": {}, "stage": dict(CYCLE)}
+    followed = {"stage.guide.file": file, "stage.guide.smooth": "none"}
+    values = {"driver": {}, "feedforward": followed, "controller": {}, "stage": dict(CYCLE)}
     record, straightness = first_cycle({**values, "driver": {"simulated.truth.mass": 4.0}})
     found = promise_of(record, by_node(values), straightness)
     assert found.smooth < 0.3e-6 < 1e-6 < found.as_mapped()

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import NORMAL_95, measured, point_noise
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid
+from straightcomp_ros.tuning.identification.estimate import excitation_survey
 from trials.noise import FINE, GUIDE, JOINT, best_possible, guide, mapped, surveyed
 
 LACKING = range(300, 316)
@@ -43,8 +44,18 @@ def test_without_repeated_runs_the_noise_is_that_of_the_residual_and_the_map_say
         noise = mapped(surveyed(1e-3, 2e-7, runs=runs), how).noise
         assert noise.point == pytest.approx(2e-7 / np.sqrt(runs), rel=0.1)
         assert not noise.repeated and "no run was repeated" in str(noise)
-        # Nothing shows that it is noise: it is taken off on request alone.
-        assert noise.smoothed == (how == "1")
+        assert noise.smoothed
+
+
+def test_of_a_run_that_was_not_repeated_only_what_bends_the_reference_more_than_twice_as_much_is_taken_off():
+    for spacing, noise in ((1e-3, 2e-8), (1e-3, 5e-7), (2e-3, 2e-7), (10e-3, 2e-8), (10e-3, 5e-7), (20e-3, 2e-8)):
+        through, found = (mapped(surveyed(spacing, noise, runs=1), how) for how in ("none", "auto"))
+        bends = [np.abs(one.evaluate(FINE)[2]).max() for one in (through, found)]
+        assert (
+            found.noise.smoothed == (bends[0] > 2.0 * bends[1])
+            and bends[1] < 2.0 * np.abs(GUIDE.evaluate(FINE)[2]).max()
+        )
+    assert not StraightnessMap(excitation_survey(0.5), MapParameters(travel=0.01)).noise.smoothed
 
 
 @pytest.mark.parametrize("file", ["config/guide_synthetic.csv", "config/survey_synthetic.csv"])
