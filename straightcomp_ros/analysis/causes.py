@@ -194,11 +194,12 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     from scipy.ndimage import gaussian_filter1d
 
     period, grid = float(np.median(np.diff(time))), np.linspace(float(x.min()), float(x.max()), _PLACES)
-    for way in ("forward", "backward"):
-        ours = [one.samples for one in strokes if one.direction == way]
-        rows = [np.interp(grid, *_ascending(x[samples], error[samples])) for samples in ours]
-        if len(rows) > 1 and float(np.atleast_2d(np.corrcoef(rows))[0, 1:].min()) > _REPEATS:
-            return "it is the same at each place of x in every stroke: learning.learn takes it off"
+    rows = [np.interp(grid, *_ascending(x[one.samples], error[one.samples])) for one in strokes]
+    alike = np.atleast_2d(np.corrcoef(rows)) if rows else np.ones((0, 0))
+    of_way = [[one.direction == way for one in strokes] for way in ("forward", "backward")]
+    same_place = "it is the same at each place of x in every stroke: learning.learn takes it off"
+    if any(sum(ours) > 1 and float(alike[np.ix_(ours, ours)][0].min()) > _REPEATS for ours in of_way):
+        return same_place
     step = max(1, round(_STEP / period))
     turns = np.flatnonzero(np.diff(np.sign(np.diff(r[::step]))))[:, np.newaxis] * step
     after = np.zeros(error.size, dtype=bool)
@@ -214,6 +215,9 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     resting = np.concatenate([rest - rest.mean() for rest in rests] or [error[:0]])
     if resting.size and float(np.mean(resting**2)) > _MOST**2 * float(error.var()):
         return "it is as large at rest: look for an offset of the amplifier that drifts, and for vibration"
+    # The law answers to the rate of a force that is locked to x, which has the other sign on the way back.
+    if all(map(any, of_way)) and float(np.abs(alike[np.ix_(*of_way)]).min()) > _REPEATS:
+        return same_place
     return "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
 
 

@@ -193,10 +193,12 @@ class JudgedMotion:
         if not self.promised:
             return min(largest, max(self.uncompensated, self.count))
         # The error grows at most as the friction. The encoder's noise, and what it rounds, add to both sides.
-        rounded = (2.0 * self.sensor_noise + (2.0 if self.by_encoder else 1.0)) * self.count
-        allowed = max(least, self.friction * self.promised.smooth + rounded)
+        rounded, noise = (2.0 if self.by_encoder else 1.0) * self.count, 2.0 * self.sensor_noise * self.count
+        allowed = max(least, self.friction * self.promised.smooth + rounded + noise)
         if self.pp > allowed:
-            allowed = max(allowed, self.friction * (self.promised.largest() or 0.0) + rounded)
+            # The platform's answer to the noise is in these strokes.
+            with_noise = self.friction * (self.promised.largest() or 0.0) + rounded
+            allowed = max(allowed, with_noise + (noise if self.by_encoder else 0.0))
         return min(largest, allowed)
 
     @property

@@ -59,6 +59,7 @@ STEPS = 0.5e-6 * np.cumsum(
 SLOW = 0.4e-6 * np.sin(2.0 * np.pi * 0.31 * TIME + 1.0)
 NOISE = np.random.default_rng(1).normal(0.0, 0.05e-6, TIME.size)
 AT_TURNS = sum(bump(turn, 0.5e-6) for turn in np.arange(0.5, 4.8, 1.0) / 0.6)
+OF_PLACE = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.07) * np.where(TIME < 4.0, 1.0, -1.0)
 IN_TURN = 0.1 * np.clip(np.abs(TIME - 4.0), 0.5, None)
 
 
@@ -178,7 +179,7 @@ CASES = {
         ),
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.29), by_encoder=True)),
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2), friction=3.0)),
-        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2, largest=0.31))),
+        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2, largest=0.36))),
         ("in_order", "", motion(2.9 * SMALL, promise=promised(0.0))),
         ("inaccurate", "", motion(0.55 * R, promise=promised(100.0))),
     ],
@@ -189,6 +190,11 @@ CASES = {
     "an error that is too large goes with something": [
         ("inaccurate", "changes slowly", motion(SLOW, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
+        (
+            "inaccurate",
+            "the same at each place of x.*learning.learn",
+            motion(OF_PLACE, x=THERE_AND_BACK, promise=promised(0.05)),
+        ),
     ],
     "a sensor's own noise is no error of the map": [
         ("in_order", "", motion(fit=GuideFit(20e-6, 0.3e-6, "", 0.04e-6))),
