@@ -16,7 +16,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -206,9 +206,9 @@ def irregular_oscillation(error: Array, reference: Array, period: float, dither:
     return Oscillation(float(np.sqrt(own.sum() / _HANN_BANDWIDTH)), float(frequencies[own.argmax()]))
 
 
-def _shaken(frequencies: Array, dither: float) -> NDArray[np.bool_]:
+def _shaken(frequencies: NDArray[Any], dither: float) -> NDArray[np.bool_]:
     """Which bins hold the dither's line; none where it is 0."""
-    return (np.abs(frequencies - dither) <= _LOBE * frequencies[1]) & (dither > 0.0)
+    return np.asarray((np.abs(frequencies - dither) <= _LOBE * frequencies[1]) & (dither > 0.0))
 
 
 def _held_line(error: Array, reference: Array, period: float, dither: float, span: float, lowest: float) -> Oscillation:

@@ -232,11 +232,11 @@ def _wrong_guide(motion: JudgedMotion) -> str:
 
 def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None:
     """What the error does beyond what the reference asks for, and what is allowed; None if it is not too much."""
-    pieces = list(error_detail.stretches(motion.time, motion.error, motion.r))
+    pieces, known = list(error_detail.stretches(motion.time, motion.error, motion.r)), (motion.period, motion.dither)
     allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
-    found = max(error_detail.sustained_oscillation(*piece, motion.period, motion.dither) for piece in pieces)
+    found = max(error_detail.sustained_oscillation(error, asked, *known) for error, asked in pieces)
     if found.amplitude <= allowed and motion.pp > motion.largest:
-        found = max(error_detail.irregular_oscillation(*piece, motion.period, motion.dither) for piece in pieces)
+        found = max(error_detail.irregular_oscillation(error, asked, *known) for error, asked in pieces)
         large = motion.pp > ACCURATE * motion.uncompensated
         if not large and found.frequency < _OF_LOOP / motion.period:
             return None
