@@ -255,7 +255,7 @@ def _loop_findings(stage: StageParameters, control: ControlParameters, found: Co
         yield Finding("instability", "ok", f"the flexure's {stiffness} outweigh the magnets' negative stiffness")
     else:
         yield _instability(stage, found)
-    yield _stiction(stage, control)
+    yield stiction(stage, control)
     margins, law = found.margins, control.law
     if margins is None:
         yield Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
@@ -270,7 +270,7 @@ def _loop_findings(stage: StageParameters, control: ControlParameters, found: Co
         yield judged("loop", wide, detail, "The margins are thin: straightcomp design finds gains for this stage.")
 
 
-def _stiction(stage: StageParameters, control: ControlParameters) -> Finding:
+def stiction(stage: StageParameters, control: ControlParameters) -> Finding:
     """Whether friction's bristles bend far enough to be seen, and what the law does where they do not."""
     friction, count = stage.friction, stage.encoder.y_resolution
     bending = friction.static / friction.bristle_stiffness

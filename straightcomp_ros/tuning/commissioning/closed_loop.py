@@ -3,8 +3,9 @@
 - `safe_loop`: a law for the stated uncertainty, with which the loop is closed for the first time.
 - `identification`: the machine from one cycle along an excitation, and whether it is the one that was described. The
   mass is held at its description, since position and current identify forces only up to a common factor, which no law
-  needs. What is compared with the description is what does not depend on that factor.
-- `design`: gains of `smc_observer` for the machine as identified and what of it is still open.
+  needs. What is compared with the description is what does not depend on that factor. Then, still under the safe law,
+  the frequency response shows the resonances: a mode that nobody described must not meet a law that excites it.
+- `design`: gains of `smc_observer` for the machine as identified, with its modes, and what of it is still open.
 - `frequency_response`: plant and margins as measured; does what was identified explain them? The same measurement is
   made of the simulated machine as identified. Between rest and sliding, friction is neither a spring nor a damping:
   what it makes of the response depends on the excitation, and no closed form has it.
@@ -49,6 +50,8 @@ _LENGTH = 0.5
 _STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
 """Uncertainty that stays, however narrow an interval is: a model is not the machine."""
 _DELAY_STAYS = 0.1
+_SEARCH_DRAWS = 16
+"""Of the excitation that looks for modes: the response of the designed law has more, and is judged."""
 _IN_SIMULATION = 0.7
 """Share of the travel that the excitation may need in the simulation."""
 _MOTIONS = (1.0, 0.7, 0.5, 0.35)
@@ -103,14 +106,30 @@ def identification(work: Work) -> Outcome:
     }
     if strange := strangeness(found, work.description):
         return Outcome(False, strange, figures)
+    facts = facts_found(found, stage)
+    modes, words = _resonances(dataclasses.replace(work, values=with_values(work.values, "stage", facts)))
     return Outcome(
         True,
         f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
-        f"{f'; {found.centre}' if found.centre else ''}; {len(found.not_identifiable)} facts stay open, which the "
-        "certificate names",
+        f"{f'; {found.centre}' if found.centre else ''}{words}; {len(found.not_identifiable)} facts stay open, which "
+        "the certificate names",
         figures,
-        stage=facts_found(found, stage),
+        stage={**facts, **modes},
     )
+
+
+def _resonances(work: Work) -> tuple[dict[str, float], str]:
+    """Facts of the modes that nobody described, by dotted name, and what was found in words, empty without any."""
+    try:
+        found = _measured(work, _SEARCH_DRAWS).modes
+    except FrequencyResponseError as error:
+        return {}, f"; resonances were not looked for: {error}"
+    present, facts = work.stage.platform.modes, dict[str, float]()
+    free = [name for name in ("first", "second") if not getattr(present, name).frequency]
+    for name, mode in zip(free, (mode for mode in found if not mode.described), strict=False):
+        facts |= mode.facts(name)
+    answered = ", which the design answers as it was found" if facts else ""
+    return facts, "".join(f"; {mode.text}" for mode in found) + answered
 
 
 def strangeness(found: Estimate, described: StageParameters) -> str:
@@ -209,6 +228,7 @@ def design(work: Work) -> Outcome:
         verdict = found.verification.verdict
         return Outcome(False, f"the designed law is not in order on all machines that are left: {verdict}", figures)
     sentence = f"{pp:.3f} µm p-p predicted, at {step:.2f} mA from sample to sample"
+    sentence = "; ".join([sentence, *found.warnings])
     return Outcome(True, sentence, figures, gains={"control.law": LAW, **found.values})
 
 
@@ -281,9 +301,9 @@ def _in_words(margins: ResponseMargins) -> str:
     return f"phase margin {margins.phase:.0f}°, gain {f'{known} times' if known else 'beyond the lines'}"
 
 
-def _measured(work: Work) -> ComparedResponse:
+def _measured(work: Work, draws: int = MultisineParameters().draws) -> ComparedResponse:
     """The response; once more with half the motion if the platform left the travel, which late commands may cause."""
-    excitation, described = _foreseen(work, MultisineParameters(travel=work.travel))
+    excitation, described = _foreseen(work, MultisineParameters(travel=work.travel, draws=draws))
     try:
         found = work.machine.response(work.values, excitation)
     except ExcitationEnded:

@@ -21,9 +21,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from straightcomp_ros.control.laws import LAWS, make_law
+from straightcomp_ros.doctor import Finding
+from straightcomp_ros.doctor.stage_findings import stiction
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.offline.starts import Spread, spread
-from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
+from straightcomp_ros.offline.starts import STARTS, Spread, spread
+from straightcomp_ros.tuning.design.error_budget import NOTED, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
@@ -44,7 +46,7 @@ _MACHINES = 200
 _ROUNDS = 3
 _TIGHTER = 1.1
 _FINALISTS = 4
-_FINAL_STARTS = 5
+_FINAL_STARTS = STARTS
 
 
 class DesignFigures(NamedTuple):
@@ -72,12 +74,28 @@ class Design:
     budget: Sequence[BudgetEntry]  # what limits the error, the stage as described first
     limits: Mapping[str, FailingLimits]  # until where the linear loop is stable, by the law's state
     shape: str  # how the platform's modes are answered, in words
+    stiction: Finding  # what the friction's bristles leave of it, as `straightcomp stage check` finds
     rounds: int  # searches, more than one if the first result failed on an uncertain machine
 
     @property
     def holds(self) -> bool:
         """Whether all machines of the verification are in order."""
         return not self.verification.not_in_order
+
+    @property
+    def warnings(self) -> list[str]:
+        """What no gains can do on this stage, and what helps, a sentence each."""
+        found = []
+        if self.stiction.state != "ok":
+            found.append(f"stiction: {self.stiction.detail}. {self.stiction.remedy}")
+        own, rigid = (next((one.pp for one in self.budget if one.cause == cause), 0.0) for cause in (OWN, RIGID))
+        if own > NOTED * rigid > 0.0:
+            found.append(
+                f"modes: {own * 1e6:.2g} µm p-p, where a rigid platform leaves {rigid * 1e6:.2g} µm: no gains that "
+                "hold the modes at all ends of their uncertainty are as fast. Modes that are higher, damped more, or "
+                "known better ('stage.platform.modes.*.frequency_error') help."
+            )
+        return found
 
     def limits_to_display(self) -> dict[str, Any]:
         """What limits the design: budget, with errors in µm, and limits."""
@@ -144,22 +162,24 @@ def design_gains(
     kept: tuple[LawSummary, Mapping[str, float]] | None = None
     rounds, held, more = 0, demands, list[dict[str, float]]()
     for rounds in range(1, _ROUNDS + 1):
-        feasible = FeasibleGains(scenario, law, held, seed)
-        found = sorted(
-            (
-                one
-                for start, tighter in possible.values()
-                for one in search(
-                    Judge(scenario, law, quiet, held),
-                    feasible.corrected([*starts(law, start), *more, tighter]),
-                    evaluations=(evaluations if rounds == 1 else evaluations // 2) // len(possible),
+        feasible, judge = FeasibleGains(scenario, law, held, seed), Judge(scenario, law, quiet, held)
+        budget, found = evaluations if rounds == 1 else evaluations // 2, list[Found]()
+        ways = [[*starts(law, start), *more, tighter] for start, tighter in possible.values()]
+        while ways:
+            share = budget // len(ways) if len(ways) == 1 else budget // (2 * len(ways))
+            for way in ways:
+                found += search(
+                    judge,
+                    feasible.corrected(way),
+                    evaluations=share,
                     seed=seed + rounds - 1,
                     jobs=jobs,
                     progress=lambda fraction: progress("search", fraction),
                 )
-            ),
-            key=lambda one: one.judgement.cost,
-        )
+            found.sort(key=lambda one: one.judgement.cost)
+            # Half of the candidates tell which way is the best; the others go on from there.
+            ways = [] if len(ways) == 1 else [[_same_way(possible, found[0].gains)[1][0], found[0].gains]]
+            budget //= 2
         first = [one for one in found if any(one.gains == start for start, _ in possible.values())]
         finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
         best = min(finalists, key=cost, default=found[0]).gains
@@ -176,14 +196,14 @@ def design_gains(
         if not verification.not_in_order:
             break
         held, more = held.tightened(_TIGHTER), [dict(best)]
-        shape = next(name for name, (start, _) in possible.items() if start.keys() == best.keys())
+        shape, _ = _same_way(possible, best)
         again = _possible(scenario, law, plain, held, seed)
         if shape not in again:
             break
         possible = {shape: again[shape]}
     assert kept is not None  # there is a first round
     verification, best = kept
-    shape, start = next((name, start) for name, (start, _) in possible.items() if start.keys() == best.keys())
+    shape, (start, _) = _same_way(possible, best)
     return Design(
         law=law,
         values=best,
@@ -196,15 +216,23 @@ def design_gains(
         budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),
         limits=failing_limits(scenario, with_gains(base, law, best)),
         shape=shape,
+        stiction=stiction(stage, with_gains(base, law, best)),
         rounds=rounds,
     )
 
 
-def _possible(
-    scenario: Scenario, law: str, plain: Mapping[str, float], demands: Demands, seed: int
-) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
-    """The ways to answer the modes with which gains hold the demands: their start, and gains near it that hold them."""
-    feasible, found = FeasibleGains(scenario, law, demands, seed), {}
+_Ways = dict[str, tuple[dict[str, float], dict[str, float]]]
+"""Ways to answer the modes, by a name in words: the start of each, and gains near it that hold the demands."""
+
+
+def _same_way(possible: _Ways, gains: Mapping[str, float]) -> tuple[str, tuple[dict[str, float], dict[str, float]]]:
+    """The way that ``gains`` go, with its name."""
+    return next(way for way in possible.items() if way[1][0].keys() == gains.keys())
+
+
+def _possible(scenario: Scenario, law: str, plain: Mapping[str, float], demands: Demands, seed: int) -> _Ways:
+    """The ways with which gains hold the demands."""
+    feasible, found = FeasibleGains(scenario, law, demands, seed), _Ways()
     for name, shape in shapes_for(scenario.description).items():
         start = {**plain, **shape}
         tighter = feasible.near(start, _WITH_MODES)

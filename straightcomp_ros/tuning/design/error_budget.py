@@ -21,7 +21,7 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.tuning.design.gains import scaled, scaled_facts, with_gains
+from straightcomp_ros.tuning.design.gains import rule, scaled, scaled_facts, with_gains
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
 from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times, streams
 
@@ -43,7 +43,7 @@ class BudgetEntry(NamedTuple):
     rms: float
 
 
-_NOTED = 1.5
+NOTED = 1.5
 """Ratio to the stage's own figure from which a cause is remarked on: a p-p moves by as much from stroke to stroke."""
 
 
@@ -55,7 +55,7 @@ def remarks(budget: Sequence[BudgetEntry], unit: float = 1.0) -> list[str]:
     own, *others = budget or (BudgetEntry("", 0.0, 0.0),)
     found = []
     for one in others:
-        if one.cause.startswith("with ") or max(one.pp / own.pp, one.rms / own.rms) <= _NOTED:
+        if one.cause.startswith("with ") or max(one.pp / own.pp, one.rms / own.rms) <= NOTED:
             continue
         figures = f"{one.pp * unit:.2g} µm p-p instead of {own.pp * unit:.2g}, {one.rms * unit:.2g} RMS instead of "
         figures += f"{own.rms * unit:.2g}"
@@ -124,7 +124,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
     at_once, of_at_once = faster("drive.delay", 0.0)
     wide, of_wide = faster("drive.bandwidth", _AMPLIFIER)
     return {
-        "as described": own,
+        OWN: own,
         "ideal encoder of y": own._replace(plant=fine, control=free),
         "ideal D/A converter": own._replace(plant=dataclasses.replace(plant, drive=converter)),
         "ideal encoder of y and D/A converter": own._replace(
@@ -143,20 +143,25 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
         "exact reference at each sample": own._replace(stroke=prepared_stroke(scenario, ideal=True)),
         "with the noise of the survey once more in it": own._replace(stroke=prepared_stroke(scenario, survey=again)),
         "with the jitter of the uncertainty": own._replace(stroke=prepared_stroke(scenario, stamps=stamps)),
-        **_rigid(own),
+        **_rigid(own, gains, law),
         **_disturbed(own),
     }
 
 
-def _rigid(own: _Run) -> dict[str, _Run]:
-    """The same without the platform's modes and what filters them, if it has any."""
+OWN, RIGID = "as described", "rigid platform, no filters, gains in closed form"
+
+
+def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:
+    """The same without the platform's modes and what they cost in filters and bandwidth, if it has any."""
     if not own.plant.platform.modes.present:
         return {}
     platform = dataclasses.replace(own.plant.platform, modes=ModesParameters())
     stage = dataclasses.replace(own.stage, platform=platform)
     plant = dataclasses.replace(own.plant, platform=platform)
-    control = dataclasses.replace(own.control, filters=FilterParameters())
-    return {"rigid platform, no filters": own._replace(plant=plant, stage=stage, control=control)}
+    control = dataclasses.replace(
+        with_gains(own.control, law, {**gains, **rule(law, stage)}), filters=FilterParameters()
+    )
+    return {RIGID: own._replace(plant=plant, stage=stage, control=control)}
 
 
 def _disturbed(own: _Run) -> dict[str, _Run]:

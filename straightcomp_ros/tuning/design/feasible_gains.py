@@ -20,7 +20,16 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
 from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
 from straightcomp_ros.tuning.design.gain_search import cheapest
-from straightcomp_ros.tuning.design.gains import SEARCHED, Values, rule, scaled, scaled_facts, starts, with_gains
+from straightcomp_ros.tuning.design.gains import (
+    SEARCHED,
+    Values,
+    rule,
+    scaled,
+    scaled_facts,
+    shapes_for,
+    starts,
+    with_gains,
+)
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corners_of
 
@@ -120,14 +129,21 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
     rate, delay, amplifier, bias = stage.rate, stage.drive.delay, stage.drive.bandwidth, stage.actuator.bias_current
     ranges = ("uncertainty.mass", "uncertainty.force", "uncertainty.air_gap")
     # The sentence, the facts that change, the present value in the sentence, and the furthest factor that is tried.
-    changes = (
+    changes = [
         ("a delay of at most {} samples", ("drive.delay",), delay, 0.05),
         ("an amplifier of at least {} Hz", ("drive.bandwidth",), amplifier, 30.0),
         ("a rate of at least {} Hz", ("rate",), rate, min(20_000.0, 10.0 * rate) / rate),
         ("a bias current of at most {} A", ("actuator.bias_current",), bias, 0.1),
         ("an uncertainty of mass, force and air gap {} times as large", ranges, 1.0, 0.1),
-    )
-    helpful = []
+    ]
+    for words, fact, furthest in (
+        ("modes {} times as high", "frequency", 5.0),
+        ("modes damped {} times as much", "damping", 20.0),
+        ("an uncertainty of the modes' frequencies {} times as large", "frequency_error", 0.05),
+    ):
+        names = [name for name in ("first", "second") if getattr(stage.platform.modes, name).frequency]
+        changes += [(words, tuple(f"platform.modes.{name}.{fact}" for name in names), 1.0, furthest)] if names else []
+    helpful, searched = [], {gain.name for gain in SEARCHED[law]}
     for sentence, facts, present, furthest in changes:
 
         def possible(
@@ -135,12 +151,12 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
         ) -> _Feasible | None:
             changed = scaled_facts(stage, facts, furthest**share)
             feasible = FeasibleGains(scenario.on(changed), law, demands, seed)
-            lag, gains = changed.dead_time, rule(law, changed)
-            tries, evaluations = starts(law, gains), _EVALUATIONS
+            lag, gains, evaluations = changed.dead_time, rule(law, changed), _EVALUATIONS
+            tries = [one for shape in shapes_for(changed).values() for one in starts(law, {**gains, **shape})]
             if like is not None:
                 evaluations = _IN_BISECTION
                 nearly = scaled(law, like[0], like[1] / lag)
-                tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
+                tries.append({**nearly, **{name: gains[name] for name in gains if name not in searched}})
             found = feasible.near(min(tries, key=feasible.violation), evaluations)
             return None if found is None else (found, lag)
 

@@ -42,6 +42,8 @@ class Valley:
         self._names = [gain.name for gain in searched]
         first = [math.log(begin[name]) for name in self._names]
         options: dict[str, Any] = {"seed": seed, "popsize": _POPULATION, "verbose": -9}
+        if any(gain.step != 1.0 for gain in searched):
+            options["CMA_stds"] = [gain.step for gain in searched]
         if rule is not None:
             scales = [rule[gain.name] if gain.power else 1.0 for gain in searched]
             low = [math.log(gain.low * scale) for gain, scale in zip(searched, scales, strict=True)]

@@ -41,6 +41,7 @@ class SearchedGain(NamedTuple):
     low: float  # range of the search, relative to the rule's value; itself if ``power`` is 0
     high: float
     power: int = 1  # of 1/T_d with which the gain grows; 0 for a gain whose useful range is the same for all stages
+    step: float = 1.0  # first step of a search, relative to those of the others
 
 
 _OBSERVER = "control.smc_observer."
@@ -67,9 +68,14 @@ SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
 _FILTERS = "control.filters."
 SHAPES = (
     *(
-        SearchedGain(f"{_FILTERS}{notch}.{name}", *bounds, power=0)
+        SearchedGain(f"{_FILTERS}{notch}.{name}", *bounds, power=0, step=step)
         for notch in ("first", "second")
-        for name, bounds in (("frequency", (1.0, 20_000.0)), ("width", (0.02, 4.0)), ("depth", (0.001, 0.9)))
+        # A notch that is off by a tenth of the frequency is none.
+        for name, bounds, step in (
+            ("frequency", (1.0, 20_000.0), 0.1),
+            ("width", (0.02, 4.0), 1.0),
+            ("depth", (0.001, 0.9), 1.0),
+        )
     ),
     SearchedGain(_FILTERS + "roll_off.frequency", 1.0, 20_000.0, power=0),
 )
@@ -91,16 +97,23 @@ _ENDS = (
     (2.26, 0.72, 0.44, 1.07, 2.02, 0.24),  # 8 kHz, 5 nm, an amplifier of 2 kHz
 )
 _FACTORS = (0.5, 0.7, 1.4, 2.0)
+_FILTERED = ((0.85, 1.0), (0.7, 2.0), (0.5, 3.0))
+"""Of the loop's speed and a notch's width: what a filter costs in phase, the loop must leave."""
 
 
 def starts(law: str, gains: Values) -> list[dict[str, float]]:
     """Gains from which a search may begin, the rule's ``gains`` first: the best of them is in the right valley."""
+    slower = [
+        {**scaled(law, gains, speed), **{name: width * gains[name] for name in gains if name.endswith(".width")}}
+        for speed, width in _FILTERED
+        if any(name.startswith(_FILTERS) for name in gains)
+    ]
     if law != "smc_observer":
-        return [dict(gains), *(scaled(law, gains, factor) for factor in _FACTORS)]
+        return [dict(gains), *slower, *(scaled(law, gains, factor) for factor in _FACTORS)]
     names = [_OBSERVER + name for name in _OF_ENDS]
     scales = [gains[name] for name in names[:3]] + [1.0] * 3
     ends = ((x * scale for x, scale in zip(end, scales, strict=True)) for end in _ENDS)
-    return [dict(gains), *({**gains, **dict(zip(names, end, strict=True))} for end in ends)]
+    return [dict(gains), *slower, *({**gains, **dict(zip(names, end, strict=True))} for end in ends)]
 
 
 def rule(law: str, stage: StageParameters) -> dict[str, float]:
@@ -143,9 +156,7 @@ def with_gains(control: ControlParameters, law: str, values: Values) -> ControlP
     Raises:
         ParameterError: a value is refused.
     """
-    own = {name.removeprefix("control."): value for name, value in values.items()}
-    shapes = {name.removeprefix("filters."): own.pop(name) for name in list(own) if name.startswith("filters.")}
-    return replaced(control, {**own, "law": law, "filters": replaced(control.filters, shapes)})
+    return replaced(control, {**{name.removeprefix("control."): value for name, value in values.items()}, "law": law})
 
 
 def shapes_for(stage: StageParameters) -> dict[str, dict[str, float]]:
@@ -157,7 +168,7 @@ def shapes_for(stage: StageParameters) -> dict[str, dict[str, float]]:
     notches = {
         f"{_FILTERS}{notch}.{name}": value
         for notch, mode in zip(("first", "second"), modes, strict=False)
-        for name, value in (("frequency", mode.frequency), ("width", 0.6), ("depth", 0.05))
+        for name, value in (("frequency", mode.frequency), ("width", 0.3), ("depth", 0.05))
     }
     lowest = min((mode.frequency for mode in modes), default=0.0)
     roll_off = {_FILTERS + "roll_off.frequency": 0.7 * lowest}
@@ -203,11 +214,14 @@ def scaled_facts(described: T, facts: Sequence[str], factor: float) -> T:
 
 
 def replaced(described: T, values: Mapping[str, Any]) -> T:
-    """Parameters of two levels with these ``values``, by dotted name; ParameterError if one is refused."""
+    """Parameters with these ``values``, by dotted name; ParameterError if one is refused."""
+    own: dict[str, Any] = {}
     groups: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
-        group, _, field = name.rpartition(".")
-        groups.setdefault(group, {})[field] = value
-    own = groups.pop("", {})
-    inner: Any = {group: dataclasses.replace(getattr(described, group), **each) for group, each in groups.items()}
+        group, _, rest = name.partition(".")
+        if rest:
+            groups.setdefault(group, {})[rest] = value
+        else:
+            own[name] = value
+    inner = {group: replaced(getattr(described, group), each) for group, each in groups.items()}
     return dataclasses.replace(described, **own, **inner)  # type: ignore[type-var]

@@ -13,7 +13,8 @@ parameters (prediction error method: L. Ljung, System Identification, 2nd ed., 1
 biased: samples then outweigh the model, and mass and friction come out too small. Assuming little removes the bias, but
 far from the solution the prediction loses the path. The search therefore starts with much and reduces it while the
 prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
-failed, from it, bound the remaining bias and enter the confidence intervals.
+failed, from it, bound the remaining bias and enter the confidence intervals, as does what the least squares left: in a
+flat valley that is more than rounding.
 
 **Starts.** The search begins at the description and where sliding alone leads (`unknowns.py`), and goes on from
 the likelier of the two solutions. If that does not hold with the least process noise, it goes on from the other one
@@ -53,6 +54,8 @@ BURN_IN = 100
 _STEP = 3e-3
 _ROUNDS = 3
 _SETTLED = 5e-3
+_LEFT = 0.1
+"""Change of the residuals' sum of squares at which least squares ends: a standard deviation changes it by 1."""
 _OUTLIER = 1e3
 
 
@@ -195,9 +198,10 @@ class Search:
                 jac=lambda z: np.concatenate([self.jacobian(z), np.eye(len(z)) / PRIOR]),
                 bounds=(low, high),
                 x_scale=0.3,
-                ftol=1e-3,
-                xtol=1e-3,
-                max_nfev=8,
+                # In a flat valley a loose end depends on the last bits: by far less than a standard deviation.
+                ftol=_LEFT / len(self.gains),
+                xtol=1e-4,
+                max_nfev=20,
             )
             moved = float(np.abs(found.x - vector[free]).max())
             vector = self._whole(found.x)
@@ -214,6 +218,14 @@ class Search:
             here, *moved = threads.map(self.residuals, vectors)
         return np.stack([(there - here) / _STEP for there in moved], axis=1)
 
+    def onward(self, level: Level) -> Array:
+        """Where one more step of Gauss and Newton would lead from a solution, within the bounds."""
+        unknowns, free = self._unknowns, self._free
+        weak = np.eye(len(free)) / PRIOR
+        missed = np.concatenate([level.residuals, weak @ (level.vector - unknowns.start)[free]])
+        step = np.linalg.lstsq(np.vstack([level.jacobian, weak]), missed, rcond=None)[0]
+        return self._whole(np.clip(level.vector[free] - step, unknowns.low[free], unknowns.high[free]))
+
     def _whole(self, free: Array) -> Array:
         vector = self._unknowns.start.copy()
         vector[self._free] = free
@@ -226,7 +238,7 @@ class Fit:
 
     vector: Array  # (9,) logarithms
     covariance: Array  # (free, free) of the free logarithms by the spread of the prediction errors, block by block
-    pulls: Array  # (1 or 2, free) moves of the solution to this assumption, and to the next one if that failed
+    pulls: Array  # (2 or 3, free) moves of the solution to this assumption, what is left of it, and to one that failed
     missed: float  # that assumption, m/s
     rms_error: float  # prediction errors in their standard deviations; about 1 if the model explains the record
     rms_error_m: float  # prediction errors in m
@@ -268,7 +280,7 @@ def fit(
     return Fit(
         vector=last.vector,
         covariance=block_covariance(last.jacobian, last.residuals, block, float(PRIOR)),
-        pulls=np.array([(last.vector - other)[free] for other in neighbours]),
+        pulls=np.array([(last.vector - other)[free] for other in (*neighbours, search.onward(last))]),
         missed=last.missed,
         rms_error=last.rms,
         rms_error_m=float(np.sqrt(np.mean(errors**2))),

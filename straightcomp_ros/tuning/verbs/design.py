@@ -126,6 +126,7 @@ def _in_json(design: Design) -> dict[str, Any]:
         "uncertain_machines": design.verification.to_display(),
         **design.limits_to_display(),
         "modes_answered_by": design.shape,
+        "warnings": design.warnings,
         "rounds": design.rounds,
     }
 
@@ -160,7 +161,7 @@ def _print(design: Design, name: str) -> None:
     budget = ((one.cause, f"{one.pp * 1e6:.3f}", f"{one.rms * 1e6:.4f}") for one in design.budget)
     title = "What limits it, one cause changed at a time"
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
-    for remark in remarks(design.budget, 1e6):
+    for remark in [*design.warnings, *remarks(design.budget, 1e6)]:
         console.print(remark, soft_wrap=True, highlight=False)
     for state, limit in design.limits.items():
         console.print(

@@ -9,6 +9,7 @@ from roughly_known import values_of, work_on
 
 from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.tuning.commissioning import closed_loop
 from straightcomp_ros.tuning.commissioning.closed_loop import (
@@ -19,6 +20,7 @@ from straightcomp_ros.tuning.commissioning.closed_loop import (
     strangeness,
 )
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded, response_plot
+from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, Interval
 from straightcomp_ros.tuning.frequency_response.measured_response import ResponseMargins, response_margins
 from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.identification.estimate import DERIVED, UNITS, Estimate, Estimated
@@ -79,6 +81,38 @@ def test_a_machine_that_is_allowed_gets_its_facts_relative_to_the_described_mass
     assert outcome.stage["friction.coulomb"] == pytest.approx(0.43 * 0.5 / 1.3, rel=0.02)
     assert "platform.mass" not in outcome.stage
     assert outcome.stage["uncertainty.force"] < 0.2
+
+
+def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_measured_ends_nothing(
+    tmp_path, monkeypatch
+):
+    known = FoundMode(Interval(350.0, 349.0, 351.0), *2 * (Interval(0.01, 0.008, 0.013),), "stage.platform.modes.first")
+    found = known._replace(frequency=Interval(180.0, 179.0, 181.0), residue=Interval(-1.0, -1.1, -0.9), described="")
+    work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
+    monkeypatch.setattr(closed_loop, "_measured", lambda work, draws: SimpleNamespace(modes=(found, known)))
+    facts, words = closed_loop._resonances(work)
+    assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
+    assert not any("first" in name for name in facts) and "180.0 Hz" in words and "design answers" in words
+    values_of_both = {**work.values, "stage": {**work.values["stage"], **facts}}
+    assert node_parameters("controller", values_of_both).stage.platform.modes.second.residue == -1.0
+
+    def fails(work, draws):
+        raise ExcitationEnded("the excitation was ended early: too far")
+
+    monkeypatch.setattr(closed_loop, "_measured", fails)
+    facts, words = closed_loop._resonances(work)
+    assert not facts and "resonances were not looked for: the excitation was ended early" in words
+
+
+@pytest.mark.nightly
+def test_a_mode_is_found_under_the_safe_law_before_any_other_meets_it(tmp_path):
+    mode = {"frequency": 180.0, "damping": 0.01, "coil": 1.0, "encoder": -1.0}
+    values = values_of({f"simulated.truth.modes.first.{name}": value for name, value in mode.items()})
+    values["controller"] |= SAFE
+    outcome = identification(work_on(values, tmp_path))
+    assert outcome.passed, outcome.sentence
+    assert outcome.stage["platform.modes.first.frequency"] == pytest.approx(180.0, rel=0.01)
+    assert outcome.stage["platform.modes.first.encoder"] < 0.0
 
 
 @pytest.fixture(scope="module")

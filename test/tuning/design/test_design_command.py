@@ -56,6 +56,19 @@ def test_a_design_tells_what_it_promises_what_limits_it_and_where_it_fails(stage
 
 
 @pytest.mark.nightly
+def test_a_design_warns_of_stiction_as_the_check_does(stage, capsys):
+    tree = yaml.safe_load(stage.read_text())
+    tree["/**"]["ros__parameters"]["stage"]["friction"] = {"bristle_stiffness": 1e8}
+    stage.write_text(yaml.safe_dump(tree))
+    main(["design", str(stage), "--json", *FEW])
+    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+    main(["stage", "check", str(stage), "--json"])
+    (finding,) = (one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"] == "stiction")
+    assert finding["state"] == "warn"
+    assert warning.startswith("stiction: ") and finding["remedy"] in warning
+
+
+@pytest.mark.nightly
 def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infeasible, capsys):
     assert main(["design", str(STAGES / "infeasible.yaml"), "--law", "linear"]) == 1
     said = capsys.readouterr().err
