@@ -178,7 +178,7 @@ def design_gains(
                 )
             found.sort(key=lambda one: one.judgement.cost)
             # Half of the candidates tell which way is the best; the others go on from there.
-            ways = [] if len(ways) == 1 else [[_same_way(possible, found[0].gains)[1][0], found[0].gains]]
+            ways = [] if len(ways) == 1 else [[_same_way(possible, found[0].gains)[1][0], dict(found[0].gains)]]
             budget //= 2
         first = [one for one in found if any(one.gains == start for start, _ in possible.values())]
         finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
