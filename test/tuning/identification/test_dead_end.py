@@ -25,6 +25,9 @@ class ScriptedSearch:
     def take_gains(self, vector, missed):
         pass
 
+    def onward(self, level):
+        return level.vector
+
     def residuals(self, vector):
         return np.full(SAMPLES, 0.7)
 
