@@ -121,9 +121,13 @@ def identification(work: Work) -> Outcome:
 def _resonances(work: Work) -> tuple[dict[str, float], str]:
     """Facts of the modes that nobody described, by dotted name, and what was found in words, empty without any."""
     try:
-        found = _measured(work, _SEARCH_DRAWS).modes
+        response = _measured(work, _SEARCH_DRAWS)
     except FrequencyResponseError as error:
         return {}, f"; resonances were not looked for: {error}"
+    # Where friction or the magnets outweigh the mass, what looks like a mode is friction.
+    mass, pull = work.stage.platform.mass, abs(work.stage.actuator.position_stiffness - work.stage.platform.stiffness)
+    lowest = max(response.damping / mass, math.sqrt(pull / mass)) / (2.0 * math.pi)
+    found = [mode for mode in response.modes if mode.frequency.low > lowest]
     present, facts = work.stage.platform.modes, dict[str, float]()
     free = [name for name in ("first", "second") if not getattr(present, name).frequency]
     for name, mode in zip(free, (mode for mode in found if not mode.described), strict=False):

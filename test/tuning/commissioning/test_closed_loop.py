@@ -89,7 +89,9 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     known = FoundMode(Interval(350.0, 349.0, 351.0), *2 * (Interval(0.01, 0.008, 0.013),), "stage.platform.modes.first")
     found = known._replace(frequency=Interval(180.0, 179.0, 181.0), residue=Interval(-1.0, -1.1, -0.9), described="")
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
-    monkeypatch.setattr(closed_loop, "_measured", lambda work, draws: SimpleNamespace(modes=(found, known)))
+    friction = found._replace(frequency=Interval(2.1, 2.0, 2.2))
+    response = SimpleNamespace(modes=(friction, found, known), damping=30.0)
+    monkeypatch.setattr(closed_loop, "_measured", lambda work, draws: response)
     facts, words = closed_loop._resonances(work)
     assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
     assert not any("first" in name for name in facts) and "180.0 Hz" in words and "design answers" in words
