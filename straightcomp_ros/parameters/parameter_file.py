@@ -75,14 +75,25 @@ def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
 
 
 def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """Full names, by node and parameter, of the files in the folder of the stage file ``path`` with ``values``."""
+    """Full names, by node and parameter, of the files in the folder of the stage file ``path`` with ``values``; of what
+    is nowhere too, so that its refusal names that folder."""
     folder = Path(path).resolve().parent
     found: dict[str, dict[str, str]] = {}
     for node, name in _FILES:
         file = values[node].get(name)
-        if isinstance(file, str) and file and os.path.isfile(folder / file):
+        if isinstance(file, str) and file and (os.path.isfile(folder / file) or not _elsewhere(file)):
             found.setdefault(node, {})[name] = str(folder / file)
     return found
+
+
+def _elsewhere(name: str) -> bool:
+    """Whether a file is in the working directory, or among the package's own."""
+    if os.path.exists(name):
+        return True
+    try:
+        return bool(share_path(name))
+    except (OSError, ValueError):
+        return False
 
 
 def shipped_parameters(params_file: str | None = None, stage: str | None = None) -> dict[str, dict[str, Any]]:

@@ -14,6 +14,7 @@ from straightcomp_ros import contract
 from straightcomp_ros.cli.main import make_parser
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = SOURCE.parent
@@ -79,6 +80,40 @@ def test_every_parameter_that_a_command_sets_exists(page):
     for named in re.findall(r"--set[ =]([a-z_.0-9]+)=", page.read_text(encoding="utf-8")):
         node, _, name = named.partition(".")
         assert name in PARAMETERS[node], named
+
+
+SCALES = {"ms": 1e-3, "µs": 1e-6, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "mA": 1e-3, "%": 1e-2}
+STATED = re.compile(r"`([a-z_]+(?:\.[a-z_0-9]+)*)` (?:= |\()(-?\d[\d.]*(?:e-?\d+)?)(?: ([a-zµ%]+))?[),; ]")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_value_of_a_parameter_that_a_page_states_is_the_default_or_the_shipped_one(page):
+    """As in `first_size` (0.15), `control.smc_observer.memory` (2 s) or `stage.guide.reversal` (2 mm)."""
+    shipped = shipped_parameters()
+    known = [(node, one) for node, kind in SETS.items() for one in declarations(kind)]
+    for name, number, unit in STATED.findall(page.read_text(encoding="utf-8")):
+        plain = name.removeprefix("stage.")
+        meant = [
+            (node, one) for node, one in known if one.kind in (int, float) and f".{one.name}".endswith(f".{plain}")
+        ]
+        values = [value for node, one in meant for value in (one.default, shipped[node].get(one.name, one.default))]
+        assert not meant or any(value == pytest.approx(float(number) * SCALES.get(unit, 1.0)) for value in values), name
+
+
+def test_the_deadlines_of_the_architecture_are_those_of_their_parameters():
+    page = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8").partition("### Deadlines")[2]
+    shipped, found = shipped_parameters(), 0
+    for row in (line.split("|") for line in page.splitlines() if line.startswith("| ") and "`" in line):
+        times = [float(number) * SCALES.get(unit, 1.0) for number, unit in re.findall(r"([\d.]+) (ms|s)\b", row[1])]
+        for name in re.findall(r"`([a-z_.]+)`", row[-2]):
+            ((node, one), *_) = [
+                (n, d) for n, k in SETS.items() for d in declarations(k, "stage." * (n == STAGE)) if d.name == name
+            ]
+            value = shipped[node].get(name.removeprefix("stage."), one.default)
+            in_time = value / shipped[STAGE]["rate"] if one.unit == "samples" else value
+            assert any(in_time == pytest.approx(time) for time in times) or one.default in times, name
+            found += 1
+    assert found > 3
 
 
 def test_the_reference_is_what_the_code_says():

@@ -140,6 +140,12 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, printed, na
     assert given or {check["state"] for check in checks.values()} == {"ok"}
 
 
+def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, printed):
+    (tmp_path / "stage.yaml").write_text("/**:\n  ros__parameters:\n    stage.guide.file: nowhere.csv\n")
+    code, found, _ = printed("stage", "check", tmp_path / "stage.yaml")
+    assert code == 1 and found["checks"][0]["detail"] == f"survey {tmp_path}/nowhere.csv: there is no such file"
+
+
 def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, survey, printed):
     text = survey(100, 700).read_text().splitlines()
     wrong = [",".join((x, f"{float(y) * 1e-2:.9f}")) for x, y in (line.split(",") for line in text[1:])]

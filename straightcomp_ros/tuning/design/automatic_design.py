@@ -139,7 +139,8 @@ def design_gains(
     possible = _possible(scenario, law, plain, demands, seed)
     if not possible:
         raise refusal(scenario, law, demands, seed=seed)
-    progress("feasible", 1.0)
+    # The first candidates take as long as many later ones: what goes on now is the search.
+    progress("search", 0.0)
     full, base = prepared_stroke(scenario), next(iter(scenario.controls.values()))
 
     def runs(gains: Mapping[str, float]) -> list[RunFigures]:

@@ -49,7 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
     only = f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}"
     add("--only", choices=STEP_NAMES, metavar="STEP", help=only)
-    for name, words in (("evaluations", "candidates of the design"), ("machines", "uncertain machines of its check")):
+    for name, words in (
+        ("evaluations", "candidates of the design, half as many as of one alone"),
+        ("machines", "uncertain machines of its check"),
+    ):
         default = getattr(CommissioningNodeParameters(), name)
         add(f"--{name}", type=int, default=default, metavar="N", help=f"{words} (default: %(default)s)")
     learn = "before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)"
