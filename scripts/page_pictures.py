@@ -50,7 +50,7 @@ class Browser:
         )
         command = f"exec chromium {options} 3<&{reads} 4>&{writes} 2>/dev/null"
         self._process = subprocess.Popen(["bash", "-c", command], pass_fds=(reads, writes))
-        self._numbers, self._answers = count(1), os.fdopen(self._from, "rb")
+        self._numbers, self._read = count(1), b""
         for one in (reads, writes):
             os.close(one)
         target = self._ask("Target.createTarget", url="about:blank")["targetId"]
@@ -66,16 +66,17 @@ class Browser:
             {"sessionId": sessionId} if sessionId else {}
         )
         os.write(self._to, json.dumps(message).encode() + b"\0")
-        text = b""
-        while True:
-            text += (byte := self._answers.read(1))
-            if not byte:
+        while (answer := self._message()).get("id") != number:
+            pass
+        return answer["result"]
+
+    def _message(self) -> Any:
+        while b"\0" not in self._read:
+            if not (more := os.read(self._from, 1 << 20)):
                 raise RuntimeError("chromium has ended")
-            if byte == b"\0":
-                answer = json.loads(text[:-1])
-                text = b""
-                if answer.get("id") == number:
-                    return answer["result"]
+            self._read += more
+        text, _, self._read = self._read.partition(b"\0")
+        return json.loads(text)
 
     def wait_for(self, condition: str) -> None:
         while not self.ask("Runtime.evaluate", expression=condition)["result"]["value"]:
@@ -184,15 +185,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--commission", type=Path, metavar="DIR", help="folder of `straightcomp commission`")
-    parser.add_argument("--only", nargs="+", choices=PAGES, default=PAGES, help="pictures of these pages alone")
+    parser.add_argument("--only", nargs="*", choices=PAGES, default=PAGES, help="pictures of these pages alone")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as work, closing(Browser(f"{work}/profile")) as browser:
-        pages = {name: PAGES[name](Path(work)) for name in options.only}
+        for name in options.only:
+            pictures(browser, name, PAGES[name](Path(work)), options.folder)
         if options.commission:
-            pages["certificate"] = (options.commission / "certificate.html").absolute().as_uri()
-        for name, address in pages.items():
-            pictures(browser, name, address, options.folder)
+            page = (options.commission / "certificate.html").absolute()
+            pictures(browser, "certificate", page.as_uri(), options.folder)
 
 
 if __name__ == "__main__":

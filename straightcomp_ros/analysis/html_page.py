@@ -43,7 +43,8 @@ def with_code(text: Any) -> Markup:
 
 def worded(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Rows of figures by name, with words and units in place of the names."""
-    return [{heading(name): value for name, value in row.items()} for row in rows]
+    # A column is narrow.
+    return [{heading(name).removeprefix("compensation "): value for name, value in row.items()} for row in rows]
 
 
 _ENVIRONMENT = Environment(
@@ -82,7 +83,7 @@ def _without_markup(value: Any) -> Any:
 def line_figure(x: str, y: str) -> go.Figure:
     """An empty plot with titles of its axes."""
     figure = go.Figure()
-    figure.update_layout(template="plotly_white", height=300, margin={"l": 70, "r": 20, "t": 45, "b": 50})
+    figure.update_layout(template="plotly_white", height=270, margin={"l": 70, "r": 20, "t": 35, "b": 45})
     # The page's own colour behind it, light or dark, and its type.
     figure.update_layout(
         paper_bgcolor="rgba(0,0,0,0)", plot_bgcolor="rgba(0,0,0,0)", font_family="system-ui, sans-serif"

@@ -55,13 +55,13 @@ def report_html(
     figures = [{"figure": heading(name), **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
     return page.html_page(
         bag,
-        f"Straightness compensation, law “{assessment.record.law}”",
+        f"{'Incident' if incident[0] else 'Straightness compensation'}, law “{assessment.record.law}”",
         first,
         [
             *incident[1],
             ("Limits", page.blocks.table(limits) if limits else ""),
             *((title, page.blocks.plots([page.html_plot(plot)])) for title, plot in plots if plot is not None),
-            ("Strokes", page.blocks.table(page.worded(stroke.to_display() for stroke in assessment.strokes))),
+            ("Strokes", _strokes(assessment)),
             (
                 "Straightness and its uncertainty (ISO 230-1)",
                 page.blocks.table(page.worded(budget_rows(assessment.straightness))),
@@ -70,6 +70,22 @@ def report_html(
             ("Figures", page.blocks.table(figures, columns=other is None)),
         ],
     )
+
+
+def _strokes(assessment: Assessment) -> Markup:
+    """Error and straightness of each stroke, each a table that fits a sheet of paper."""
+    tables = Markup("")
+    for of_line in (False, True):
+        rows = [
+            {
+                name: value
+                for name, value in stroke.to_display().items()
+                if name in ("direction", "start_s") or name.startswith(("before", "after")) == of_line
+            }
+            for stroke in assessment.strokes
+        ]
+        tables += page.blocks.table(page.worded(rows))
+    return tables
 
 
 def _whose(assessment: Assessment) -> str:

@@ -223,7 +223,7 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     sections.append(("What the data cannot tell", blocks.list(open_questions) if open_questions else ""))
     model, margins = response.get("model_margins", {}), response.get("margins", {})
     rows = [
-        (heading(name), *("beyond the lines" if one is None else f"{one:.3g}" for one in (value, model.get(name))))
+        (heading(name), *("beyond the lines" if one is None else f"{one:.4g}" for one in (value, model.get(name))))
         for name, value in margins.items()
     ]
     section("Margins", (("margin", "measured", "model"), rows))
@@ -251,7 +251,7 @@ def _identity(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [
         ("stage", content["stage"]),
         ("machine", content["machine"]),
-        ("serial number", content["serial_number"] or "not given (`stage.serial`)"),
+        ("serial number", content["serial_number"] or with_code("not given (`stage.serial`)")),
         ("control law", content["law"]),
         ("gains", ", ".join(f"{name} {value:.4g}" for name, value in gains.items())),
         ("commissioned", content["date"]),
@@ -318,7 +318,7 @@ def _machine(parameters: Mapping[str, Mapping[str, Any]], content: Mapping[str, 
 
     described = content["described"]
     words = {
-        one.name: re.split("[,;]", one.description)[0] + f" / {one.unit}" * bool(one.unit)
+        one.name: re.split("[,;]", one.description.rpartition(": ")[2])[0] + f" / {one.unit}" * bool(one.unit)
         for one in declarations(StageParameters)
     }
     words |= {name: f"{name.partition('.')[2].replace('_', ' ')} / ({unit})" for name, unit in DERIVED.items()}
