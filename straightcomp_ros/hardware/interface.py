@@ -54,9 +54,11 @@ class Hardware(ABC):
 
     Attributes:
         motion: of the stage; where the stage is another computer's, a copy that follows what is sent to it.
+        zero: position in that motion at which x reads zero, m.
     """
 
     motion: PacedMotion
+    zero = 0.0
 
     @abstractmethod
     def start(self, now_ns: int) -> None:
@@ -91,7 +93,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Move the stage along X; raises HardwareError if it takes no commands, moves, or stands elsewhere."""
+        """Move the stage along X; raises HardwareError if it takes no commands, and as :meth:`PacedMotion.begin`."""
 
     @abstractmethod
     def pace(self, pace: Pace) -> None:

@@ -103,8 +103,7 @@ class SimulatedHardware(Hardware):
         self._advance(self._effective_ns, self._asked, 0, 0, 0.0, x)
         self._reading = plant.encoder.x_reading
         self._motion, self._index = stage.motion, parameters.index + parameters.index_shift
-        self._zero = parameters.index_shift if parameters.referenced else x
-        """Position of the stage at which x reads zero."""
+        self.zero = parameters.index_shift if parameters.referenced else x
         if not parameters.referenced:
             self.unreferenced = "the machine has not been homed since it was switched on"
         self._delay_ns = round(stage.drive.delay * self.period_ns)
@@ -162,8 +161,8 @@ class SimulatedHardware(Hardware):
             self.fault = ""
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        if self._zero:
-            shifted = [point._replace(position=point.position + self._zero) for point in trajectory.waypoints]
+        if self.zero:
+            shifted = [point._replace(position=point.position + self.zero) for point in trajectory.waypoints]
             trajectory = Trajectory(shifted)
         self._begin(trajectory, start_ns)
 
@@ -208,7 +207,7 @@ class SimulatedHardware(Hardware):
             self._effective_ns[:left] = self._effective_ns[taken:count]
             self._asked[:left] = self._asked[taken:count]
         if self.unreferenced == _HOMING and x == self._index:
-            self._zero, self.unreferenced = self._parameters.index_shift, ""
+            self.zero, self.unreferenced = self._parameters.index_shift, ""
         self._time_ns = time_ns
         age_ns = time_ns - self._last_command_ns
         if age_ns > self.command_timeout_ns and self.state is State.ON:
@@ -219,4 +218,4 @@ class SimulatedHardware(Hardware):
         _, velocity, _, control, _, friction, magnetic, *_, y, reading = self._plant.state.tolist()
         measured = control if self.state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide_offset - self._guide(x)[0])
-        return Sample(time_ns, self._reading(x - self._zero), reading, measured), truth
+        return Sample(time_ns, self._reading(x - self.zero), reading, measured), truth

@@ -13,6 +13,8 @@ trajectory turns or rests, x' is zero and u is limited by J/A alone.
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint
 
 _STEP_NS = 500_000
@@ -22,6 +24,8 @@ _BUILD_S = 0.01
 of the 50 ms within which a stop is to end beyond v/A, since its acceleration changes by up to 2 A, and by A again."""
 _LEAST_SPEED = 1e-9
 """m/s, in place of zero as a divisor."""
+_SAME_SPEED = 1e-6
+"""Difference in m/s that no step of the acceleration shows: of 2 mm/s² within a sample."""
 _RESERVE = 0.5
 """Share of the jerk by which u is foreseen to brake: x' may grow meanwhile."""
 
@@ -58,18 +62,36 @@ class PacedMotion:
         self._trajectory, self._path_ns, self._limit = Trajectory([Waypoint(0, x, 0.0)]), 0.0, self._acceleration
         self.cut = False
 
+    def joined(self, trajectory: Trajectory, start_ns: int, zero: float = 0.0) -> Trajectory:
+        """A trajectory from ``start_ns`` on; if its first point comes later, with what the stage does then in front of
+        it, as joint trajectory controllers take it. Its positions are from ``zero`` (m) on."""
+        if trajectory.times[0] <= 0:
+            return trajectory
+        here = self.position(start_ns) - zero
+        now = 0, here, self._velocity
+        columns = zip(now, (trajectory.times, trajectory.positions, trajectory.velocities), strict=True)
+        return Trajectory.from_columns(*(np.insert(rest, 0, first) for first, rest in columns))
+
     def begin(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Take a trajectory that starts at ``start_ns``; ValueError if the stage moves then, or stands elsewhere."""
-        here, first = self.position(start_ns), trajectory.position(0)
+        """Take a trajectory that starts at ``start_ns``, :meth:`joined` to the motion that there is, with its pace.
+
+        Raises:
+            ValueError: the stage is elsewhere then, or has another speed.
+        """
+        trajectory, here = self.joined(trajectory, start_ns), self.position(start_ns)
+        first = trajectory.position(0)
         if abs(first - here) > 1e-6:
             raise ValueError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
-        if self.moving:
-            raise ValueError("the stage is moving; hold it or end its motion first, or wait for its end")
-        self._trajectory, self._start_ns, self.number = trajectory, start_ns, self.number + 1
-        self._path_ns = float(self._at_ns - start_ns)
-        self._u, self._rate, self.cut = self._target, 0.0, self._target != 1.0
+        moving = self.moving
+        if moving and abs(trajectory.rates(0)[0] - self._velocity) > _SAME_SPEED:
+            raise ValueError("the stage is moving; end its motion first, or let the first point come later than 0 s")
+        if not moving:
+            self._u, self._rate = self._target, 0.0
+        self._trajectory, self._start_ns, self.number = trajectory, self._at_ns, self.number + 1
+        self._path_ns = 0.0
         self._limit = max(self._acceleration, trajectory.largest_acceleration)
         self.pace = self.pace._replace(end=False)
+        self.cut = moving or self._target != 1.0
 
     def ask(self, pace: Pace) -> None:
         """Ask for another pace, from the last time on that was looked at; ValueError for an override out of range."""
@@ -129,6 +151,11 @@ class PacedMotion:
     def behind_ns(self) -> int:
         """Time by which the motion is behind its trajectory."""
         return round(self._at_ns - self._start_ns - self._path_ns) if not self.over else 0
+
+    @property
+    def _velocity(self) -> float:
+        """Of the trajectory, m/s; 0 for a stage that stands on its way."""
+        return self._trajectory.rates(self._path_ns)[0] if self._u else 0.0
 
     def _step(self, dt: float) -> float:
         """Let u change for ``dt`` s; returns its mean meanwhile."""

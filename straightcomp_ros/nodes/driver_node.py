@@ -28,6 +28,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.model.paced_motion import Pace
+from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
@@ -39,6 +40,7 @@ from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyPanel
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
+from straightcomp_ros.runtime.trajectory_action import TrajectoryAction
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
@@ -50,6 +52,7 @@ _ANSWER_SAMPLES = 4
 """The driver stops polling after so many samples without a command: no controller is running."""
 _SLOW_WATCH_S = 0.05
 _ANOTHER_PUBLISHES = "another node publishes commands"
+_MOVES = "the stage is moving; hold it, end its motion or wait for its end; or set the parameter 'blend'"
 _FORGOTTEN_S = 20
 """Lease of Fast DDS's participants, that of Cyclone DDS is shorter: so long a killed node stays known."""
 
@@ -97,6 +100,8 @@ class DriverComponent:
         node.offer(SetBool, "~/hold", self._on_hold)
         node.offer(Trigger, "~/end_motion", self._on_end_motion)
         node.offer(Trigger, "~/home", self._on_home)
+        self._action = TrajectoryAction(node, STAGE, self._begin_goal, partial(self._ask_pace, end=True))
+        self._blend = parameters.blend
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
         self._reported_stage: StageState | None = None
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
@@ -129,17 +134,18 @@ class DriverComponent:
         """Switch the amplifier off and stop sampling. A fault stays latched."""
         self._safety.disable()
         self._panel.report()
+        self._action.abandon("the driver is not active any more")
         self._publish_sample.finish()
         self._publish_truth.finish()
         self._publish_state.finish()
 
     def prepare(self, parameters: DriverNodeParameters) -> Callable[[], None]:
-        """Prepare another limit of the control current, or of the travel, or another override of the stage's speed."""
+        """Prepare another limit of the control current, of the travel, or of the stage's motions."""
         if parameters.override != self._hardware.motion.pace.override:
             self._ask_pace(override=parameters.override)
 
         def take_over() -> None:
-            self._sample_watch.travel = parameters.watch.travel
+            self._sample_watch.travel, self._blend = parameters.watch.travel, parameters.blend
             self._commands.current_limit = parameters.stage.actuator.current_limit
 
         return take_over
@@ -260,6 +266,8 @@ class DriverComponent:
             if finding is not None:
                 self._trip(*finding)
         self._report_stage()
+        if self._action.active and self._newest is not None:
+            self._follow_goal(self._action.active, self._newest)
 
     def _report_stage(self) -> None:
         """Publish the state of the stage's motion if it has changed."""
@@ -318,17 +326,38 @@ class DriverComponent:
         if not self._node.active:
             return
         try:
-            trajectory = Trajectory.from_columns(*read_trajectory(message, STAGE))
-            self._stage_limits.check(trajectory)
-            start_ns = now_ns()
-            if self._lockstep:
-                self._lockstep.start(trajectory, start_ns)
-            else:
-                self._hardware.move(trajectory, start_ns)
+            self._begin(Trajectory.from_columns(*read_trajectory(message, STAGE)))
         except (ValueError, HardwareError) as error:
             self._node.get_logger().error(f"stage trajectory refused: {error}")
-            return
+
+    def _begin(self, trajectory: Trajectory) -> None:
+        """Begin a motion of the stage now; ValueError or HardwareError if it is refused."""
+        motion, start_ns = self._hardware.motion, now_ns()
+        if self._lockstep:
+            self._lockstep.check_free()
+        motion.position(start_ns)
+        if motion.moving and not self._blend:
+            raise ValueError(_MOVES)
+        self._stage_limits.check(motion.joined(trajectory, start_ns, self._hardware.zero))
+        if self._lockstep:
+            self._lockstep.start(trajectory, start_ns)
+        else:
+            self._hardware.move(trajectory, start_ns)
         self._report_stage()
+
+    def _begin_goal(self, trajectory: Trajectory, tolerances: Tolerances) -> TrajectoryGoal:
+        if not self._node.active:
+            raise HardwareError("the driver is not active")
+        self._begin(trajectory)
+        return TrajectoryGoal(trajectory, tolerances, self._hardware.motion, self._safety.reason)
+
+    def _follow_goal(self, goal: TrajectoryGoal, sample: Sample) -> None:
+        """Report to the action's client, and whether its goal has ended."""
+        motion = self._hardware.motion
+        desired = motion.position(sample.stamp_ns) - self._hardware.zero
+        over = not motion.lasts(self._period_ns if self._lockstep else 0)
+        outcome = goal.look(now_ns(), sample.x, desired, motion, over, self._safety.reason)
+        self._action.report(outcome, sample.x, desired)
 
     def _counters(self) -> dict[str, object]:
         counters: dict[str, object] = {
@@ -347,6 +376,7 @@ class DriverComponent:
 
     def close(self) -> None:
         """Switch the amplifier off and release the machine."""
+        self._action.close()
         self._hardware.close()
 
 

@@ -28,7 +28,7 @@ class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
     # Here and below: parameters and groups that may be changed while the node is configured.
-    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit", "watch.travel", "override")
+    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit", "watch.travel", "override", "blend")
 
     autostart: bool = _autostart()
     stage: StageParameters = group(StageParameters)
@@ -42,6 +42,11 @@ class DriverNodeParameters:
         1.0,
         "Fraction of the speed of the stage's motions, also of the present one: it changes its speed within its limits",
         "[0, 1]",
+    )
+    blend: bool = parameter(
+        False,
+        "A trajectory that comes while the stage moves takes the place of its motion, with continuous speed, if its "
+        "first point comes later than 0 s; otherwise it is refused",
     )
     simulated: SimulatedParameters = group(SimulatedParameters, "Simulated board")
     can: CanParameters = group(CanParameters, "CAN board")

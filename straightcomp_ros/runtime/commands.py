@@ -152,14 +152,13 @@ class Lockstep:
         self._repeat = False
         node.create_timer(_REPEAT_AFTER_S, self._repeat_pending)
 
-    def start(self, trajectory: Trajectory, now_ns: int) -> None:
-        """Start the trajectory at the machine's first sample, and take that sample.
-
-        Raises:
-            HardwareError: a trajectory is running already.
-        """
+    def check_free(self) -> None:
+        """Raise HardwareError if a trajectory is running."""
         if self._pending:
             raise HardwareError("in lockstep a trajectory runs to its end before the next may start")
+
+    def start(self, trajectory: Trajectory, now_ns: int) -> None:
+        """Start the trajectory at the machine's first sample, and take that sample; HardwareError if it is refused."""
         self._hardware.start(now_ns)
         self._hardware.move(trajectory, now_ns)
         self._take(now_ns)

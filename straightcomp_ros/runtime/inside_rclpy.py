@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rclpy.action.server import GoalEvent, ServerGoalHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
@@ -114,3 +115,8 @@ def state_service(node: LifecycleNode) -> Service:
     """The service that changes the state of a lifecycle node."""
     service: Service = node._service_change_state
     return service
+
+
+def set_executing(handle: ServerGoalHandle) -> None:
+    """Show a goal as being executed, schedule nothing: a coroutine that is not done keeps an EventsExecutor busy."""
+    handle._update_state(GoalEvent.EXECUTE)

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, cycles, forward_and_back, jog
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, jog
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 
 T_NS = 500_000
@@ -90,11 +90,35 @@ def test_a_motion_that_is_ended_stands_where_it_came_to_rest_and_the_next_begins
     assert motion.pace == Pace(0.5) and motion.position(now_ns + 10**9) == pytest.approx(here - 1e-4, abs=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_trajectory_whose_first_point_comes_later_goes_on_at_the_speed_and_pace_that_the_stage_has(seed):
+    draw = random.Random(seed)
+    parameters = MotionParameters(stroke=0.3, settle=0.05)
+    motion, at = begun(parameters), draw.randrange(200, 2500)
+    x = positions(motion, {at - 150: draw.choice([HOLD, Pace(), Pace(0.3), Pace(end=True)])}, at)
+    goal = Trajectory([Waypoint(4 * 10**9, draw.uniform(0.0, 0.3), 0.0)])
+    joined = motion.joined(goal, at * T_NS)
+    motion.begin(goal, at * T_NS)
+    motion.ask(Pace())
+    assert motion.number == 2 and motion.cut
+    rest = [motion.position(k * T_NS) for k in range(at, at + 60_000)]
+    assert motion.over and not motion.cut and rest[-1] == goal.positions[-1]
+    a = np.diff(np.concatenate([x, rest]), 2) / (T_NS * 1e-9) ** 2
+    assert np.abs(a).max() < 1.05 * max(parameters.acceleration, joined.largest_acceleration)
+
+
+def test_a_trajectory_is_joined_where_x_reads_from_another_zero():
+    motion = begun(MotionParameters(stroke=0.3))
+    here = motion.position(2 * 10**9)
+    first, *_ = motion.joined(Trajectory([Waypoint(10**9, 0.0, 0.0)]), 2 * 10**9, zero=0.01).waypoints
+    assert first == pytest.approx((0, here - 0.01, 0.2 * (2.0 - 1.0)))
+
+
 def test_what_the_stage_does_is_said_and_a_moving_stage_takes_no_other_motion():
     motion = begun(MotionParameters(stroke=0.3))
     motion.position(2 * 10**9)
     assert motion.condition == "moving" and motion.moving and not motion.cut
-    with pytest.raises(ValueError, match=r"stands at|is moving"):
+    with pytest.raises(ValueError, match="stage is moving"):
         motion.begin(Trajectory(jog(MotionParameters(), motion.position(2 * 10**9), 0.1)), 2 * 10**9)
     motion.ask(HOLD)
     assert motion.condition == "stopping" and motion.cut

@@ -24,8 +24,8 @@ OURS = {PACKAGE, "scripts", "trials", "benchmarks", *(path.stem for path in (REP
 """Tests import their neighbours by their bare names."""
 NOT_NEEDED = {"mcap_ros2", "pandas"}
 """What a bench measures next to our reader where it is installed; pandas also reads a store in a test."""
-NO_WHEELS = {"launch", "launch_ros"}
-"""Components of ROS that PyPI has not: the launch files need an installed Jazzy."""
+NO_WHEELS = {"control_msgs", "launch", "launch_ros"}
+"""Components of ROS that PyPI has not: the launch files and an action need an installed Jazzy."""
 WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}
 """What rclpy's wheel brings along."""
 ONLY_ON_ROS = {"ros2launch"}

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 
 from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -117,13 +118,18 @@ class CanHardware(Hardware):
             self._send(self._newest_number)
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        frames = self._frames_for_stage()
-        begun = PacedMotion(self._stage, trajectory.position(0))
+        frames, begun = self._frames_for_stage(), copy(self.motion)
+        begun.position(start_ns)
+        if not begun.moving and trajectory.times[0] <= 0:
+            # Where the emulator's stage stands it knows itself.
+            begun = PacedMotion(self._stage, trajectory.position(0))
+            begun.ask(self.motion.pace)
+            begun.number = self.motion.number
+        try:
+            begun.begin(trajectory, start_ns)
+        except ValueError as error:
+            raise HardwareError(str(error)) from None
         self._send_to_stage(frames.stage_payloads(trajectory.waypoints))
-        # Where the emulator's stage stands it knows itself.
-        begun.ask(self.motion.pace)
-        begun.begin(trajectory, start_ns)
-        begun.number += self.motion.number
         self.motion = begun
 
     def home(self, now_ns: int) -> None:

@@ -41,7 +41,7 @@ class EmulatorFrames:
                     f"its own, which is the emulator's '{name}'; allowed: false, or another 'can.node'"
                 )
             signals = {signal.name: signal for signal in message.signals}
-            physical = {name: 1.0 for name, signal in signals.items() if signal.unit}
+            physical = {name: 1.0 for name, signal in signals.items() if signal.unit or signal.scale != 1.0}
             found.append(Frames(message, identifier, signals, physical))
         self._time, self._motion, self._start, self._pace, self._truth = found
         self.stage = {frames.identifier: frames for frames in found[:4]}

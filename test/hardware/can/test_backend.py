@@ -20,7 +20,8 @@ from straightcomp_ros.hardware.can.hub import ERROR, Frame, addressed
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back, jog
+from straightcomp_ros.model.paced_motion import Pace
 from trials.firmware_board import FirmwareBoard
 
 TIMEOUT = 0.005
@@ -521,3 +522,23 @@ def test_a_simulated_stage_on_can_is_homed_by_a_frame(world):
     world.host.home(world.now)
     world.run(0.1)
     assert world.host.unreferenced == ""
+
+
+def test_a_simulated_stage_on_can_is_held_and_takes_another_trajectory_on_its_way(world):
+    motion = STAGE.motion
+    world.run(0.2)
+    world.host.move(Trajectory(jog(motion, 0.0, 0.05)), world.now)
+    world.run(0.3)
+    world.host.pace(Pace(hold=True))
+    world.run(0.5)
+    board = world.board.machine.motion
+    assert board.position(world.now) == pytest.approx(world.host.motion.position(world.now), abs=1e-4)
+    assert board.condition == world.host.motion.condition == "held"
+    world.host.pace(Pace())
+    world.run(0.1)
+    with pytest.raises(HardwareError, match="is moving"):
+        world.host.move(Trajectory(jog(motion, world.host.motion.position(world.now), 0.01)), world.now)
+    world.host.move(Trajectory([Waypoint(2 * 10**9, 0.001, 0.0)]), world.now)
+    assert board.number == world.host.motion.number == 2 and board.moving
+    world.run(2.5)
+    assert board.position(world.now) == world.host.motion.position(world.now) == 0.001

@@ -7,6 +7,7 @@ import random
 import re
 import struct
 from collections import Counter
+from types import SimpleNamespace
 
 import cantools
 import crccheck.crc
@@ -33,6 +34,7 @@ from straightcomp_ros.hardware.can.frames import (
 )
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back
+from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.parameters.share import share_path
 
 DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))
@@ -358,6 +360,25 @@ def test_a_trajectory_is_what_the_dbc_says_and_comes_back_to_ten_nanometres_and_
     # What was gathered is used once.
     with pytest.raises(HardwareError, match="missing"):
         receiver.add(*frames[-1])
+
+
+@pytest.mark.parametrize("pace", [Pace(), Pace(0.3, hold=True), Pace(0.0, end=True), Pace(0.1234, True, True)])
+def test_a_pace_is_what_the_dbc_says_reaches_the_machine_whole_and_a_damaged_frame_changes_nothing(pace):
+    identifier, payload = EMULATOR.pace_payload(pace)
+    said = EMULATED.get_message_by_name("StagePace").decode(payload)
+    assert identifier == 0x601 and said.pop("PaceCrc")
+    assert [said[name] for name in ("Override", "Hold", "End")] == pytest.approx([*map(float, pace)])
+    asked, receiver = [], StageReceiver(EMULATOR)
+    machine = SimpleNamespace(pace=asked.append)
+    # The fourth byte is of no signal.
+    for byte in (0, 1, 2, 4, 5, 6, 7):
+        receiver.obey(identifier, payload[:byte] + bytes([payload[byte] ^ 1]) + payload[byte + 1 :], machine, 0)
+    assert receiver.refused == "the frame of a pace is damaged"
+    receiver.obey(identifier, payload + b"\0", machine, 0)
+    assert not asked
+    receiver.obey(identifier, payload, machine, 0)
+    (found,) = asked
+    assert [*map(float, found)] == pytest.approx([*map(float, pace)])
 
 
 def test_a_stage_may_have_255_points_and_each_must_fit():

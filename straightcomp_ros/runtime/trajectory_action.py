@@ -1,0 +1,127 @@
+"""The action control_msgs/action/FollowJointTrajectory, which ROS users expect of what moves a joint.
+
+PyPI has no wheel of control_msgs, so the action is offered where an installed Jazzy has it. A refused goal is accepted
+and aborted at once: the protocol has no room for a reason in the refusal itself, and its result has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.serialization import serialize_message
+
+from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.messages.joint_trajectory import read_trajectory
+from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.model.trajectory_goal import (
+    INVALID_GOAL,
+    Outcome,
+    Tolerances,
+    TrajectoryGoal,
+    begins_after,
+)
+from straightcomp_ros.runtime.inside_rclpy import set_executing
+from straightcomp_ros.runtime.loops import now_ns
+
+try:
+    from control_msgs.action import FollowJointTrajectory
+except ImportError:
+    FollowJointTrajectory = None
+
+ACTION = "follow_joint_trajectory"
+
+
+class TrajectoryAction:
+    """The action ``~/follow_joint_trajectory`` of ``node`` for one joint; nothing where control_msgs is not installed.
+
+    ``begin`` starts a trajectory with its tolerances and returns what is followed; ValueError or HardwareError if it is
+    refused. ``end`` lets the stage come to rest within its limits.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        joint: str,
+        begin: Callable[[Trajectory, Tolerances], TrajectoryGoal],
+        end: Callable[[], object],
+    ) -> None:
+        self._node, self._joint, self._begin, self._end = node, joint, begin, end
+        self._goal: TrajectoryGoal | None = None
+        self._handle: Any = None
+        self._server: Any = None
+        if FollowJointTrajectory is not None:
+            self._server = ActionServer(
+                node,
+                FollowJointTrajectory,
+                f"~/{ACTION}",
+                self._unused,
+                handle_accepted_callback=self._take,
+                cancel_callback=self._cancel,
+            )
+
+    @property
+    def active(self) -> TrajectoryGoal | None:
+        """The goal that is followed now."""
+        return self._goal
+
+    def _unused(self, handle: Any) -> Any:
+        raise NotImplementedError
+
+    def _take(self, handle: Any) -> None:
+        set_executing(handle)
+        request = handle.request
+        try:
+            wait_ns = begins_after(request, self._joint, now_ns())
+            tolerances = Tolerances.of(request, self._joint)
+            times, *rest = read_trajectory(serialize_message(request.trajectory), self._joint)
+            goal = self._begin(Trajectory.from_columns(times + wait_ns, *rest), tolerances)
+        except (ValueError, HardwareError) as error:
+            self._node.get_logger().error(f"goal refused: {error}")
+            self._finish(handle, Outcome("abort", getattr(error, "code", INVALID_GOAL), f"refused: {error}"))
+            return
+        self.abandon("another goal has taken its place")
+        self._goal, self._handle = goal, handle
+
+    def _cancel(self, handle: Any) -> CancelResponse:
+        if self._goal is None or handle != self._handle:
+            return CancelResponse.REJECT
+        self._goal.canceled = True
+        self._end()
+        return CancelResponse.ACCEPT
+
+    def report(self, outcome: Outcome | None, x: float, desired: float) -> None:
+        """Publish where the stage is and was to be, m, and how the goal has ended, if it has."""
+        handle, feedback = self._handle, FollowJointTrajectory.Feedback()
+        feedback.header.stamp = self._node.get_clock().now().to_msg()
+        feedback.joint_names = [self._joint]
+        feedback.desired.positions, feedback.actual.positions = [desired], [x]
+        feedback.error.positions = [desired - x]
+        handle.publish_feedback(feedback)
+        if outcome is None:
+            return
+        self._goal = self._handle = None
+        if outcome.how == "abort":
+            self._end()
+        self._finish(handle, outcome)
+
+    def abandon(self, reason: str) -> None:
+        """Abort the goal that is followed, if any; the stage is left as it is."""
+        if self._goal is not None:
+            handle, self._goal, self._handle = self._handle, None, None
+            self._finish(handle, Outcome("abort", INVALID_GOAL, reason))
+
+    def close(self) -> None:
+        """Withdraw the action; it is destroyed when the executor has dropped it too."""
+        if self._server is not None:
+            self._node.remove_waitable(self._server)
+            self._server = None
+
+    def _finish(self, handle: Any, outcome: Outcome) -> None:
+        def finished(handle: Any) -> Any:
+            getattr(handle, outcome.how)()
+            return FollowJointTrajectory.Result(error_code=outcome.code, error_string=outcome.text)
+
+        self._node.get_logger().info(f"goal: {outcome.how}, {outcome.text}")
+        self._server.notify_execute(handle, finished)
