@@ -318,19 +318,19 @@ class WrappedMachine:
 
     def __init__(self, parameters, seed, stage):
         self.draw, self.receiver = random.Random(seed), Receiver(parameters, stage)
-        self.frames, self.number = self.receiver.wire.sample, 0
+        self.frames, self.number, self.periods = self.receiver.wire.sample, 0, 0
         self.travel = round(stage.motion.stroke / COUNT)
         self.at = self.draw.randrange(self.travel)
         self.zero, self.referenced, self.wrong, self.used = 0, True, 0, 0
 
     def samples(self, count, speed=0):
         for _ in range(count):
-            self.number += 1
+            self.number, self.periods = self.number + 1, self.periods + 1
             self.move(speed)
             x = self.frames.wrapped((self.at - self.zero) * COUNT)
             report = Report(self.number % 15, self.number, x, 0.0, 0.0, Amplifier.ON, 0, True, self.referenced)
             delivered = len(self.receiver.samples)
-            arrival_ns = START + self.number * PERIOD
+            arrival_ns = START + self.periods * PERIOD
             self.receiver.receive(self.frames.identifier, self.frames.pack(report), arrival_ns)
             receiver = self.receiver
             if len(receiver.samples) > delivered and receiver.referenced and not receiver.ambiguous:
@@ -360,7 +360,7 @@ class WrappedMachine:
     def pause(self):
         """Samples are lost, and the stage moved on."""
         lost = self.draw.choice((3, 50, 4000))
-        self.number += lost
+        self.number, self.periods = self.number + lost, self.periods + lost
         self.move(lost * self.draw.randrange(-900, 900))
 
 
