@@ -5,7 +5,10 @@ from collections.abc import Sequence
 
 from straightcomp_ros.cli.main import main
 
-RIGS = ("bags", "can", "faults", "history", "kills", "motions", "noise", "soak", "strokes", "verdict", "wear")
+RIGS = (
+    *("bags", "can", "faults", "history", "incidents", "kills", "motions"),
+    *("noise", "power_cuts", "soak", "strokes", "verdict", "wear"),
+)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

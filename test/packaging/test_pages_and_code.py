@@ -16,6 +16,7 @@ from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
+from trials.__main__ import RIGS
 
 REPOSITORY = SOURCE.parent
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
@@ -73,6 +74,11 @@ def test_every_command_is_one_that_the_program_takes(page, parser, capsys):
             # A verb alone, in a sentence, lacks its arguments.
             lacking = re.search("the following arguments are required", capsys.readouterr().err)
             assert end.code == 0 or (lacking and len(words) <= 3), command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_rig_that_is_named_can_be_run(page):
+    assert set(re.findall(r"python -m trials ([a-z_]+)", page.read_text(encoding="utf-8"))) <= set(RIGS)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
