@@ -143,6 +143,11 @@ def _trends(levels: DayLevels, changes: dict[str, list[LevelChange]]) -> list[di
     return rows
 
 
+def _words(row: dict[str, Any]) -> str:
+    """The verdict of a stroke."""
+    return str(row["verdict"]).replace("_", " ")
+
+
 def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
     columns = ["start", "bag", "stroke", "direction", "encoder_pp_um", "verdict", "reason", "faults"]
     rows = strokes.select(columns).to_pylist()
@@ -151,8 +156,8 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
     largest = sorted(rows, key=lambda row: -row["encoder_pp_um"])[:_SHOWN]
     lists = (
         ("Strokes with faults", faulty[::-1], lambda row: ", ".join(row["faults"])),
-        ("Strokes that were not in order", bad[::-1], lambda row: f"{row['verdict']}: {row['reason']}"),
-        ("Bags to look at: the largest errors", largest, lambda row: row["verdict"]),
+        ("Strokes that were not in order", bad[::-1], lambda row: f"{_words(row)}: {row['reason']}"),
+        ("Bags to look at: the largest errors", largest, _words),
     )
     for title, found, words in lists:
         shown = [
