@@ -92,7 +92,7 @@ def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stro
     # 0.15 µm with full knowledge; as described, no law of this bandwidth is stable on this machine.
     assert found["steps"]["acceptance"]["figures"]["true_pp_um"] < 0.4
     page = (folder / "certificate.html").read_text()
-    assert "data:image/png;base64," in page and "phase_deg" in page and "http" not in page
+    assert "data:image/png;base64," in page and "phase margin" in page and "http" not in page
     certificate = json.loads((folder / "certificate.json").read_text())
     assert "bags/acceptance/acceptance_0.mcap" in certificate["sha256"]
     # What it wrote is what the other commands take.
