@@ -309,7 +309,7 @@ _PHRASES = {
     "noise": "noise",
     "changes slowly": "drift",
     "at rest: look": "drift",
-    "platform reverses": "friction",
+    "friction is not as described": "friction",
     "learning.learn": "cogging",
 }
 _WORDS = {

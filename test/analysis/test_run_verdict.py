@@ -56,7 +56,8 @@ WAVES = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.01)
 STEPS = 0.5e-6 * np.cumsum(
     np.where(np.arange(TIME.size) % 200 == 0, np.where(np.arange(TIME.size) % 400 == 0, 1, -1), 0)
 )
-SLOW = 0.4e-6 * np.sin(2.0 * np.pi * 0.31 * TIME + 1.0)
+SLOW = 0.4e-6 * np.sin(2.0 * np.pi * 0.17 * TIME + 1.0)
+DRAGGED = 0.4e-6 * np.clip(3.0 * np.cos(2.0 * np.pi * 0.3 * TIME), -1.0, 1.0)
 NOISE = np.random.default_rng(1).normal(0.0, 0.05e-6, TIME.size)
 AT_TURNS = sum(bump(turn, 0.5e-6) for turn in np.arange(0.5, 4.8, 1.0) / 0.6)
 OF_PLACE = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.07) * np.where(TIME < 4.0, 1.0, -1.0)
@@ -189,6 +190,7 @@ CASES = {
     ],
     "an error that is too large goes with something": [
         ("inaccurate", "changes slowly", motion(SLOW, promise=promised(0.1))),
+        ("inaccurate", "direction in which the platform moves", motion(DRAGGED, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
         (
             "inaccurate",
