@@ -253,7 +253,7 @@ def _identity(content: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("machine", content["machine"]),
         ("serial number", content["serial_number"] or with_code("not given (`stage.serial`)")),
         ("control law", content["law"]),
-        ("gains", ", ".join(f"{name} {value:.4g}" for name, value in gains.items())),
+        ("gains", ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in gains.items())),
         ("commissioned", content["date"]),
         ("by", ", ".join(f"{name} {value}" for name, value in content["made_by"].items())),
     ]
