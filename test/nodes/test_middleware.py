@@ -110,7 +110,10 @@ print(sorted({each.laddr.ip for each in process.net_connections("udp")}))
 
 SECOND = 10**9
 # What rclpy does not document begins with an underscore, is its C++ layer, or a handle into that.
-PRIVATE = re.compile(r"rclpy\.impl|rclpy_implementation|\.handle\b|(?<!self)(?<!cls)(?<!super\(\))\._(?!replace|asdict)[a-z]+\b")
+PRIVATE = re.compile(
+    r"rclpy\.impl|rclpy_implementation|\.handle\b"
+    r"|(?<!self)(?<!cls)(?<!super\(\))\._(?!replace|asdict)[a-z]+\b"
+)
 ROS = re.compile(r"^(from|import) rclpy", re.MULTILINE)
 FAST_DDS = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.MULTILINE)
 
