@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 MAP_PARAMETERS = ("feedforward", "stage.guide.file")
 """Node and parameter that name the survey."""
+_ONCE_SAMPLES = (("controller", "reference_lead"), ("driver", "simulated.sample_memory"))
+"""Times that early bags have as whole numbers of samples."""
 
 
 def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
@@ -48,6 +50,10 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
             own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
         except ParameterError as error:
             raise BagError(f"{where}: {error}; record the bag again") from error
+    for node, name in _ONCE_SAMPLES:
+        own = values.get(node, {})
+        if type(own.get(name)) is int and own.get("stage.rate"):
+            own[name] /= own["stage.rate"]
     return values
 
 

@@ -3,12 +3,13 @@
 import contextlib
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from straightcomp_ros.control.laws import ControlParameters, dither_of, make_law, needs_dither
 from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin
-from straightcomp_ros.doctor import Finding, judged
+from straightcomp_ros.doctor import Finding, State, judged
 from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -239,11 +240,11 @@ def _guide_findings(
         yield Finding("travel", "ok", detail)
 
     # The stage's acceleration changes within a sample; the tracking filter knows it late by about 1/(2π f).
-    wrong = found.reference_slope * motion.acceleration / (2.0 * math.pi * bandwidth)
-    error = wrong * found.dead_time
+    late = found.reference_slope * motion.acceleration / (2.0 * math.pi * bandwidth)
+    error = late * found.dead_time
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; at the ends "
-        f"of a ramp ṙ errs by {wrong * 1e6:.1f} µm/s, {error * 1e9:.0f} nm within the dead time"
+        f"of a ramp ṙ errs by {late * 1e6:.1f} µm/s, {error * 1e9:.0f} nm within the dead time"
     )
     remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
     yield judged("reference", error <= stage.encoder.y_resolution, detail, remedy)
@@ -296,7 +297,7 @@ def _instability(stage: StageParameters, found: Consequences) -> Finding:
         f"{EASY / found.unstable_pole * 1e3:.2f} ms (rate, delay, amplifier), or lower stage.actuator.bias_current to "
         f"{stage.actuator.bias_current * (EASY / found.difficulty):.2g} A, or add mass."
     )
-    bad = "fail" if found.difficulty >= FEASIBLE else "warn"
+    bad: State = "fail" if found.difficulty >= FEASIBLE else "warn"
     return judged("instability", found.difficulty < EASY, detail, remedy, bad)
 
 
@@ -370,7 +371,7 @@ def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], res
     if coded.is_float:
         # Its resolution where the stage needs the largest number.
         scale = abs(coded.scale * frames.factors[field])
-        kind = {16: np.float16, 32: np.float32, 64: np.float64}[coded.length]
+        kind: Any = {16: np.float16, 32: np.float32, 64: np.float64}[coded.length]
         step = float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale
     detail = (
         f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "

@@ -87,8 +87,9 @@ class PacedMotion:
             raise ValueError("the stage is moving; end its motion first, or let the first point come later than 0 s")
         if not moving:
             self._u, self._rate = self._target, 0.0
-        self._trajectory, self._start_ns, self.number = trajectory, self._at_ns, self.number + 1
-        self._path_ns = 0.0
+        # A start in the past is one: the stage is on its way by now.
+        self._trajectory, self._start_ns, self.number = trajectory, start_ns, self.number + 1
+        self._path_ns = float(self._at_ns - start_ns)
         self._limit = max(self._acceleration, trajectory.largest_acceleration)
         self.pace = self.pace._replace(end=False)
         self.cut = moving or self._target != 1.0

@@ -166,6 +166,12 @@ def test_parameters_of_ros_itself_are_not_those_of_a_node():
             recorded_parameters("bag", {"parameters.yaml": wrong})
 
 
+@pytest.mark.parametrize(("written", "seconds"), [("12", 0.006), ("0.006", 0.006), ("0", 0.0)])
+def test_a_time_that_an_early_bag_has_in_samples_is_read_in_seconds(written, seconds):
+    text = f"controller: {{ros__parameters: {{stage.rate: 2000, reference_lead: {written}}}}}".encode()
+    assert recorded_parameters("bag", {"parameters.yaml": text})["controller"]["reference_lead"] == seconds
+
+
 def test_a_qos_profile_is_read_as_rosbag2_writes_it_and_in_the_numbers_of_older_bags():
     text = TopicQos("best_effort", "transient_local", "keep_all", 0).as_yaml()
     assert text.startswith(
