@@ -385,7 +385,9 @@ def make_hardware(parameters: DriverNodeParameters) -> Hardware:
     if python-can knows no such interface."""
     if parameters.hardware == "can":
         return CanHardware(parameters.can, parameters.stage, now_ns)
-    return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
+    # In lockstep there is no sample before the motion, by which a client would see that the stage stands elsewhere.
+    x = parameters.stage.motion.start if parameters.lockstep else 0.0
+    return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide(), x)
 
 
 def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
