@@ -30,7 +30,7 @@ help:
 	@cat <<'TEXT'
 	make demo              simulated stroke, uncompensated and compensated; writes plots and a bag
 	make demo ARGS="..."   the same with options, e.g. ARGS="--law linear"; ARGS=--help lists them
-	make test              what CI runs: some twelve minutes on two cores
+	make test              what CI runs: some nine minutes on two cores
 	make test ARGS="..."   some of the tests, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
 	make nightly           all tests, with coverage, as on other processors, some mutants: an hour; CONTRIBUTING.md says more
