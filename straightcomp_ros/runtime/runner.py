@@ -23,7 +23,7 @@ from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, Loop
 from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, Composition, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.timing import realtime
-from straightcomp_ros.timing.cpus import give_up_priority
+from straightcomp_ros.timing.cpus import end_loop, give_up_priority
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 EXIT_CONFIGURATION = 2
@@ -103,6 +103,7 @@ def run(
             stop.add_done_callback(lambda _: _complete(runnable.done, 0))
             return _spin(runnable, nodes)
         finally:
+            end_loop()
             runnable.close()
             give_up_priority()
     except RUN_FAILURES as error:

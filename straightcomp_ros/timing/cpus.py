@@ -80,6 +80,13 @@ def loop_cpus() -> set[int]:
     return {cpu for cpu, _ in _loop_claims()}
 
 
+def end_loop() -> None:
+    """Withdraw this process's claim: its loop has ended, and what is left to do needs its CPU, where others are few."""
+    for mine in [one for one in _held if isinstance(one, socket.socket)]:
+        mine.close()
+        _held.remove(mine)
+
+
 def _loop_claims() -> list[tuple[int, str]]:
     return [(int(cpu), mark) for cpu, mark, _ in (name.split("/") for name in claimed(_LOOPS))]
 

@@ -11,7 +11,7 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.timing import cpu_guard, cpus, realtime
-from straightcomp_ros.timing.cpus import at_normal_priority, claim, claimed, loop_cpu, loop_cpus
+from straightcomp_ros.timing.cpus import at_normal_priority, claim, claimed, end_loop, loop_cpu, loop_cpus
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 CPUS = {0, 1, 2, 3}
@@ -232,6 +232,9 @@ def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back(own_names)
         assert os.sched_getscheduler(0) == os.SCHED_OTHER
         raise ValueError
     assert os.sched_getaffinity(0) == permitted
+    end_loop()
+    with at_normal_priority():
+        assert os.sched_getaffinity(0) == permitted
 
 
 @pytest.mark.parametrize(
