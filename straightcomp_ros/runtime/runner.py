@@ -103,7 +103,8 @@ def run(
             stop.add_done_callback(lambda _: _complete(runnable.done, 0))
             return _spin(runnable, nodes)
         finally:
-            end_loop()
+            if runnable.realtime.cpus == realtime.LOOP:
+                end_loop()
             runnable.close()
             give_up_priority()
     except RUN_FAILURES as error:

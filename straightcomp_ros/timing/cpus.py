@@ -30,6 +30,8 @@ _TURN_S = 1.0
 
 _held: list[socket.socket | subprocess.Popen[str]] = []
 """Claims and guards of this process."""
+_ended: set[str] = set()
+"""Marks of graphs whose loops have ended for this process."""
 
 
 def claim(name: str, within: float = 0.0) -> socket.socket | None:
@@ -81,14 +83,13 @@ def loop_cpus() -> set[int]:
 
 
 def end_loop() -> None:
-    """Withdraw this process's claim: its loop has ended, and what is left to do needs its CPU, where others are few."""
-    for mine in [one for one in _held if isinstance(one, socket.socket)]:
-        mine.close()
-        _held.remove(mine)
+    """The loop of this process's graph ends with this process: what is left to do here may use its CPU."""
+    _ended.update(one.getsockname().decode().split("/")[3] for one in _held if isinstance(one, socket.socket))
 
 
 def _loop_claims() -> list[tuple[int, str]]:
-    return [(int(cpu), mark) for cpu, mark, _ in (name.split("/") for name in claimed(_LOOPS))]
+    claims = (name.split("/") for name in claimed(_LOOPS))
+    return [(int(cpu), mark) for cpu, mark, _ in claims if mark not in _ended]
 
 
 @contextmanager

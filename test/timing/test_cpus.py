@@ -188,6 +188,7 @@ def own_names(monkeypatch):
     monkeypatch.setattr(cpus, "_LOOPS", f"test_loops/{os.getpid()}/")
     monkeypatch.setattr(cpus, "_CHOICE", f"test_choice/{os.getpid()}")
     monkeypatch.setattr(cpus, "_held", [])
+    monkeypatch.setattr(cpus, "_ended", set())
     monkeypatch.setattr(cpus, "_TURN_S", 0.1)
     yield
     for held in cpus._held:
@@ -232,6 +233,8 @@ def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back(own_names)
         assert os.sched_getscheduler(0) == os.SCHED_OTHER
         raise ValueError
     assert os.sched_getaffinity(0) == permitted
+    # The recorder of the same graph still has its claim.
+    assert other(max(loop_cpus()), claimed(cpus._LOOPS)[0].split("/")[1], process=2) is not None
     end_loop()
     with at_normal_priority():
         assert os.sched_getaffinity(0) == permitted
