@@ -380,13 +380,11 @@ class Streams:
         self, stream: Stream, rate: float | None, seconds: float = BATCH_S, *, at_once: bool = False
     ) -> StreamPublisher:
         """See :class:`StreamPublisher`."""
-        if not self._shared:
-            return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once)
-        sender = self._shared.sender
+        sender = self._shared.sender if self._shared else None
         # What is published at once without being handed over is what others wait for.
-        if at_once and stream.topic not in self._shared.queues:
-            return StreamPublisher(self._node, stream, rate, seconds, at_once=True, sender=sender)
-        publisher = RecordPublisher(self._node, stream, self._shared.queues.get(stream.topic, ()), sender)
+        if not self._shared or (at_once and stream.topic not in self._shared.queues):
+            return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once, sender=sender)
+        publisher = RecordPublisher(self._node, stream, self._shared.queues.get(stream.topic, ()), self._shared.sender)
         self._shared.publish(self._place, stream.topic, publisher.publish_new)
         return publisher
 
@@ -438,14 +436,12 @@ class Streams:
 
 
 def _sending(
-    publisher: Publisher, sender: WorkerThread | None, pack: Callable[[Any], bytes] = bytes
+    publisher: Publisher, sender: WorkerThread | None, pack: Callable[[Any], bytes] | None = None
 ) -> Callable[[Any], None]:
-    """A function that sends what ``pack`` makes a serialised message of: at once, or in the thread of ``sender``."""
-    if sender is None:
-        publish = raw_publish(publisher)
-        return lambda content: publish(pack(content))
-    publish = unlocked_publish(publisher)
-    return lambda content: sender.run(lambda: publish(pack(content)))
+    """A function that sends a serialised message, or what ``pack`` makes one of: at once, or in ``sender``'s thread."""
+    publish = unlocked_publish(publisher) if sender else raw_publish(publisher)
+    send = (lambda content: publish(pack(content))) if pack else publish
+    return (lambda content: sender.run(lambda: send(content))) if sender else send
 
 
 def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence[float]] | None]:
