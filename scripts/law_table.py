@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from scripts.law_figures import LawFigures, figures_of, law_of
+from straightcomp_ros.analysis.figure_words import PAPER_PP_UM
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
-from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 from straightcomp_ros.offline.starts import Spread, Values, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.machine import machine_from
@@ -121,7 +121,7 @@ def cells(told: Mapping[str, Any]) -> list[str]:
     errors = [
         Spread(**told[name]).text(digits) for name, digits in (("pp_um", 2), ("rms_um", 3), ("control_rms_step_mA", 1))
     ]
-    paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if law in PEAK_TO_PEAK_UM else ""
+    paper = f"{PAPER_PP_UM[law]:.2f}" if law in PAPER_PP_UM else ""
     uncertain, failed = "", ""
     if "robust_pp_um" in told:
         percentiles = told["robust_pp_um"]

@@ -1,9 +1,9 @@
-"""Measure the cost of recording, reading and evaluating bags, the loss by a SIGKILL, and whether an audit reproduces
-every command. Every number is measured in this call; null stands for what cannot be measured here (no ROS).
+"""Measure the cost of recording, reading and evaluating bags, and the loss by a SIGKILL. Every number is measured in
+this call; null stands for what cannot be measured here (no ROS).
 
-`record` {lost, cpu_cores} is of the logger's process with 16,000 messages a second on 8 topics, {us_per_message,
-bytes_per_message} of writing the bag again; `read` {ours_us, rosbags_us, rosbags_ratio, equal} compares the CPU time of
-our streams as columns with that of all messages of the same topics decoded by rosbags."""
+`record` {lost, cpu_cores} is of the logger's process with 16,000 messages a second on 8 topics; `read` {ours_us,
+rosbags_us, rosbags_ratio, equal} compares the CPU time of our streams as columns with that of all messages of the same
+topics decoded by rosbags."""
 
 import argparse
 import random
@@ -24,22 +24,17 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import bag_files
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.bags.topics import TopicQos, typestore
-from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.cell.launcher import Graph, ros_available
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.messages.cdr import read_by_names
-from straightcomp_ros.offline.audit import audit
-from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from trials.rig import progress
+from trials.rig import progress, simulated
 from trials.traffic import record_traffic
 
-SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
+SUMMARY = "recording, reading, evaluation, SIGKILL"
 _LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 _SOME_CHUNKS = 40_000
 """Size of a bag with some chunks, and the descriptions and parameters before them, in bytes."""
@@ -60,49 +55,16 @@ def run(options: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as folder, progress() as advance:
         work = Path(folder)
         advance("simulating a stroke", 0.0)
-        bag = options.bag or simulated(work / "run")
+        bag = options.bag or simulated(work / "run", shipped_parameters())
         advance("recording", 0.02)
         lost, cores = record_traffic(work, options.seconds) if ros_available() else (None, None)
-        record = {"lost": lost, "cpu_cores": cores, **writing(bag, work)}
         advance("reading", 0.25)
         read = reading(bag)
         advance("evaluating", 0.4)
         seconds = _evaluating(bag)
         kill = _killing(bag, work, options.kill_runs, lambda done: advance("killing recordings", 0.45 + 0.5 * done))
-        advance("auditing", 0.95)
-        found = audit(bag)
-    audited = {"commands": found.commands, "different": found.different}
-    print_json({"record": record, "read": read, "evaluate_s": seconds, "kill": kill, "audit": audited})
-
-
-def simulated(bag: Path) -> Path:
-    """A bag of a simulated stroke of the shipped stage, forward and back."""
-    values = shipped_parameters()
-    simulation = Simulation(values)
-    with SimulatedRun(bag, by_node(values), simulation.delay) as recording:
-        simulation.run(observe=recording.add)
-    return bag
-
-
-def writing(bag: Path, work: Path) -> dict[str, float]:
-    """Write the messages of a real run again: CPU time and size of each."""
-    streams = read_streams(bag, _LAYOUTS)
-    messages = []
-    for topic, stream in streams.items():
-        rows = zip(*(column.tolist() for column in stream.columns.values()), strict=True)
-        packed = map(_LAYOUTS[topic].pack, stream.stamp.tolist(), *zip(*rows, strict=True))
-        messages += [(at, f"/{topic}", data) for at, data in zip(stream.log_time.tolist(), packed, strict=True)]
-    messages.sort(key=lambda message: message[0])
-    with BagWriter(work / "written") as writer:
-        for topic in streams:
-            writer.add_topic(f"/{topic}", _LAYOUTS[topic].type_name, TopicQos("best_effort"))
-        started = time.process_time()
-        for log_time, topic, data in messages:
-            writer.write(topic, data, log_time, log_time)
-        writer.flush()
-        spent = time.process_time() - started
-        size = writer.path.stat().st_size
-    return {"us_per_message": spent / len(messages) * 1e6, "bytes_per_message": size / len(messages)}
+    record = {"lost": lost, "cpu_cores": cores}
+    print_json({"record": record, "read": read, "evaluate_s": seconds, "kill": kill})
 
 
 def reading(bag: Path) -> dict[str, Any]:

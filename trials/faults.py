@@ -13,6 +13,7 @@ import signal
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -67,7 +68,7 @@ def _latched(stand: Stand, fault: Fault) -> int | None:
     return found
 
 
-def _driver_missed(stand: Stand, fault: Fault) -> int | None:
+def driver_missed(stand: Stand, fault: Fault) -> int | None:
     """The controller must report missing samples."""
     tripped = stand.until(lambda: stand.tripped is not None) and stand.tripped.fault is fault
     return stand.tripped.time_ns if tripped else None
@@ -114,18 +115,6 @@ class Trial(NamedTuple):
     make: Callable[[Stand], int | None]
     judge: Judge = _latched
     restore: Callable[[Stand], object] = lambda stand: None
-
-
-def _injected(kind: str) -> Callable[[Stand], None]:
-    return lambda stand: stand.inject(kind)
-
-
-def _signalled(name: str, number: signal.Signals) -> Callable[[Stand], int]:
-    return lambda stand: stand.signal(name, number)
-
-
-def _restarted(name: str) -> Callable[[Stand], object]:
-    return lambda stand: stand.restart(name)
 
 
 def _driver_continued(stand: Stand) -> None:
@@ -189,24 +178,24 @@ def _set(node: str, name: str, value: object) -> Callable[[Stand], int]:
 _STOP, _KILL = signal.SIGSTOP, signal.SIGKILL
 _TIGHT, _WIDE = (_set("controller", "error_limit", metres) for metres in (1e-9, 0.1))
 TRIALS = (
-    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan")),
-    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite")),
-    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range")),
-    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen")),
-    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen")),
-    Trial("jump in x", Fault.X_JUMP, _injected("x_jump")),
-    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map")),
-    Trial("board reports a fault", Fault.BOARD, _injected("board")),
-    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP)),
-    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _injected("command_nan")),
-    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _injected("command_infinite")),
-    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _injected("command_out_of_range")),
-    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS)),
+    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, methodcaller("inject", "sample_nan")),
+    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, methodcaller("inject", "sample_infinite")),
+    Trial("y out of range", Fault.Y_OUT_OF_RANGE, methodcaller("inject", "y_out_of_range")),
+    Trial("encoder y frozen", Fault.Y_FROZEN, methodcaller("inject", "y_frozen")),
+    Trial("encoder x frozen", Fault.X_FROZEN, methodcaller("inject", "x_frozen")),
+    Trial("jump in x", Fault.X_JUMP, methodcaller("inject", "x_jump")),
+    Trial("map missing for this x", Fault.MAP_MISSING, methodcaller("inject", "x_beyond_map")),
+    Trial("board reports a fault", Fault.BOARD, methodcaller("inject", "board")),
+    Trial("clock jump", Fault.CLOCK_JUMP, methodcaller("inject", CLOCK_STEP)),
+    Trial("command NaN", Fault.COMMAND_NOT_FINITE, methodcaller("inject", "command_nan")),
+    Trial("command infinite", Fault.COMMAND_NOT_FINITE, methodcaller("inject", "command_infinite")),
+    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, methodcaller("inject", "command_out_of_range")),
+    Trial("late commands", Fault.COMMAND_TIMEOUT, methodcaller("inject", LATE_COMMANDS)),
     Trial(
         "two controllers on one topic",
         Fault.TWO_CONTROLLERS,
-        lambda stand: stand.echo(True),
-        restore=lambda stand: stand.echo(False),
+        methodcaller("echo", True),
+        restore=methodcaller("echo", False),
     ),
     *(
         Trial(f"foreign commands, stamp {name}", Fault.TWO_CONTROLLERS, _foreign(*stamp), restore=_foreign_ended)
@@ -214,20 +203,20 @@ TRIALS = (
     ),
     Trial("following error", Fault.FOLLOWING_ERROR, _TIGHT, restore=_WIDE),
     *(
-        Trial(f"{name} SIGSTOP", fault, _signalled(name, _STOP), judge, restore)
+        Trial(f"{name} SIGSTOP", fault, methodcaller("signal", name, _STOP), judge, restore)
         for name, fault, judge, restore in (
-            ("controller", Fault.COMMAND_TIMEOUT, _latched, _signalled("controller", signal.SIGCONT)),
-            ("feedforward", Fault.COMMAND_TIMEOUT, _latched, _signalled("feedforward", signal.SIGCONT)),
-            ("driver", Fault.SAMPLE_TIMEOUT, _driver_missed, _driver_continued),
-            ("logger", Fault.HEARTBEAT_LOST, _logger_missed, _signalled("logger", signal.SIGCONT)),
+            ("controller", Fault.COMMAND_TIMEOUT, _latched, methodcaller("signal", "controller", signal.SIGCONT)),
+            ("feedforward", Fault.COMMAND_TIMEOUT, _latched, methodcaller("signal", "feedforward", signal.SIGCONT)),
+            ("driver", Fault.SAMPLE_TIMEOUT, driver_missed, _driver_continued),
+            ("logger", Fault.HEARTBEAT_LOST, _logger_missed, methodcaller("signal", "logger", signal.SIGCONT)),
         )
     ),
     *(
-        Trial(f"{name} SIGKILL", fault, _signalled(name, _KILL), judge, _restarted(name))
+        Trial(f"{name} SIGKILL", fault, methodcaller("signal", name, _KILL), judge, methodcaller("restart", name))
         for name, fault, judge in (
             ("controller", Fault.COMMAND_TIMEOUT, _latched),
             ("feedforward", Fault.COMMAND_TIMEOUT, _latched),
-            ("driver", Fault.SAMPLE_TIMEOUT, _driver_missed),
+            ("driver", Fault.SAMPLE_TIMEOUT, driver_missed),
             ("logger", Fault.HEARTBEAT_LOST, _logger_missed),
         )
     ),
@@ -241,7 +230,7 @@ TRIALS = (
 """All trials, in this order."""
 
 
-def _loop_missed(stand: Stand, fault: Fault) -> int | None:
+def loop_missed(stand: Stand, fault: Fault) -> int | None:
     """The heartbeats of all three nodes must be missed."""
     return time.time_ns() if stand.until(lambda: {*IN_THE_LOOP} <= {*stand.heartbeats.silent()}) else None
 
@@ -249,8 +238,12 @@ def _loop_missed(stand: Stand, fault: Fault) -> int | None:
 _OF_ONE_NODE = re.compile(r"(driver|feedforward|controller) SIG")
 COMPOSED_TRIALS = (
     *(trial for trial in TRIALS if not _OF_ONE_NODE.match(trial.name)),
-    Trial("servo SIGSTOP", Fault.HEARTBEAT_LOST, _signalled(COMPOSED, _STOP), _loop_missed, _driver_continued),
-    Trial("servo SIGKILL", Fault.HEARTBEAT_LOST, _signalled(COMPOSED, _KILL), _loop_missed, _restarted(COMPOSED)),
+    *(
+        Trial(
+            f"servo {number.name}", Fault.HEARTBEAT_LOST, methodcaller("signal", COMPOSED, number), loop_missed, restore
+        )
+        for number, restore in ((_STOP, _driver_continued), (_KILL, methodcaller("restart", COMPOSED)))
+    ),
 )
 """Those of driver, feedforward and controller in one process."""
 

@@ -12,13 +12,11 @@ from straightcomp_ros.analysis.judged_motion import encoder_count
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.information import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter, Message
 from straightcomp_ros.contract import ALWAYS_PUBLISHED, ENCODER, Stream
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from trials.rig import simulated
 
 FIRST_NS = 1_760_000_000_000_000_000
 """Stamp of the first bag's first sample: in October 2025."""
@@ -40,12 +38,8 @@ class Template(NamedTuple):
 def simulated_template(folder: Path) -> Template:
     """A short cycle of the shipped stage, recorded as by a real machine: without truth. ``folder`` is for its bag."""
     values = shipped_parameters()
-    for name, value in _SHORT.items():
-        values["stage"][name] = value
-    simulation = Simulation(values)
-    with SimulatedRun(folder, by_node(values), simulation.delay) as bag:
-        simulation.run(observe=bag.add)
-    return template_of(folder)
+    values["stage"] |= _SHORT
+    return template_of(simulated(folder, values))
 
 
 def template_of(bag: Path) -> Template:

@@ -73,6 +73,23 @@ class _Found(Exception):
     """A fault was found, at a sample, with a reason."""
 
 
+class _Watched(FaultyHardware):
+    """The machine behind the driver's watch, which sees a sample before the law does; ``current``: last command."""
+
+    def __init__(self, machine: Any, watch: SampleWatch, wanted: Fault) -> None:
+        super().__init__(machine, lambda kind, time_ns: None)
+        self._watch, self._wanted, self.current = watch, wanted, 0.0
+
+    def read(self, now_ns: int) -> Any:
+        found = super().read(now_ns)
+        for sample, _ in found:
+            finding = self._watch.check(sample, self.current)
+            self._watch.hold()
+            if finding and finding[0] is self._wanted:
+                raise _Found(sample, finding[1])
+        return found
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--user", metavar="NAME", help="open the incidents as this user, without ROS (root only)")
 
@@ -130,32 +147,16 @@ def record_fault(fault: Fault, bag: Path) -> None:
     values = shipped_parameters()
     values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1}
     driver = node_parameters("driver", values)
-    machines: list[FaultyHardware] = []
-    samples, errors = SampleWatch(driver.watch, driver.stage), ErrorWatch(_ERROR_LIMIT)
+    machines, errors = list[_Watched](), ErrorWatch(_ERROR_LIMIT)
     node, reason = _SAID.get(fault, ("driver", ""))
-    current, injected = 0.0, False
-
-    class Watched:
-        """The machine behind the driver's watch, which sees a sample before the law does."""
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(machines[0], name)
-
-        def read(self, now_ns: int) -> Any:
-            found = machines[0].read(now_ns)
-            for sample, _ in found:
-                finding = samples.check(sample, current)
-                samples.hold()
-                if finding and finding[0] is fault:
-                    raise _Found(sample, finding[1])
-            return found
+    injected = False
 
     def wiring(hardware: Any) -> Any:
-        machines.append(FaultyHardware(hardware, lambda kind, time_ns: None))
-        return Watched()
+        machines.append(_Watched(hardware, SampleWatch(driver.watch, driver.stage), fault))
+        return machines[0]
 
     def observe(sample: Sample, truth: Any, reference: Any, command: Any, age: float) -> None:
-        nonlocal current, injected
+        nonlocal injected
         due = sample.stamp_ns >= _AT_S * 1e9
         if fault is Fault.FOLLOWING_ERROR:
             found: Finding | None = errors.check(reference[0] - sample.y, amplifier_on=True)
@@ -164,7 +165,7 @@ def record_fault(fault: Fault, bag: Path) -> None:
         if found:
             raise _Found(sample, found[1])
         run.add(sample, truth, reference, command, age)
-        current = command.current
+        machines[0].current = command.current
         if due and fault in _INJECTED and not injected:
             injected = True
             machines[0].inject(_INJECTED[fault])

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from straightcomp_ros.bags import BagError, mcap_output
+from straightcomp_ros.bags import BagError, RecorderParameters, mcap_output
 from straightcomp_ros.bags.reader import read_messages
-from straightcomp_ros.bags.recorder import Recorder, RecorderOptions
+from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.cli.output import CommandFailed, print_json
@@ -124,7 +124,7 @@ def left_on_disk(events: list[Event], cut: float, chance: random.Random) -> dict
 def record(folder: Path, seconds: float) -> tuple[list[Event], float]:
     """Record encoder messages to the bag ``folder`` in real time; the events, and when the recording began."""
     topic = Topic(f"/{ENCODER.topic}", ENCODER.layout.type_name, TopicQos("best_effort", depth=1000))
-    recorder = Recorder(RecorderOptions(output=str(folder)), [topic.name], lambda bag, at_end: True)
+    recorder = Recorder(RecorderParameters(output=str(folder)), [topic.name], lambda bag, at_end: True)
     recorder.announce(topic)
     chance, number = np.random.default_rng(0), 0
     with logged() as events:

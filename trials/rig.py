@@ -1,4 +1,4 @@
-"""What the rigs share: where their files go, and the bar that shows how far they are."""
+"""What the rigs share: where their files go, the bar that shows how far they are, and a simulated run."""
 
 import argparse
 import tempfile
@@ -6,8 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.options import output_folder
 from straightcomp_ros.cli.output import progress_bar
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import Values, by_node
 
 Progress = Callable[[str, float], object]
 """Called with what begins now and the finished fraction."""
@@ -34,3 +37,11 @@ def progress() -> Iterator[Progress]:
     with progress_bar() as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda text, done: bar.update(task, description=text, completed=done)
+
+
+def simulated(bag: Path, values: Values) -> Path:
+    """Record a simulated cycle of the stage to the new folder ``bag``."""
+    simulation = Simulation(values)
+    with SimulatedRun(bag, by_node(values), simulation.delay) as recording:
+        simulation.run(observe=recording.add)
+    return bag

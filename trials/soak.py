@@ -6,11 +6,12 @@ safety state and the work of the whole graph are checked; at the end bags, descr
 Exit code 0 only if nothing failed."""
 
 import argparse
+import itertools
 import random
 import shutil
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -90,46 +91,35 @@ def run_soak(
     begin = time.monotonic()
     priority = values["driver"].get("realtime.priority", 0)
     with Stand(folder, values, composed) as stand, Stalls(folder, priority) as stalls:
-        rate, log = node_parameters("driver", values).stage.rate, folder / "actions.log"
-        scene = Scene(stand, rng, rate, result, stalls, log, _maps(values, folder))
+        stage = node_parameters("feedforward", values).stage
+        # A copy of the map: a different one might lead the platform out of its travel.
+        copy = shutil.copyfile(find_survey(stage.guide.file), folder.absolute() / "another_map.csv")
+        maps = (stage.guide.file, str(copy))
+        scene = Scene(stand, rng, stage.rate, result, stalls, folder / "actions.log", maps)
         scene.back_to_work()
         killed = rng.sample(stand.names, len(stand.names))
         half = len(killed) // 2
-        kinds = _kinds(rng)
-        started = time.monotonic()
-        new_graphs = 0
+        # Every kind once, in random order, again and again.
+        kinds = (kind for _ in itertools.count() for kind in rng.sample(list(ACTIONS), len(ACTIONS)))
+        started, new_graphs = time.monotonic(), 0
         while (fraction := (time.monotonic() - started) / seconds) < 1.0 and new_graphs <= _NEW_GRAPHS:
             scene.killable = tuple(killed[:half] if fraction < 0.5 else killed[half:])
             kind = next(kinds)
             advance(kind, fraction)
-            if not _done(scene, kind, result):
+            if not _done(scene, kind):
                 new_graphs += 1
-                _start_anew(scene, result)
+                _start_anew(scene)
             _look(scene, lives)
             stand.spin(rng.uniform(*_PAUSE_S))
-            _nothing_by_itself(scene, kind, result)
+            _nothing_by_itself(scene, kind)
         advance("stopping", 1.0)
-        _end(scene, result, lives)
+        _end(scene, lives)
     _judge_bags(folder, scene.recorded, result)
     result.seconds = time.monotonic() - begin
     return result
 
 
-def _maps(values: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[str, ...]:
-    """The map's file, and a copy of it: a different map might lead the platform out of its travel."""
-    file = node_parameters("feedforward", values).stage.guide.file
-    copy = folder.absolute() / "another_map.csv"
-    shutil.copyfile(find_survey(file), copy)
-    return file, str(copy)
-
-
-def _kinds(rng: random.Random) -> Iterator[str]:
-    """Every kind once, in random order, again and again."""
-    while True:
-        yield from rng.sample(list(ACTIONS), len(ACTIONS))
-
-
-def _done(scene: Scene, kind: str, result: Soak) -> bool:
+def _done(scene: Scene, kind: str) -> bool:
     """Do one action and restore normal operation; returns whether that was possible."""
     scene.note(kind)
     back, scene.about = True, ""
@@ -139,19 +129,19 @@ def _done(scene: Scene, kind: str, result: Soak) -> bool:
     except (LaunchError, ProcessLookupError) as error:
         scene.fail(f"not back to work: {error}")
         back = False
-    result.done[kind] += 1
-    _take_failures(scene, kind, result)
+    scene.result.actions[kind] += 1
+    _take_failures(scene, kind)
     return back
 
 
-def _take_failures(scene: Scene, kind: str, result: Soak) -> None:
+def _take_failures(scene: Scene, kind: str) -> None:
     for words in scene.stand.failures:
         scene.note(f"FAILED: {words}")
-        result.failures.append(f"{kind}: {words}")
+        scene.result.failures.append(f"{kind}: {words}")
     scene.stand.failures.clear()
 
 
-def _start_anew(scene: Scene, result: Soak) -> None:
+def _start_anew(scene: Scene) -> None:
     """Kill and start all nodes, so that the rest of the time is not lost."""
     scene.interrupt(before_s=1.0)
     for name in scene.stand.names:
@@ -163,7 +153,7 @@ def _start_anew(scene: Scene, result: Soak) -> None:
     try:
         scene.back_to_work()
     except LaunchError as error:
-        result.failures.append(f"all nodes were started anew: {error}")
+        scene.result.failures.append(f"all nodes were started anew: {error}")
 
 
 def _look(scene: Scene, lives: Lives) -> None:
@@ -174,23 +164,23 @@ def _look(scene: Scene, lives: Lives) -> None:
         lives.see(warm)
 
 
-def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
+def _nothing_by_itself(scene: Scene, kind: str) -> None:
     """Check that the amplifier stays on between two actions."""
     scene.may_latch()
-    _take_failures(scene, f"{kind}: later, with nothing done", result)
+    _take_failures(scene, f"{kind}: later, with nothing done")
     if scene.stand.condition != "on":
         # Restore also after a permitted fault: the next action must not find it.
         with suppress(LaunchError):
             scene.back_to_work()
 
 
-def _end(scene: Scene, result: Soak, lives: Lives) -> None:
+def _end(scene: Scene, lives: Lives) -> None:
     """Stop the nodes like an operator."""
     _look(scene, lives)
-    result.lives = lives.finished(list(scene.stand.processes.values()))
+    scene.result.lives = lives.finished(list(scene.stand.processes.values()))
     scene.interrupt()
     codes = scene.stand.stop()  # None: the node did not stop
-    result.failures += [f"{name} stopped with exit code {code}" for name, code in codes.items() if code != 0]
+    scene.result.failures += [f"{name} stopped with exit code {code}" for name, code in codes.items() if code != 0]
 
 
 def _judge_bags(folder: Path, recorded: Sequence[tuple[int, int]], result: Soak) -> None:

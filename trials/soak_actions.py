@@ -21,12 +21,13 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, LaunchError
+from straightcomp_ros.cell.launcher import COMPOSED, LaunchError
 from straightcomp_ros.contract import DIAGNOSTICS, POSITION
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.faults import HELD_UP, Fault
 from straightcomp_ros.timing.node_timing import SAMPLES
+from trials.faults import driver_missed, loop_missed
 from trials.soak_verdict import Soak
 from trials.stalls import Stalls
 from trials.stand import Stand, request_of
@@ -135,19 +136,6 @@ class Scene:
         else:
             self.fail(f"no fault within {_REACTION_S:g} s, the amplifier is '{stand.condition}'")
 
-    def must_trip(self) -> None:
-        """Check that the controller reports missing samples and requests the amplifier off."""
-        stand, wanted = self.stand, Fault.SAMPLE_TIMEOUT
-        if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S):
-            self.fail(f"the controller has not asked for the amplifier to be switched off within {_PATIENCE_S:g} s")
-        elif stand.tripped.fault is not wanted:
-            self.fail(f"the controller tripped with '{stand.tripped.fault.label}'; allowed: {wanted.label}")
-
-    def must_be_missed(self) -> None:
-        """Check that the heartbeats of all nodes of the one process are missed."""
-        if not self.stand.until(lambda: {*IN_THE_LOOP} <= {*self.stand.heartbeats.silent()}, _PATIENCE_S):
-            self.fail(f"its nodes were not missed within {_PATIENCE_S:g} s")
-
     def may_latch(self, *allowed: Fault) -> None:
         """Check that the amplifier is on, or off with one of these faults."""
         if self.stand.condition == "fault" and self.stand.fault is not None:
@@ -183,7 +171,7 @@ class Scene:
         if fault in allowed:
             self.result.faults[fault.label] += 1
         elif fault in HELD_UP and stall_ms >= _STALL_MS:
-            self.result.stalls[fault.label] += 1
+            self.result.faults_in_stalls[fault.label] += 1
         else:
             others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
             self.fail(f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)")
@@ -405,12 +393,11 @@ def _recorder(scene: Scene, service: str) -> None:
 
 def _must_react(scene: Scene, name: str) -> None:
     """Check what must follow when this process of the loop works no more."""
-    if name == "driver":
-        scene.must_trip()
-    elif name == COMPOSED:
-        scene.must_be_missed()
-    else:
+    missed = {"driver": driver_missed, COMPOSED: loop_missed}.get(name)
+    if missed is None:
         scene.must_latch(HELD_UP)
+    elif missed(scene.stand, Fault.SAMPLE_TIMEOUT) is None:
+        scene.fail(f"it was not missed; the controller tripped with {scene.stand.tripped}")
 
 
 def _signal(scene: Scene, names: Sequence[str], number: signal.Signals, lost_s: float = 0.0) -> str:

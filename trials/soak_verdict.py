@@ -123,10 +123,10 @@ class Soak:
 
     Attributes:
         seed, seconds: of the run.
-        done: how often each kind of action was done.
+        actions: how often each kind of action was done.
         faults: number of faults latched as required or permitted, by name.
-        stalls: number of faults that the graph latched by itself while this computer stalled, by name; without a stall
-            they are failures.
+        faults_in_stalls: number of faults that the graph latched by itself while this computer stalled, by name;
+            without a stall they are failures.
         answers_lost: service requests that were not answered in time, and were repeated.
         enable_s, back_s: times from a request for the amplifier to 'on', and from an action to normal operation.
         lives: processes.
@@ -137,9 +137,9 @@ class Soak:
 
     seed: int
     seconds: float = 0.0
-    done: Counter[str] = field(default_factory=Counter)
+    actions: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)
-    stalls: Counter[str] = field(default_factory=Counter)
+    faults_in_stalls: Counter[str] = field(default_factory=Counter)
     answers_lost: int = 0
     enable_s: list[float] = field(default_factory=list)
     back_s: list[float] = field(default_factory=list)
@@ -151,18 +151,12 @@ class Soak:
     def to_display(self) -> dict[str, Any]:
         """Values by name. A run has passed if at least one action was done and nothing failed."""
         failures = self.failures + [words for life in self.lives for words in life.failures()]
-        return {
-            "seed": self.seed,
-            "seconds": self.seconds,
-            "passed": bool(self.done) and not failures,
-            "actions": dict(self.done),
-            "faults": dict(self.faults),
-            "faults_in_stalls": dict(self.stalls),
-            "answers_lost": self.answers_lost,
-            "longest_enable_s": max(self.enable_s, default=None),
-            "longest_back_to_work_s": max(self.back_s, default=None),
-            "processes": [life.to_display() for life in self.lives],
-            "recorded_s": self.recorded_s,
-            "bags": dict(self.bags),
+        shown = dict(vars(self))
+        lives, enable_s, back_s = (shown.pop(name) for name in ("lives", "enable_s", "back_s"))
+        return shown | {
+            "passed": bool(self.actions) and not failures,
+            "longest_enable_s": max(enable_s, default=None),
+            "longest_back_to_work_s": max(back_s, default=None),
+            "processes": [life.to_display() for life in lives],
             "failures": failures,
         }

@@ -18,14 +18,15 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from multiprocessing import get_context
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from straightcomp_ros.cell.demonstration import DemonstrationFailed, judged, recorded
 from straightcomp_ros.cell.launcher import isolated_environment
-from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import print_json, require_ros
-from straightcomp_ros.offline.starts import Spread, spread
+from straightcomp_ros.offline.starts import spread
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values
 from trials.rig import add_output, output, progress
 
@@ -76,7 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--priorities", nargs="+", type=int, default=(40, 0), metavar="P", help=priorities)
     add("--pair", metavar="FILE", help="stage file of a second machine: each alone, and both at once")
     add_output(parser)
-    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -111,11 +111,7 @@ def run(options: argparse.Namespace) -> int:
     rows = [row(condition, stage, found) for (condition, stage), found in strokes.items()]
     with_ratios(rows)
     good = not failures and all(one.get("ratio_to_alone", 0.0) <= LARGEST_RATIO for one in rows)
-    if options.json:
-        print_json({"rows": rows, "failures": failures, "passed": good})
-    else:
-        print(table(rows))
-        print(*failures, sep="\n", end="\n" if failures else "")
+    print_json({"rows": rows, "failures": failures, "passed": good})
     return int(not good)
 
 
@@ -178,17 +174,12 @@ def loaded(busy: bool, folder: Path) -> Iterator[None]:
 
 def row(condition: Condition, stage: str, strokes: Sequence[Stroke]) -> dict[str, Any]:
     """What the strokes of one stage under one condition left; the reasons are those of strokes not in order."""
-
-    def over(name: str) -> Spread:
-        return spread(getattr(one, name) for one in strokes)
-
     return {
         **condition._asdict(),
         "stages": list(condition.stages),
         "stage": stage,
         "strokes": len(strokes),
-        "pp_um": over("pp_um")._asdict(),
-        "step_mA": over("step_mA")._asdict(),
+        **{name: spread(getattr(one, name) for one in strokes)._asdict() for name in ("pp_um", "step_mA")},
         **{name: statistics.median(getattr(one, name) for one in strokes) for name in Stroke._fields[2:4]},
         "lost_samples": sum(one.lost_samples for one in strokes),
         "not_in_order": [f"{one.verdict}: {one.reason}" for one in strokes if one.verdict != "in_order"],
@@ -198,37 +189,8 @@ def row(condition: Condition, stage: str, strokes: Sequence[Stroke]) -> dict[str
 
 def with_ratios(rows: Sequence[dict[str, Any]]) -> None:
     """Add to each row of a stage beside another one the ratio of its median error to that alone."""
-    alone = {
-        (one["graph"], one["load"], one["priority"], one["stage"]): one["pp_um"]["median"]
-        for one in rows
-        if len(one["stages"]) == 1
-    }
+    same = itemgetter("graph", "load", "priority", "stage")
+    alone = {same(one): one["pp_um"]["median"] for one in rows if len(one["stages"]) == 1}
     for one in rows:
-        key = one["graph"], one["load"], one["priority"], one["stage"]
-        if len(one["stages"]) > 1 and key in alone:
-            one["ratio_to_alone"] = one["pp_um"]["median"] / alone[key]
-
-
-_HEADS = (
-    *("graph", "load", "priority", "stage", "p-p [µm]", "step [mA]", "latency p50, p99 [µs]"),
-    *("lost", "not in order", "held up", "strokes"),
-)
-
-
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown."""
-    lines = [_HEADS, ("---",) * len(_HEADS)]
-    for one in rows:
-        beside = f", both: × {one['ratio_to_alone']:.2f}" if "ratio_to_alone" in one else ""
-        lines.append(
-            (
-                *(str(one[name]) for name in ("graph", "load", "priority")),
-                f"{one['stage']}{beside}",
-                Spread(**one["pp_um"]).text(3),
-                Spread(**one["step_mA"]).text(2),
-                f"{one['latency_p50_us']:.0f}, {one['latency_p99_us']:.0f}",
-                *(str(number) for number in (one["lost_samples"], len(one["not_in_order"]), len(one["held_up"]))),
-                str(one["strokes"]),
-            )
-        )
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        if len(one["stages"]) > 1 and same(one) in alone:
+            one["ratio_to_alone"] = one["pp_um"]["median"] / alone[same(one)]

@@ -1,5 +1,9 @@
 """Bags: rosbag2 folders with MCAP files, written and read without ROS."""
 
+from dataclasses import dataclass
+
+from straightcomp_ros.parameters.declaration import parameter
+
 
 class BagError(ValueError):
     """A bag cannot be written or read; the text names the file, what is wrong and what to do."""
@@ -18,3 +22,36 @@ MAP_ATTACHMENT = "map.csv"
 """Name of a bag's attachment with the survey that the reference was made from."""
 BAND_ATTACHMENT = "map_band.csv"
 """Name of a bag's attachment with the map itself and the standard deviation that the survey's noise leaves in it."""
+
+
+@dataclass(frozen=True)
+class RecorderParameters:
+    """How bags are written."""
+
+    output: str = parameter("", "Folder of the bag; empty: a new one, named after the start time")
+    compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
+    queue_limit: int = parameter(
+        200_000, "Messages that may wait in memory for the disk; further ones are dropped and counted", "[1000, inf)"
+    )
+    max_file_bytes: int = parameter(
+        0, "Size of a file at which the bag continues in a new one; 0 for one file", "[0, inf) byte"
+    )
+    max_file_duration: float = parameter(
+        0.0,
+        "Time from a file's first message after which the bag continues in a new file; 0 for one file",
+        "[0, inf) s",
+    )
+    snapshot: float = parameter(
+        0.0,
+        "Length of the recording that stays in memory until the service ~/snapshot writes it; 0 writes all at once",
+        "[0, 600] s",
+    )
+    min_free_bytes: int = parameter(
+        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf)"
+    )
+    sync_interval: float = parameter(
+        0.2,
+        "Time from one sync of the recording to the disk to the next, which a power cut may cost with some tenths of a "
+        "second more; 0: when the system does it by itself",
+        "[0, 60] s",
+    )

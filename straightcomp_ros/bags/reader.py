@@ -193,30 +193,12 @@ def constant_places(layout: Layout) -> list[tuple[int, int]]:
 
 @cache
 def meaningful(layout: Layout) -> NDArray[np.bool_]:
-    """For each byte of a message, True where it is constant and a decoder looks at it. Bytes of CDR's alignment gaps
-    are not: other writers fill them with whatever was in memory.
-
-    Found by trial: a byte means nothing when the message decodes to the same with any other byte in its place.
-    """
-    template = layout.pack(0, *(0.0 for _ in layout.columns))
-    expected = _text(template, layout)
+    """For each byte of a message, True where it is constant and no gap of CDR's alignment."""
     mask = np.zeros(layout.size, np.bool_)
     for first, end in constant_places(layout):
         mask[first:end] = True
-    for place in np.flatnonzero(mask)[len(ENCAPSULATION) :]:
-        # Gaps are zero in a layout's constants; anything else is a letter or a number.
-        if template[place] == 0:
-            changed = bytearray(template)
-            changed[place] = 0xFF
-            mask[place] = _text(bytes(changed), layout) != expected
+    mask[len(ENCAPSULATION) + np.array(layout.gaps, np.intp)] = False
     return mask
-
-
-def _text(message: bytes, layout: Layout) -> str:
-    try:
-        return repr(typestore().deserialize_cdr(message, layout.type_name))
-    except Exception as error:  # Of any kind: the byte meant something.
-        return repr(error)
 
 
 def read_streams(

@@ -4,14 +4,13 @@ import shutil
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby, islice
 from pathlib import Path
 
 import numpy as np
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, RecorderParameters
 from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter, Message
@@ -114,28 +113,6 @@ _BATCH = 500
 """Messages that are written in one call: a small share of a chunk."""
 
 
-@dataclass(frozen=True)
-class RecorderOptions:
-    """How bags are written.
-
-    Attributes:
-        output: folder of the first bag, later ones get ``_2``, ``_3`` …; empty names each after the time of its start.
-        compression, max_size, max_duration: see :class:`straightcomp_ros.bags.writer.BagWriter`.
-        queue_limit, snapshot_s: see :class:`straightcomp_ros.bags.recorder.Intake`.
-        min_free: bytes that must stay free on the disk.
-        sync_interval: time in s from one sync to the next, see :meth:`BagWriter.sync_older`.
-    """
-
-    output: str = ""
-    compression: str = "zstd"
-    max_size: int = 0
-    max_duration: float = 0.0
-    queue_limit: int = 200_000
-    snapshot_s: float = 0.0
-    min_free: int = 0
-    sync_interval: float = 0.2
-
-
 def check_disk(folder: Path, min_free: int) -> None:
     """Raise BagError when fewer than ``min_free`` bytes are free on the disk of ``folder``."""
     free = shutil.disk_usage(folder).free
@@ -148,7 +125,7 @@ class Recorder:
     """Call it from one thread; it has its own for writing.
 
     Args:
-        options: see there.
+        options: see there; a bag without ``output`` is named after the time of its start, later ones get ``_2`` …
         stamped: full names of the topics that have a header with their sample's stamp; their losses are counted.
         describe: called on the writing thread with the bag, now and then, until it returns true. It attaches what
             describes the recording, e.g. the nodes' parameters. Its second argument is true when the bag ends and this
@@ -162,10 +139,10 @@ class Recorder:
     """
 
     def __init__(
-        self, options: RecorderOptions, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
+        self, options: RecorderParameters, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
     ) -> None:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
-        self._min_free = options.min_free
+        self._min_free = options.min_free_bytes
         self._topics: list[Topic] = []
         self._expected: list[Topic] = []
         self._count = self.written = 0
@@ -196,12 +173,15 @@ class Recorder:
             raise BagError(f"bag {self.folder} is being recorded already")
         folder, options = self._next_folder(), self._options
         bag = BagWriter(
-            folder, compression=options.compression, max_size=options.max_size, max_duration=options.max_duration
+            folder,
+            compression=options.compression,
+            max_size=options.max_file_bytes,
+            max_duration=options.max_file_duration,
         )
         self._count += 1
         self.folder, self.failure, self.written = folder, None, 0
         self._losses, self._bag, self._described = Losses(), bag, False
-        self.intake = Intake(options.queue_limit, options.snapshot_s)
+        self.intake = Intake(options.queue_limit, options.snapshot)
         self._stopping.clear()
         self._splitting.clear()
         self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")

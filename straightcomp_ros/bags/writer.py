@@ -14,7 +14,7 @@ from pathlib import Path
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
-from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
+from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.parameters.output_files import sync_names, write_whole
 
@@ -45,8 +45,8 @@ class BagWriter:
         path: the file that is being written.
 
     Raises:
-        BagError: the folder holds files or cannot be made, or an option is not allowed; from the methods, that
-            the bag is closed, the topic is unknown or the disk refuses.
+        BagError: the folder holds files or cannot be made; from the methods, that the bag is closed, the topic is
+            unknown or the disk refuses.
     """
 
     def __init__(
@@ -58,13 +58,6 @@ class BagWriter:
         max_size: int = 0,
         max_duration: float = 0.0,
     ) -> None:
-        if compression not in COMPRESSORS:
-            raise BagError(f"bag {directory}: compression is '{compression}': allowed are {', '.join(COMPRESSORS)}")
-        if chunk_size < 1:
-            raise BagError(f"bag {directory}: chunk_size is {chunk_size} bytes: allowed is 1 or more")
-        for name, limit in (("max_size", max_size), ("max_duration", max_duration)):
-            if not limit >= 0:
-                raise BagError(f"bag {directory}: {name} is {limit}: allowed is 0 or more")
         self.directory = Path(directory)
         self._make_output = partial(McapOutput, compression=compression, chunk_size=chunk_size)
         self._max_size, self._max_duration_ns = max_size, round(max_duration * 1e9)

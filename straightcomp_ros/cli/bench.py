@@ -178,8 +178,7 @@ def _print_measurement(figures: Mapping[str, Any], title: str) -> None:
         f"sample → command [µs]: {shown}\n"
         f"samples without a command: {figures['lost_samples']} of {bag['expected_samples']}; "
         f"missing in the bag: {missing}\n"
-        f"CPU: {figures['cpu_cores']:.2f} cores; amplifier on in {100 * bag['amplifier_on']:.1f} % of the window",
-        highlight=False,
+        f"CPU: {figures['cpu_cores']:.2f} cores; amplifier on in {100 * bag['amplifier_on']:.1f} % of the window"
     )
 
 

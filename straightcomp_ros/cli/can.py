@@ -194,7 +194,7 @@ def _firmware(options: argparse.Namespace) -> None:
     if options.json:
         print_json({"source": wire.source(), "files": [str(folder / name) for name in texts], "build": build})
         return
-    console.print(f"frames of {wire.source()}", soft_wrap=True, highlight=False)
+    console.print(f"frames of {wire.source()}")
     print_written(*(folder / name for name in texts), then=f"in the source of straightcomp_ros: {build}")
 
 

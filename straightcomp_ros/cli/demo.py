@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> None:
     made = making(output, names, reads=reads, force=options.force)
     environment = isolated_environment()
     domain = environment["ROS_DOMAIN_ID"]
-    notes.print(f"ROS domain {domain}; watch it: ROS_DOMAIN_ID={domain} straightcomp view", highlight=False)
+    notes.print(f"ROS domain {domain}; watch it: ROS_DOMAIN_ID={domain} straightcomp view")
     # The path of a socket has room for about a hundred characters: too few for some output folders.
     with made as place, tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
         if options.hardware == "can":
@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> None:
             # A servo that fails without other programs fails in lockstep too.
             again = "The computer is too busy for real time: once more in lockstep, where the nodes wait for each other"
             text = f"{error}\n{again}"
-            notes.print(text, style="yellow", soft_wrap=True, highlight=False)
+            notes.print(text, style="yellow")
             remove(place / "bag")
             _in_lockstep(values)
             result = run_it()
@@ -128,11 +128,11 @@ def run(options: argparse.Namespace) -> None:
         console.print(results_table(figures))
         console.print(timing_table(figures["timing"]))
         if result.held_up:
-            console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
+            console.print(f"Less accurate than it could be: {result.held_up}")
         print_verdict(result.verdict)
         stroke = node_parameters("cell", values).stage.motion.stroke
-        console.print(_shown(result, figures, stroke), soft_wrap=True, highlight=False)
-        console.print("Picture: ", linked(picture), sep="", soft_wrap=True, highlight=False)
+        console.print(_shown(result, figures, stroke))
+        console.print("Picture: ", linked(picture), sep="")
         report = f"straightcomp evaluate {quote(str(result.bag))} --report report.html"
         then = f"{report}; docs/tutorial.md goes on from here"
         if result.verdict.verdict == STARVED:

@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> None:
     if other is not None and assessment.uncompensated != other.uncompensated:
         still = assessment.bag if assessment.uncompensated else other.bag
         text = "its error is that of a platform at rest; compare the straightness after compensation, not the errors"
-        notes.print(f"{still} is uncompensated: {text}", soft_wrap=True, highlight=False)
+        notes.print(f"{still} is uncompensated: {text}")
     figures = assessment.figures()
     checks = checked_limits(options.limits, figures) if options.limits else []
     failed = [str(check) for check in checks if not check.passed]

@@ -60,10 +60,10 @@ def _pack(options: argparse.Namespace) -> None:
     if options.json:
         print_json({"file": str(output), "cause": packed.cause, "bytes": packed.size, "left_out": packed.left_out})
         return
-    console.print(packed.cause, soft_wrap=True, highlight=False)
+    console.print(packed.cause)
     for one in packed.left_out:
-        notes.print(f"left out: {one}", soft_wrap=True, highlight=False)
-    notes.print(f"{packed.size / 1e6:.1f} MB", highlight=False)
+        notes.print(f"left out: {one}")
+    notes.print(f"{packed.size / 1e6:.1f} MB")
     print_written(output, then=f"straightcomp incident open {quote(str(output))}, on any computer")
 
 
@@ -99,19 +99,19 @@ def _open(options: argparse.Namespace) -> None:
     if options.json:
         print_json({**found.to_json(), "folder": str(folder), "as_packed": details, "doctor": doctor})
         return
-    console.print(found.cause, soft_wrap=True, highlight=False)
+    console.print(found.cause)
     if found.remedy:
-        console.print(f"what to do: {found.remedy}", soft_wrap=True, highlight=False)
-    console.print(f"packed: {details.get('made')}, bag {details.get('bag')}", highlight=False)
+        console.print(f"what to do: {found.remedy}")
+    console.print(f"packed: {details.get('made')}, bag {details.get('bag')}")
     for name, here in (("verdict", found.verdict), ("audit", found.audit)):
         there = details.get(name)
         other = "" if here == there else f" (on the computer that packed it: {there})"
-        console.print(f"{name}: {here}{other}", soft_wrap=True, highlight=False)
+        console.print(f"{name}: {here}{other}")
     for one in doctor:
         if one["state"] != "ok":
             text = f"doctor there, {one['state']}: {one['name']}: {one['detail']}"
-            console.print(text, soft_wrap=True, highlight=False)
+            console.print(text)
     for one in details.get("left_out", []):
-        console.print(f"not in it: {one}", soft_wrap=True, highlight=False)
+        console.print(f"not in it: {one}")
     written = [folder, *([picture] if picture.exists() else []), page]
     print_written(*written, then=f"open {quote(str(page))} in a browser")

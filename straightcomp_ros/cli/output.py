@@ -30,6 +30,12 @@ class _Console(Console):
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, markup=False, emoji=False)
 
+    def print(self, *objects: Any, **options: Any) -> None:  # type: ignore[override]
+        """As of rich; a sentence is one line, so that it can be copied, and its numbers have no colour."""
+        if all(isinstance(one, str | Text) for one in objects):
+            options = {"soft_wrap": True, "highlight": False, **options}
+        super().print(*objects, **options)
+
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
         return super().render_str(printable(text), **options)
 
@@ -95,7 +101,7 @@ def noted_warnings(category: type[Warning] = Warning) -> Iterator[list[str]]:
         yield texts
     texts += dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, category))
     for text in texts:
-        notes.print(f"warning: {text}", style="yellow", soft_wrap=True)
+        notes.print(f"warning: {text}", style="yellow")
 
 
 def linked(path: Path) -> Text:
@@ -106,7 +112,7 @@ def linked(path: Path) -> Text:
 
 def print_written(*files: object, then: str) -> None:
     """End of a verb that has written something: what, and what to do next, a command or a sentence."""
-    notes.print(f"written: {', '.join(map(str, files))}\nnext: {then}", soft_wrap=True, highlight=False)
+    notes.print(f"written: {', '.join(map(str, files))}\nnext: {then}")
 
 
 def print_json(values: Mapping[str, Any]) -> None:

@@ -59,10 +59,10 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
         print_json(dataclasses.asdict(found))
     else:
         counts = f"{found.different} different, {found.unverified} not verifiable"
-        console.print(f"law '{found.law}': {found.commands} commands computed again, {counts}", soft_wrap=True)
+        console.print(f"law '{found.law}': {found.commands} commands computed again, {counts}")
     if found.missing:
         missing = f"{found.missing} samples, references or states are not in the bag"
-        notes.print(f"{missing}: commands after them cannot be computed until the law starts anew", soft_wrap=True)
+        notes.print(f"{missing}: commands after them cannot be computed until the law starts anew")
     if found.began_running:
         notes.print("the recording began while the law was running: it is verified from the law's next start")
     if found.first:
@@ -121,5 +121,5 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
     else:
         counts = f"{found.equal} as recorded to the bit, {found.different} otherwise"
         played = f"{found.samples} samples played; {found.commands} commands came back"
-        console.print(f"{played}: {counts}", soft_wrap=True)
+        console.print(f"{played}: {counts}")
         print_written(found.bag, then=f"straightcomp replay {quote(str(found.bag))}")

@@ -13,10 +13,9 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from straightcomp_ros.analysis.figure_words import in_words
+from straightcomp_ros.analysis.figure_words import PAPER_PP_UM, in_words
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, printable, styled
-from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.judgement import Verdict
@@ -123,7 +122,7 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
     for key, digits in _ROWS.items():
         words, unit = in_words(key)
         if figures.get(key) is not None:
-            paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
+            paper = f"{PAPER_PP_UM[law]:.2f}" if key == "true_pp_um" and law in PAPER_PP_UM else ""
             value = over_starts[key].text(digits) if key in over_starts else f"{figures[key]:.{digits}f}"
             table.add_row(words, marked(key, value, figures), unit, paper)
     return table
@@ -158,7 +157,7 @@ def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
 def print_verdict(verdict: Verdict, of: str = "") -> None:
     """The verdict as a line below a table; ``of`` names the run where there are several."""
     style = "green" if verdict.in_order else "red"
-    console.print(f"Verdict{f' on {of}' if of else ''}: {verdict}", style=style, soft_wrap=True, highlight=False)
+    console.print(f"Verdict{f' on {of}' if of else ''}: {verdict}", style=style)
 
 
 def fail_unless_in_order(verdict: Verdict) -> None:
@@ -175,7 +174,7 @@ def warn_of_missing_margin(control: ControlParameters, stage: StageParameters) -
     missing = missing_margin(control, stage)
     if missing is not None:
         text = f"warning: {missing}; the controller of the graph refuses these, unless 'control.margins' is 'warn'"
-        notes.print(text, style="yellow", soft_wrap=True, highlight=False)
+        notes.print(text, style="yellow")
     return missing
 
 
@@ -186,12 +185,12 @@ def show_findings(found: Iterable[Finding], *, json: bool) -> int:
         findings.append(finding)
         if not json:
             state = (f"{finding.state:>4}", _COLOURS[finding.state])
-            console.print(styled(state, f"  {finding.name}: {finding.detail}"))
+            console.print(styled(state, f"  {finding.name}: {finding.detail}"), soft_wrap=False)
             if finding.remedy:
-                console.print(f"      {finding.remedy}", style="dim", highlight=False)
+                console.print(f"      {finding.remedy}", style="dim", soft_wrap=False)
     counts = {state: sum(finding.state == state for finding in findings) for state in _COLOURS}
     if json:
         print_json({**counts, "checks": [dataclasses.asdict(finding) for finding in findings]})
     else:
-        console.print(", ".join(f"{count} {state}" for state, count in counts.items()), highlight=False)
+        console.print(", ".join(f"{count} {state}" for state, count in counts.items()))
     return 1 if counts["fail"] else 0

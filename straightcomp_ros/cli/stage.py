@@ -82,12 +82,9 @@ def _new(options: argparse.Namespace) -> None:
     described = {f"{STAGE}.{name}": value for name, value in values.items()}
     text = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."), described)
     write_whole(file, _HEAD.format(name=values["name"]) + "\n" + text)
-    console.print(
-        f"{file}: {len(given)} facts given, name and strokes by folder and survey, defaults for the others",
-        highlight=False,
-    )
+    console.print(f"{file}: {len(given)} facts given, name and strokes by folder and survey, defaults for the others")
     if options.survey is None:
-        console.print(f"{survey} is the synthetic survey: replace it by that of your guide", highlight=False)
+        console.print(f"{survey} is the synthetic survey: replace it by that of your guide")
     print_written(file, survey, then=f"straightcomp stage check {quote(str(file))}")
 
 
@@ -149,9 +146,9 @@ def _check(options: argparse.Namespace) -> int:
         from straightcomp_ros.analysis.map_page import plot_map
 
         plot_map(as_it_is(controller.stage.guide), plot, controller.stage.name)
-        notes.print(f"written: {plot}", soft_wrap=True, highlight=False)
+        notes.print(f"written: {plot}")
     if not (code or options.json):
-        notes.print(f"next: straightcomp simulate --stage {quote(options.file)}", soft_wrap=True, highlight=False)
+        notes.print(f"next: straightcomp simulate --stage {quote(options.file)}")
     return code
 
 

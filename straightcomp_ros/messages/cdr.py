@@ -45,6 +45,8 @@ class Layout:
         constants: the constant byte runs: after the stamp, and between the numbers.
         runs: number of float64 after each constant run.
         places: for each column the array of the message and the joint whose entry it is.
+        gaps: places of bytes, counted behind the encapsulation, that only align what follows: other writers leave
+            anything there.
         pack: ``pack(stamp_ns, *numbers)`` serialises one message: header stamp in ns since the epoch, and as many
             float64 as ``columns``.
         unpack: ``unpack(data)`` reads one: (stamp in ns, numbers in the order of ``columns``); raises
@@ -57,6 +59,7 @@ class Layout:
     constants: tuple[bytes, ...]
     runs: tuple[int, ...]
     places: tuple[tuple[str, str], ...]
+    gaps: tuple[int, ...]
     pack: Callable[..., bytes] = field(init=False, repr=False, compare=False)
     unpack: Callable[[bytes], tuple[int, tuple[float, ...]]] = field(init=False, repr=False, compare=False)
     size: int = field(init=False, repr=False, compare=False)
@@ -139,14 +142,16 @@ def _layout(type_name: str, fields: Sequence[str | int | tuple[str, ...]], place
 
     CDR aligns relative to the end of the encapsulation.
     """
-    offset, constant, constants, runs = 8, b"", list[bytes](), list[int]()
+    offset, constant, constants, runs, gaps = 8, b"", list[bytes](), list[int](), list[int]()
     for one in fields:
         text = one.encode() + b"\0" if isinstance(one, str) else b""
         number = one if isinstance(one, int) else len(text or one)
+        gaps += range(offset, offset + -offset % 4)
         added = bytes(-offset % 4) + struct.pack("<I", number) + text
         constant, offset = constant + added, offset + len(added)
         if isinstance(one, tuple) and one:
             padding = bytes(-offset % 8)
+            gaps += range(offset, offset + len(padding))
             constants.append(constant + padding)
             runs.append(len(one))
             constant, offset = b"", offset + len(padding) + 8 * len(one)
@@ -154,7 +159,7 @@ def _layout(type_name: str, fields: Sequence[str | int | tuple[str, ...]], place
         constants.append(constant)
         runs.append(0)
     columns = (column for one in fields if isinstance(one, tuple) for column in one)
-    return Layout(type_name, tuple(columns), tuple(constants), tuple(runs), tuple(places))
+    return Layout(type_name, tuple(columns), tuple(constants), tuple(runs), tuple(places), tuple(gaps))
 
 
 def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:

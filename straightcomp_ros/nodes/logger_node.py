@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.recorded_nodes import attach_map
-from straightcomp_ros.bags.recorder import Recorder, RecorderOptions
+from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.topics import Topic, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED, Stream
@@ -49,7 +49,7 @@ class LoggerComponent:
         """Topics that have had no message yet."""
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
-        self._recorder = recorder = Recorder(_options(parameters), stamped, self._describe)
+        self._recorder = recorder = Recorder(parameters, stamped, self._describe)
         for stream in STREAMS:
             self._record(stream.topic, stream.layout.type_name, stream_qos(parameters.queue_depth), stream)
         self._record(STAGE_TRAJECTORY, "trajectory_msgs/msg/JointTrajectory", QoSProfile(depth=10))
@@ -220,19 +220,6 @@ class LoggerComponent:
     def close(self) -> None:
         """Write the messages that have arrived, attach the parameters, finish the bag."""
         self._recorder.stop()
-
-
-def _options(parameters: LoggerNodeParameters) -> RecorderOptions:
-    return RecorderOptions(
-        output=parameters.output,
-        compression=parameters.compression,
-        max_size=parameters.max_file_bytes,
-        max_duration=parameters.max_file_duration,
-        queue_limit=parameters.queue_limit,
-        snapshot_s=parameters.snapshot,
-        min_free=parameters.min_free_bytes,
-        sync_interval=parameters.sync_interval,
-    )
 
 
 def _pattern(name: str, text: str) -> re.Pattern[str]:

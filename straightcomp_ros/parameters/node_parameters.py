@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from straightcomp_ros.bags import RecorderParameters
 from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
@@ -152,19 +153,14 @@ class ControllerNodeParameters:
 
 
 @dataclass(frozen=True)
-class LoggerNodeParameters:
+class LoggerNodeParameters(RecorderParameters):
     """Parameters of the node `logger`."""
 
     dynamic: ClassVar[tuple[str, ...]] = ("min_free_bytes",)
 
     autostart: bool = _autostart()
-    output: str = parameter("", "Folder of the bag; empty: a new one, named after the start time")
-    compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
     queue_depth: int = parameter(
         8000, "Messages of each topic that may wait in the middleware while the logger is held up", "[1, inf)"
-    )
-    queue_limit: int = parameter(
-        200_000, "Messages that may wait in memory for the disk; further ones are dropped and counted", "[1000, inf)"
     )
     topics: str = parameter(
         ".*", "Regular expression for the whole names of this package's topics to record, e.g. 'encoder|command'"
@@ -175,28 +171,6 @@ class LoggerNodeParameters:
         "'/displacement|/rosout'; empty for none",
     )
     record_at_start: bool = parameter(True, "Record from the node's start on; false: from the service ~/start on")
-    max_file_bytes: int = parameter(
-        0, "Size of a file at which the bag continues in a new one; 0 for one file", "[0, inf) byte"
-    )
-    max_file_duration: float = parameter(
-        0.0,
-        "Time from a file's first message after which the bag continues in a new file; 0 for one file",
-        "[0, inf) s",
-    )
-    snapshot: float = parameter(
-        0.0,
-        "Length of the recording that stays in memory until the service ~/snapshot writes it; 0 writes all at once",
-        "[0, 600] s",
-    )
-    min_free_bytes: int = parameter(
-        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf)"
-    )
-    sync_interval: float = parameter(
-        0.2,
-        "Time from one sync of the recording to the disk to the next, which a power cut may cost with some tenths of a "
-        "second more; 0: when the system does it by itself",
-        "[0, 60] s",
-    )
     incidents: int = parameter(
         0,
         "Incidents that are kept beside the bag: at a latched fault its last minute is packed into one file with all "

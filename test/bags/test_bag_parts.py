@@ -10,9 +10,9 @@ import pytest
 from recording import record
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files, split_number
+from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files
 from straightcomp_ros.bags.mcap_input import message_places
-from straightcomp_ros.bags.recorded_nodes import recorded_parameters, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.bags.topics import TopicQos, definition, resolved
 from straightcomp_ros.contract import STREAMS
 
@@ -126,13 +126,6 @@ def test_several_recordings_in_a_folder_are_refused_by_their_names(tmp_path, nam
     assert [file.name for file in files] == names[:1]
 
 
-def test_split_number_gives_recording_and_number():
-    assert split_number(Path("a_b_12.mcap")) == ("a_b", 12, "a_b_12.mcap")
-    assert split_number(Path("a.mcap")) == ("a", -1, "a.mcap")
-    assert split_number(Path(ROLLING[11])) == ("run", 11, ROLLING[11])
-    assert split_number(Path("rosbag2_2025_12_17-10_00_00_3.db3"))[:2] == ("rosbag2_2025_12_17-10_00_00", 3)
-
-
 @pytest.mark.parametrize("name", ["b_0.mcap.zstd", "b_0.db3.zstd", "b_0.mcap.lz4", "b_1.db3.zst"])
 @pytest.mark.parametrize("others", [(), ("b_7.mcap",)])
 def test_files_that_are_compressed_as_a_whole_are_named_with_what_unpacks_them(tmp_path, name, others):
@@ -149,12 +142,6 @@ def test_an_empty_last_file_of_several_does_not_belong_to_the_bag(tmp_path):
     for name in ("run_0.mcap", "run_1.mcap"):
         (tmp_path / name).unlink()
     assert [file.name for file in bag_files(tmp_path)] == ["run_2.mcap"]
-
-
-def test_the_attached_map_is_unpacked_where_there_is_one(tmp_path):
-    assert unpacked_map({}, tmp_path) is None and not list(tmp_path.iterdir())
-    file = unpacked_map({"map.csv": b"x_mm", "parameters.yaml": b""}, tmp_path)
-    assert list(tmp_path.iterdir()) == [file] and file.read_bytes() == b"x_mm"
 
 
 def test_parameters_of_ros_itself_are_not_those_of_a_node():

@@ -33,11 +33,11 @@ def joint_state_bytes(names, position=(), effort=(), frame_id="", stamp_ns=START
     return bytes(STORE.serialize_cdr(STORE.types[JOINT_STATE](header, list(names), *arrays), JOINT_STATE))
 
 
-def encoder_bag(directory: Path, *contents: bytes, topic: str = "/encoder") -> Path:
+def encoder_bag(directory: Path, *contents: bytes, topic: str = "/encoder", published: int = START_NS) -> Path:
     with BagWriter(directory) as bag:
         bag.add_topic(topic, JOINT_STATE)
         for number, content in enumerate(contents):
-            bag.write(topic, content, START_NS + number, START_NS)
+            bag.write(topic, content, START_NS + number, published)
     return directory
 
 
@@ -83,10 +83,11 @@ def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(record, c
         assert reader.message_count == len(bag.messages)
 
 
-def test_any_stamp_comes_back(tmp_path):
+def test_any_stamp_comes_back_and_a_publish_time_before_the_epoch_is_recorded_as_0(tmp_path):
     stamps = [-(2**31) * 10**9, -1, 0, 1, 2**31 * 10**9 - 1]
-    encoder_bag(tmp_path / "bag", *(ENCODER.layout.pack(stamp, 1, 2, 3, 4) for stamp in stamps))
+    encoder_bag(tmp_path / "bag", *(ENCODER.layout.pack(stamp, 1, 2, 3, 4) for stamp in stamps), published=-5)
     assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].stamp.tolist() == stamps
+    assert read_messages(tmp_path / "bag", "encoder").publish_time == [0] * len(stamps)
 
 
 def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_layouts):

@@ -15,7 +15,7 @@ import yaml
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from recording import LAYOUTS, START_NS, Recording, add_streams, information, messages, write
+from recording import LAYOUTS, Recording, add_streams, information, messages, write
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 
@@ -214,20 +214,6 @@ def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made_and_is_closed_o
         BagWriter(bag.file / "bag")
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"compression": "gzip"}, r"compression is 'gzip': allowed are zstd, lz4, none"),
-        ({"chunk_size": 0}, "chunk_size is 0 bytes"),
-        ({"max_size": -1}, "max_size is -1: allowed"),
-        ({"max_duration": -1}, "max_duration is -1: allowed"),
-    ],
-)
-def test_an_option_that_is_not_allowed_is_named_with_what_is(tmp_path, options, words):
-    with pytest.raises(BagError, match=words):
-        BagWriter(tmp_path / "bag", **options)
-
-
 def test_a_topic_or_a_message_that_is_not_allowed_is_named_with_what_is(tmp_path):
     kind = ENCODER.layout.type_name
     with BagWriter(tmp_path / "bag") as bag:
@@ -247,14 +233,6 @@ def test_a_topic_or_a_message_that_is_not_allowed_is_named_with_what_is(tmp_path
     for refused in (lambda: bag.write(*late), lambda: bag.write_all([late])):
         with pytest.raises(BagError, match="is closed"):
             refused()
-
-
-def test_a_stamp_before_the_epoch_is_recorded_with_publish_time_0(tmp_path):
-    with BagWriter(tmp_path / "bag") as bag:
-        add_streams(bag)
-        bag.write("/encoder", ENCODER.layout.pack(-5, 1, 2, 3, 4), START_NS, -5)
-    assert read_streams(tmp_path / "bag", LAYOUTS)["encoder"].stamp.tolist() == [-5]
-    assert read_messages(tmp_path / "bag", "encoder").publish_time == [0]
 
 
 class SmallDisk:
@@ -335,17 +313,6 @@ def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does
     times = [message.log_time for message in three_files.messages]
     assert found["starting_time"]["nanoseconds_since_epoch"] == min(times)
     assert found["duration"]["nanoseconds"] == max(times) - min(times)
-
-
-def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
-    with BagWriter(tmp_path / "run") as bag:
-        bag.add_topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort"))
-        data = bytes(64 * 1024 - 31)  # with the head of its record 64 KiB
-        for stamp in range(33):
-            bag.write("/encoder", data, stamp, stamp)
-    with open(bag_files(tmp_path / "run")[0], "rb") as file:
-        summary = make_reader(file).get_summary()
-    assert [index.uncompressed_size >> 16 for index in summary.chunk_indexes][:4] == [8, 8, 8, 8]
 
 
 def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_one_file_in_the_whole(tmp_path):

@@ -47,7 +47,7 @@ class FakeStand:
         self.node = SimpleNamespace(create_subscription=lambda *_: None)
         self.heartbeats = SimpleNamespace(states=dict.fromkeys(("driver", "controller"), "active"))
 
-    def until(self, condition, seconds):
+    def until(self, condition, seconds=0.0):
         return condition()
 
     def spin(self, seconds):
@@ -138,7 +138,7 @@ def test_an_amplifier_that_may_not_be_off_is_a_failure(scene, stand):
 def test_a_fault_of_a_machine_that_stood_still_is_counted_apart_and_another_fault_is_not(scene, stand):
     scene._stalls = SimpleNamespace(total_ms=lambda begin, end: 120.0)
     stand.latch(Fault.Y_OUT_OF_RANGE)
-    assert stand.failures_of(scene.may_latch) == [] and scene.result.stalls == {"y_out_of_range": 1}
+    assert stand.failures_of(scene.may_latch) == [] and scene.result.faults_in_stalls == {"y_out_of_range": 1}
     stand.latch(Fault.TWO_CONTROLLERS)
     assert stand.failures_of(scene.may_latch)
 
@@ -270,15 +270,13 @@ def test_a_fault_before_the_amplifier_goes_off_is_a_failure_unless_the_machine_s
     stand.answers["driver/enable"] = answer()
     stand.latch(Fault.Y_OUT_OF_RANGE)
     assert len(stand.failures_of(action, scene)) == failures
-    assert scene.result.stalls["y_out_of_range"] == 1 - failures
+    assert scene.result.faults_in_stalls["y_out_of_range"] == 1 - failures
 
 
-def test_a_controller_that_does_not_miss_the_samples_is_a_failure(scene, stand):
-    assert "has not asked" in stand.failures_of(scene.must_trip)[0]
-    stand.tripped = Seen(Fault.MAP_MISSING, NOW)
-    assert stand.failures_of(scene.must_trip)
-    stand.tripped = Seen(Fault.SAMPLE_TIMEOUT, NOW)
-    assert stand.failures_of(scene.must_trip) == []
+def test_a_driver_that_the_controller_does_not_miss_is_a_failure(scene, stand):
+    for tripped, failures in ((None, 1), (Fault.MAP_MISSING, 1), (Fault.SAMPLE_TIMEOUT, 0)):
+        stand.tripped = tripped and Seen(tripped, NOW)
+        assert len(stand.failures_of(soak_actions._must_react, scene, "driver")) == failures
 
 
 def test_a_recorder_that_refuses_is_a_failure_unless_an_answer_was_lost_and_two_lost_ones_end_the_action(scene, stand):
@@ -320,10 +318,10 @@ def test_memory_that_grows_too_fast_for_long_enough_is_a_failure_once_it_is_more
 def test_a_run_has_passed_only_if_something_was_done_and_nothing_failed():
     done, sound = {"split": 1}, [life((22, 13, 200.0), (22, 13, 200.0))]
     assert not Soak(1).to_display()["passed"]
-    assert Soak(1, done=done, lives=sound).to_display()["passed"]
+    assert Soak(1, actions=done, lives=sound).to_display()["passed"]
     for failed in (
-        Soak(1, done=done, lives=sound, failures=["split: the amplifier is 'off'"]),
-        Soak(1, done=done, lives=[life((22, 13, 200.0), (23, 13, 200.0))]),
+        Soak(1, actions=done, lives=sound, failures=["split: the amplifier is 'off'"]),
+        Soak(1, actions=done, lives=[life((22, 13, 200.0), (23, 13, 200.0))]),
     ):
         assert not failed.to_display()["passed"] and len(failed.to_display()["failures"]) == 1
 

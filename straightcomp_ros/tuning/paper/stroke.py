@@ -6,10 +6,10 @@ from collections.abc import Iterable
 import numpy as np
 from matplotlib.figure import Figure
 
+from straightcomp_ros.analysis.figure_words import PAPER_PP_UM
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
-from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM, TOLERANCE
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -19,6 +19,8 @@ from straightcomp_ros.tuning.paper.machine import Machine
 from straightcomp_ros.tuning.paper.surface import lag
 
 PAPER_GUIDE_UM = 22.4
+_TOLERANCE = 0.15
+"""Part of a figure within which another plant's agrees with it: friction, delay and amplifier are not printed."""
 _PAPER_RATIO = 0.00013
 """|y/y0| of the paper; only the error is as small."""
 _POINTS = 2001
@@ -70,7 +72,7 @@ def _runs(machine: Machine, law: str) -> list[_Run]:
 def _over_starts(name: str, numbers: Iterable[float], unit: str, note: str, paper: float | None = None) -> Claim:
     """The claim of a figure over the starts."""
     over = spread(numbers)
-    return Claim(name, over.median, unit, note, paper, TOLERANCE * (paper or 0.0), (over.min, over.max))
+    return Claim(name, over.median, unit, note, paper, _TOLERANCE * (paper or 0.0), (over.min, over.max))
 
 
 def _true_pp_um(runs: list[_Run]) -> list[float]:
@@ -87,7 +89,7 @@ def linear_stroke(machine: Machine) -> PaperFigure:
     """Fig. 8: run the stroke under (9) without its switching term."""
     runs = _runs(machine, "linear")
     plant = "true error; the paper prints no plant: friction, delay and amplifier are ours"
-    error = ("Fig. 8: error under linear control, p-p", _true_pp_um(runs), "µm", plant, PEAK_TO_PEAK_UM["linear"])
+    error = ("Fig. 8: error under linear control, p-p", _true_pp_um(runs), "µm", plant, PAPER_PP_UM["linear"])
     rates = "2ζ/ωn times ṙ over the stroke, whatever the plant; it would go with ṙ and r̈ fed forward"
     lagging = ("Fig. 8: of that the lag 2ζ/ωn behind r(t), p-p", _lag_um(runs[0][0], machine), "µm", rates)
     claims = [_over_starts(*error), Claim(*lagging)]
@@ -111,7 +113,7 @@ def sliding_mode_stroke(machine: Machine) -> PaperFigure:
     errors, ys = ([largest(record, error) for record, _ in runs] for error in (True, False))
     guide = "so |y/y0| ≤ 0.00013 can only mean the error: y itself follows the guide"
     claims = [
-        _over_starts(name, _true_pp_um(runs), "µm", fed, PEAK_TO_PEAK_UM["smc"]),
+        _over_starts(name, _true_pp_um(runs), "µm", fed, PAPER_PP_UM["smc"]),
         _over_starts("Fig. 9: largest |error|/y0", errors, "", ratio, _PAPER_RATIO),
         _over_starts("Fig. 9: largest |y|/y0", ys, "", guide),
     ]
