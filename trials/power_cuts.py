@@ -100,7 +100,7 @@ def left_on_disk(events: list[Event], cut: float, chance: random.Random) -> dict
     for path in dict.fromkeys(one.path for one in before if one.kind == "name"):
         created = next(one.time for one in before if one.kind == "name" and one.path == path)
         synced = [one.begun for one in before if one.kind == "sync" and one.path == str(Path(path).parent)]
-        if not any(begun >= created for begun in synced) and chance.random() < 0.5:
+        if not any(begun >= created for begun in synced) and chance.random() >= 0.5:
             continue
         durable = max((one.begun for one in before if one.kind == "sync" and one.path == path), default=0.0)
         content = bytearray()
