@@ -7,7 +7,8 @@ True error p-p and RMS in µm, RMS step of i_c in mA; each is the median of nine
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from straightcomp_ros.offline.starts import STARTS, Spread, Values, metrics_of_starts, spreads, with_values
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.offline.starts import STARTS, Spread, Values, runs_of_starts, spreads, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 FIGURES = {"p-p": ("true_pp_um", 1.0, 2), "RMS": ("true_rms_um", 1.0, 3), "step of i_c": ("control_rms_step_A", 1e3, 1)}
@@ -51,7 +52,7 @@ TABLES = (
 
 def over_starts(values: Values, count: int = STARTS) -> dict[str, Spread]:
     """Each of `FIGURES` over the starts, in its row's unit."""
-    found = spreads(metrics.to_display() for metrics in metrics_of_starts(values, count))
+    found = spreads(evaluate(*one).to_display() for one in runs_of_starts(values, count))
     return {row: found[name].scaled(factor) for row, (name, factor, _) in FIGURES.items()}
 
 

@@ -11,17 +11,18 @@ SMC = Path(__file__).parents[1] / "bags" / "smc"
 _STREAMS = {f"/{stream.topic}": stream for stream in STREAMS}
 
 
-def rewritten(source: Path, folder: Path, change) -> Path:
+def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) -> Path:
     """A copy of the only file of the bag ``source`` as ``folder``. ``change`` takes topic, stamp in ns from the first
     and numbers of a message of ours, and returns stamp and numbers, with the time of recording if that is another; or
-    None to leave the message out."""
+    None to leave the message out. ``edit`` takes name and bytes of an attachment, and returns its bytes, or None."""
     folder.mkdir()
     (path,) = source.glob("*.mcap")
     with path.open("rb") as file, (folder / f"{folder.name}_0.mcap").open("wb") as target:
         reader, writer = make_reader(file), Writer(target)
         writer.start("ros2")
         for one in reader.iter_attachments():
-            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+            if (data := edit(one.name, one.data)) is not None:
+                writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, data)
         for one in reader.iter_metadata():
             writer.add_metadata(one.name, one.metadata)
         channels: dict[int, int] = {}

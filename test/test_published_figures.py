@@ -8,9 +8,10 @@ import pytest
 from tiers import nightly
 
 from scripts import late_commands, law_table, tuning_tables
+from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.offline.starts import Spread, metrics_of_starts, spreads
+from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.sweep.many_trials import run_trials
 
@@ -54,7 +55,7 @@ def shipped():
 )
 def test_the_table_of_laws_is_what_its_script_finds(law, shipped):
     _, _, pp, rms, step, *_ = cells(line_of(ACCURACY, law_table.NAMES.get(law, law)))
-    found = spreads(one.to_display() for one in metrics_of_starts(law_table.chosen_laws(shipped)[law]))
+    found = spreads(evaluate(*one).to_display() for one in runs_of_starts(law_table.chosen_laws(shipped)[law]))
     assert lies_within(found["true_pp_um"].median, spread_of(pp), 2)
     assert lies_within(found["true_rms_um"].median, spread_of(rms), 3)
     assert lies_within(found["control_rms_step_A"].median * 1e3, spread_of(step), 1)

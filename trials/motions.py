@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.movements import SETTLED, standstill_figures
+from straightcomp_ros.analysis.metrics import SETTLED, standstill_figures
 from straightcomp_ros.cli.options import add_json, add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.hardware.simulated import SimulatedHardware

@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, table_of
 from straightcomp_ros.fleet.maintenance.advice import advice_of, changes_of
 from straightcomp_ros.fleet.maintenance.day_levels import DayLevels
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
-from straightcomp_ros.offline.starts import metrics_of_starts, spread
+from straightcomp_ros.offline.starts import runs_of_starts, spread
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.tuning.sweep.trial import mismeasured
@@ -185,6 +186,6 @@ def followed_map(
         advance(f"strokes with the {name} map", 0.5 + place / 6)
         values = {"driver": {"simulated.truth.guide": str(true)}}
         values |= {node: {"stage.guide.file": str(file)} for node in ("feedforward", "controller")}
-        figures[f"{name}_um"] = spread([one.residual_pp * 1e6 for one in metrics_of_starts(values)])._asdict()
+        figures[f"{name}_um"] = spread(evaluate(*one).residual_pp * 1e6 for one in runs_of_starts(values))._asdict()
     figures["proposed_to_fresh"] = figures["proposed_um"]["median"] / figures["fresh_um"]["median"]
     return figures

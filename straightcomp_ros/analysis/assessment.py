@@ -13,9 +13,8 @@ from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judged_motion import STILL
-from straightcomp_ros.analysis.metrics import LINES, MetricsError, evaluate, stroke_figures
-from straightcomp_ros.analysis.movements import standstill_figures
-from straightcomp_ros.analysis.record import Array, runs_of
+from straightcomp_ros.analysis.metrics import LINES, evaluate, standstill_figures, stroke_figures
+from straightcomp_ros.analysis.record import Array, MetricsError, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.parameters.declaration import ParameterError, instead
@@ -119,10 +118,6 @@ class Assessment:
                 for stroke, after in zip(self.strokes, self.standstills, strict=True)
             ],
             "straightness": self.straightness,
-            "spectrum_peaks": [
-                {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}
-                for frequency, density in self.spectrum.peaks()
-            ],
             **{f"{name}_intervals": [one._asdict() for one in found] for name, found in intervals.items()},
             "stick_slip": [asdict(event) for event in self.stick_slips],
             "warnings": list(self.warnings),

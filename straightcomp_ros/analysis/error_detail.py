@@ -28,7 +28,6 @@ BANDS = ((0.0, 10.0), (10.0, 100.0), (100.0, 1000.0))
 """Bands in Hz of the reported errors: map and friction, the loop's own bandwidth, noise and chatter."""
 SEGMENT = 1.0
 """Length in s of the segments that are averaged: lines 1 Hz apart."""
-_PEAKS = 5
 _LEAST_SAMPLES = 16
 """Fewer have no spectrum."""
 FILLED = 0.02
@@ -57,13 +56,6 @@ class Spectrum:
         inside = (self.frequency >= low) & (self.frequency < high)
         step = self.frequency[1] - self.frequency[0] if len(self.frequency) > 1 else 0.0
         return float(np.sqrt(self.density[inside].sum() * step))
-
-    def peaks(self) -> list[tuple[float, float]]:
-        """Frequency in Hz and density in m²/Hz of the highest local maxima, highest first."""
-        inner = self.density[1:-1]
-        places = 1 + np.flatnonzero((inner > self.density[:-2]) & (inner >= self.density[2:]))
-        highest = places[np.argsort(self.density[places])[::-1][:_PEAKS]]
-        return [(float(self.frequency[place]), float(self.density[place])) for place in highest]
 
 
 def error_spectrum(time: Array, error: Array) -> Spectrum:

@@ -47,24 +47,8 @@ def worded(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return [{heading(name).removeprefix("compensation "): value for name, value in row.items()} for row in rows]
 
 
-_ENVIRONMENT = Environment(
-    loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, auto_reload=False
-)
-_ENVIRONMENT.filters.update(shown=_shown, numeric=_numeric, code=with_code)
-blocks: Any = _ENVIRONMENT.get_template("page.html").module
-"""The macros of `page.html`: ``table``, ``paragraph`` … each gives a `Markup`. They escape every text."""
-
-
-def html_page(
-    title: str, heading: str, note: str, sections: Iterable[tuple[str, str]], *, with_plots: bool = True
-) -> str:
-    """The whole page. ``title``, ``heading`` and the sections' titles are texts; ``note`` and the sections' contents
-    are HTML; a section without content is left out. ``with_plots`` embeds Plotly, 4 MB."""
-    return str(blocks.page(title, heading, note, sections, Markup(get_plotlyjs()) if with_plots else ""))
-
-
-def html_plot(figure: go.Figure) -> Markup:
-    """A plot as a part of a page."""
+def _plot(figure: go.Figure) -> Markup:
+    """As a part of a page."""
     config = {"responsive": True, "displayModeBar": False}
     described = _without_markup(figure.to_plotly_json())
     return Markup(to_html(described, full_html=False, include_plotlyjs=False, config=config, validate=False))
@@ -78,6 +62,22 @@ def _without_markup(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_without_markup(one) for one in value]
     return html.escape(value, quote=False) if isinstance(value, str) else value
+
+
+_ENVIRONMENT = Environment(
+    loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, auto_reload=False
+)
+_ENVIRONMENT.filters.update(shown=_shown, numeric=_numeric, code=with_code, plot=_plot)
+blocks: Any = _ENVIRONMENT.get_template("page.html").module
+"""The macros of `page.html`: ``table``, ``paragraph`` … each gives a `Markup`. They escape every text."""
+
+
+def html_page(
+    title: str, heading: str, note: str, sections: Iterable[tuple[str, str]], *, with_plots: bool = True
+) -> str:
+    """The whole page. ``title``, ``heading`` and the sections' titles are texts; ``note`` and the sections' contents
+    are HTML; a section without content is left out. ``with_plots`` embeds Plotly, 4 MB."""
+    return str(blocks.page(title, heading, note, sections, Markup(get_plotlyjs()) if with_plots else ""))
 
 
 def line_figure(x: str, y: str) -> go.Figure:

@@ -48,6 +48,7 @@ def report_html(
     )
     first = incident[0] + page.blocks.card(f"Verdict: {verdict}", _whose(assessment), verdict.in_order)
     first += Markup("").join(page.blocks.paragraph(text, "fail") for text in assessment.warnings)
+    stated = page.worded(budget_rows(assessment.straightness))
     limits = [
         {"figure": heading(one.name), "value": one.value, "allowed": one.allowed, "": one.passed} for one in checks
     ]
@@ -59,13 +60,10 @@ def report_html(
         first,
         [
             *incident[1],
-            ("Limits", page.blocks.table(limits) if limits else ""),
-            *((title, page.blocks.plots([page.html_plot(plot)])) for title, plot in plots if plot is not None),
+            ("Limits", page.blocks.table(limits)),
+            *((title, page.blocks.plots([plot])) for title, plot in plots),
             ("Strokes", _strokes(assessment)),
-            (
-                "Straightness and its uncertainty (ISO 230-1)",
-                page.blocks.table(page.worded(budget_rows(assessment.straightness))),
-            ),
+            ("Straightness and its uncertainty (ISO 230-1)", page.blocks.table(stated)),
             *_events(assessment),
             ("Figures", page.blocks.table(figures, columns=other is None)),
         ],
@@ -226,6 +224,4 @@ def _events(assessment: Assessment) -> Iterator[tuple[str, Markup]]:
         for e in assessment.stick_slips
     ]
     for title, rows in events.items():
-        more = page.blocks.paragraph(f"and {len(rows) - _SHOWN} more") if len(rows) > _SHOWN else ""
-        if rows:
-            yield f"{title}: {len(rows)}", page.blocks.table(rows[:_SHOWN]) + more
+        yield f"{title}: {len(rows)}", page.blocks.table(rows, most=_SHOWN)

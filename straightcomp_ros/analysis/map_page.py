@@ -121,11 +121,7 @@ def _survey(axes: Axes, built: BuiltMap) -> None:
     for way, style in _TABLES if built.straightness.directed else ((None, "-"),):
         label = f"map, {way}" if way else "map"
         axes.plot(x * 1e3, built.straightness.deviations(x, way) * 1e6, style, color=BLACK, linewidth=0.6, label=label)
-    low, high = axes.get_ylim()
     _rejected(axes, built, np.zeros_like(found.x))
-    # A run that came loose must not squeeze the others.
-    room = 0.5 * (high - low)
-    axes.set_ylim(*np.clip(axes.get_ylim(), low - room, high + room))
     axes.set_title(f"Survey of the guide: {peak_to_peak(built.mean) * 1e6:.2f} µm peak to peak", fontsize=9)
 
 
@@ -148,16 +144,13 @@ def _runs(axes: Axes, built: BuiltMap) -> None:
         for way, style in _TABLES:
             apart = (built.straightness.deviations(found.x, way) - mean) * 1e6
             axes.plot(x_mm, apart, style, color=BLACK, linewidth=0.6, label=f"map, {way}")
-    low, high = axes.get_ylim()
     _rejected(axes, built, mean)
-    room = 0.5 * (high - low)
-    axes.set_ylim(*np.clip(axes.get_ylim(), low - room, high + room))
     axes.set_title("Runs relative to the mean of both directions", fontsize=9)
 
 
 def _rejected(axes: Axes, built: BuiltMap, mean: NDArray[np.float64]) -> None:
     """The runs and points that were left out, relative to ``mean`` over the map's x in m."""
-    at = built.repeatability.x
+    at, (low, high) = built.repeatability.x, axes.get_ylim()
 
     def apart(run: Run, x: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.interp(x, run.x, run.deviation) - np.interp(x, at, mean)) * 1e6
@@ -171,6 +164,9 @@ def _rejected(axes: Axes, built: BuiltMap, mean: NDArray[np.float64]) -> None:
         x = np.array([point])
         label = "rejected point" if number == 0 else None
         axes.plot(x * 1e3, apart(runs[name], x), "x", color=BLACK, markersize=4.0, linewidth=0.8, label=label)
+    # A run that came loose must not squeeze the others.
+    room = 0.5 * (high - low)
+    axes.set_ylim(*np.clip(axes.get_ylim(), low - room, high + room))
 
 
 def _smoothing(axes: Axes, built: BuiltMap) -> None:

@@ -1,4 +1,5 @@
-"""The figures of a run and of its strokes: compensation error, residual straightness, control current, friction."""
+"""The figures of a run, of its strokes and of what follows each: compensation error, residual straightness, control
+current, settling, standstill, reversal, friction."""
 
 import itertools
 import math
@@ -8,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import Array, MetricsError, ReferenceMap, StrokeRecord
+from straightcomp_ros.analysis.record import Array, ReferenceMap, StrokeRecord
 from straightcomp_ros.straightness.residual import (
     end_point_residual,
     least_squares_residual,
@@ -17,11 +18,9 @@ from straightcomp_ros.straightness.residual import (
 )
 from straightcomp_ros.straightness.survey import Direction
 
-__all__ = ["Metrics", "MetricsError", "StrokeFigures", "evaluate", "residual_over", "stroke_figures"]
-
 _UNITS = {
     **dict.fromkeys(("control_activity", "control_rms_step", "resting_rms_step"), ("_A", 1.0)),
-    **dict.fromkeys(("duration", "start"), ("_s", 1.0)),
+    **dict.fromkeys(("duration", "settling", "start"), ("_s", 1.0)),
     **dict.fromkeys(("direction", "samples"), ("", 1.0)),
     "travel": ("_mm", 1e3),
 }
@@ -30,10 +29,16 @@ LINES = ("least_squares", "end_points", "minimum_zone")
 """Reference lines of a straightness, ISO 230-1:2012, 3.4."""
 RESTING = 0.2
 """Time in s after a stroke, from which the command at rest is judged."""
+SETTLED = 0.1e-6
+"""Band in m, either way, within which the error counts as settled: a count of the shipped encoder."""
+_REVERSAL = 0.1
+"""Time in s before and after a reversal in which its error is made: ten periods of a loop's bandwidth of 100 Hz."""
 
 
 @dataclass(frozen=True)
-class _Figures:
+class Figures:
+    """Figures of a run, in SI."""
+
     def to_display(self) -> dict[str, Any]:
         """The figures as a person reads them: lengths in µm, the travel in mm, the unit in each name."""
         shown = {}
@@ -44,7 +49,7 @@ class _Figures:
 
 
 @dataclass(frozen=True)
-class Metrics(_Figures):
+class Metrics(Figures):
     """Figures of one run; lengths in m, currents in A, None where the record holds no truth.
 
     The compensation error is taken from the first to the last sample of motion, with the pauses between the strokes;
@@ -72,7 +77,7 @@ class Metrics(_Figures):
 
 
 @dataclass(frozen=True)
-class StrokeFigures(_Figures):
+class StrokeFigures(Figures):
     """Figures of one movement one way; s, m. ``travel`` is that in x; the straightness by ISO 230-1 is relative to
     each line, from true positions where they are known, else the map's and the encoder's."""
 
@@ -141,6 +146,45 @@ def stroke_figures(stroke: StrokeRecord, reference: ReferenceMap, direction: Dir
         **_errors(stroke.r - stroke.y, stroke.true_error(reference), slice(None)),
         **lines,
     )
+
+
+@dataclass(frozen=True)
+class StandstillFigures(Figures):
+    """What follows one movement until the next one or the end of the record, in s and m; None where that is not shown.
+    The error is the one by which the stroke is judged: the true one where it is known, else the encoder's.
+
+    ``settling`` is the time from the last sample of motion until the error stays within the band up to the next motion:
+    0 if it does at once, NaN if it never does. The standstill is what follows that, or the whole rest if it never
+    settles. The reversal is the last time before and the first after a change of direction, pauses left out.
+    """
+
+    settling: float | None = None
+    standstill_pp: float | None = None
+    standstill_rms: float | None = None
+    reversal_pp: float | None = None
+
+
+def standstill_figures(record: StrokeRecord, reference: ReferenceMap) -> list[StandstillFigures]:
+    """Figures of what follows each of the record's movements, in their order."""
+    truth, strokes = record.true_error(reference), record.motion.strokes
+    error = record.r - record.y if truth is None else truth
+    period = float(np.median(np.diff(record.time)))
+    around, found = max(1, round(_REVERSAL / period)), []
+    for stroke, following in itertools.zip_longest(strokes, strokes[1:]):
+        rest = error[stroke.stop : following.start if following else None]
+        reversal = None
+        if following and following.direction != stroke.direction:
+            reversal = peak_to_peak([*error[stroke.samples][-around:], *error[following.samples][:around]])
+        if not (rest.size and np.isfinite(rest).all()):
+            found.append(StandstillFigures(reversal_pp=reversal))
+            continue
+        outside = np.flatnonzero(np.abs(rest) > SETTLED)
+        settled = int(outside[-1]) + 1 if outside.size else 0
+        lasts = settled < rest.size
+        standing = rest[settled:] if lasts else rest
+        settling = settled * period if lasts else math.nan
+        found.append(StandstillFigures(settling, peak_to_peak(standing), _rms(standing), reversal))
+    return found
 
 
 def _errors(encoder: Array, truth: Array | None, samples: slice | NDArray[np.intp]) -> dict[str, Any]:

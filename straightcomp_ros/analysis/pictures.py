@@ -19,10 +19,8 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 LENGTH_OF_MEAN_MM = 10.0
 
 
-def plot_run(
-    record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: str | Path, title: str
-) -> Path:
-    """Draw ``record`` into the PNG ``path``, which is replaced if it exists, and return its path.
+def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: Path, title: str) -> None:
+    """Draw ``record`` into the PNG ``path``, which is replaced if it exists.
 
     Straightness over x, before and after on one scale and after on its own; then over time the compensation error and
     the control current, motion shaded by direction. ``straightness`` is the map of the record's reference. MetricsError
@@ -52,9 +50,7 @@ def plot_run(
     label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
     current.plot(moving.time, moving.current * 1e3, color=BLACK, linewidth=0.6, label=label)
     _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
-    path = Path(path)
     save_whole(figure, path)
-    return path
 
 
 def as_text(text: str) -> str:

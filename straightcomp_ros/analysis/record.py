@@ -53,17 +53,6 @@ class StrokeRecord:
     true_y: Array | None = None
     guide: Array | None = None  # true deviation δ of the guide at true_x, m; None on real hardware
 
-    def __post_init__(self) -> None:
-        shape = np.shape(self.time)
-        if len(shape) != 1:
-            raise MetricsError(f"record: time has shape {shape}; allowed: (n,)")
-        for name, values in self.columns().items():
-            if np.shape(values) != shape:
-                raise MetricsError(f"record: {name} has shape {np.shape(values)}, time has {shape}; allowed: the same")
-        truth = [name for name in self.columns() if name in ("true_x", "true_y", "guide")]
-        if len(truth) not in (0, 3):
-            raise MetricsError(f"record: of the truth it has {', '.join(truth)} only; allowed: all three, or none")
-
     @cached_property
     def motion(self) -> Motion:
         """:func:`motion_of` the record, from the x encoder; MetricsError also if time or x is not finite."""
@@ -199,15 +188,11 @@ def motion_of(time: Array, x: Array) -> Motion:
     """The strokes in a motion: ``time`` (n,) in s and ``x`` (n,) in m, finite; see :func:`strokes_and_jumps`.
 
     Raises:
-        MetricsError: time does not rise, or there is no stroke.
+        MetricsError: there is no stroke.
     """
     n = time.size
     if n < 3:
         raise MetricsError(f"record: {n} samples; allowed: >= 3")
-    steps = np.diff(time)
-    if not (steps > 0.0).all():
-        at = int(np.flatnonzero(steps <= 0.0)[0]) + 1
-        raise MetricsError(f"record: time does not rise at sample {at}: {time[at]:.9g} s; allowed: > the one before")
     strokes, jumps = strokes_and_jumps(time, x)
     if not strokes:
         jumped = [f"x jumps by {abs(x[at] - x[at - 1]) * 1e3:.6g} mm at {time[at]:.6g} s, and " for at in jumps[:1]]

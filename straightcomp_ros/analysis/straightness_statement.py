@@ -188,9 +188,9 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
         for when, curve in (("before", guide), ("after", guide + record.y)):
             after = when == "after"
             source = Input("sensor", sensor, points) if by_sensor else map_input(evaluation.map, seen=not after)
-            known = [samples for samples in strokes if np.count_nonzero(np.isfinite(curve[samples])) > 2 * _PIECES]
-            if known:
-                series = [_finite(record.time[one], record.x[one], curve[one]) for one in known]
+            known = [one.start + np.flatnonzero(np.isfinite(curve[one])) for one in strokes]
+            series = [(record.time[at], record.x[at], curve[at]) for at in known if at.size > 2 * _PIECES]
+            if series:
                 # By the map, the guide is the same in all strokes.
                 inputs = [*([encoder] if after else []), source]
                 found += stated(when, direction, series, inputs, repeats=after or by_sensor)
@@ -220,12 +220,6 @@ def stated(
         Statement(when, direction, line, len(strokes), float(of_line.mean()), _larger_of_random(budget))
         for line, of_line, budget in zip(LINES, values.T, budgets, strict=True)
     ]
-
-
-def _finite(*columns: Array) -> Samples:
-    known = np.isfinite(columns[-1])
-    time, x, curve = (column[known] for column in columns)
-    return time, x, curve
 
 
 def map_input(straightness: StraightnessMap | None, seen: bool) -> Input:

@@ -11,7 +11,8 @@ from typing import Any
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag, percentile_us
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports

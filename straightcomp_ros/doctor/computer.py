@@ -24,7 +24,6 @@ from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.cpus import left_behind
 
-_OLDEST, _NEWEST = (3, 10), (3, 13)
 _DISTRIBUTION = "jazzy"
 _LAST_FREE_DOMAIN = 101
 _ASK_ROS = """
@@ -52,13 +51,6 @@ _IDLE, _STEAL = [3, 4], 7
 """Columns of /proc/stat: idle and waiting for the disk; taken by the hypervisor."""
 _ARPHRD_CAN = "280"
 _OUR_INTERFACE = "straightcomp_hub"
-
-
-def python(version: tuple[int, int] | None = None) -> Finding:
-    """Whether this Python is one that the package runs on."""
-    found = version or (sys.version_info.major, sys.version_info.minor)
-    remedy = "Use Python 3.10 to 3.13, e.g. make PYTHON=python3.12."
-    return judged("python", _OLDEST <= found <= _NEWEST, "Python {}.{}".format(*found), remedy, "fail")
 
 
 def package_files() -> Finding:
@@ -314,7 +306,6 @@ def _read(file: Path) -> str:
 
 
 CHECKS: Mapping[str, Callable[[], Finding | list[Finding]]] = {
-    "python": python,
     "package files": package_files,
     "rclpy": ros,
     "distribution": distribution,

@@ -26,7 +26,7 @@ import numpy as np
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
-from straightcomp_ros.analysis.metrics import MetricsError
+from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.information import origin
@@ -37,7 +37,7 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.output_files import plain, write_whole
+from straightcomp_ros.parameters.output_files import json_text, write_whole
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
 from straightcomp_ros.safety.faults import LABELLED, explained
 
@@ -171,12 +171,10 @@ def pack(
         texts = {name: data.decode(errors="replace") for name, data in contents.items() if name.startswith("logs/")}
         found = judged(copy, texts)
         doctor = [asdict(one) for one in findings]
-        contents["doctor.json"] = _json(doctor)
-        contents["diagnostics.json"] = _json(
-            {node: one[-1]._asdict() for node, one in found.reports.items() if one}
-            | {"faults": found.to_json()["faults"]}
-        )
-        contents["versions.json"] = _json(_versions())
+        contents["doctor.json"] = json_text(doctor).encode()
+        last_reports = {node: one[-1]._asdict() for node, one in found.reports.items() if one}
+        contents["diagnostics.json"] = json_text(last_reports | {"faults": found.to_json()["faults"]}).encode()
+        contents["versions.json"] = json_text(_versions()).encode()
         files = {f"{BAG}/{one.name}": one.read_bytes() for one in sorted(copy.iterdir())}
         contents |= files
         if (size := sum(map(len, contents.values()))) > LARGEST:
@@ -189,7 +187,7 @@ def pack(
             "left_out": left_out,
             "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
         }
-        contents[DETAILS] = _json(details)
+        contents[DETAILS] = json_text(details).encode()
         contents[SUMMARY] = _summary(details, doctor, contents).encode()
         archive = Path(place) / "incident.zip"
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
@@ -319,10 +317,6 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _json(value: Any) -> bytes:
-    return (json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n").encode()
-
-
 def _summary(details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], contents: Mapping[str, bytes]) -> str:
     lines = [
         str(details["cause"]),
@@ -357,8 +351,8 @@ def incident_page(found: Judged, details: Mapping[str, Any], doctor: Sequence[Ma
     complaints = [{word: one[name] for name, word in names.items()} for one in doctor if one["state"] != "ok"]
     sections = [
         ("The incident", blocks.table([{"": name, " ": value} for name, value in facts])),
-        ("What the doctor found on that computer", blocks.table(complaints) if complaints else ""),
-        ("Not in the file", blocks.list(details["left_out"]) if details.get("left_out") else ""),
+        ("What the doctor found on that computer", blocks.table(complaints)),
+        ("Not in the file", blocks.list(details.get("left_out", ()))),
     ]
     if found.assessment:
         return report_html(found.assessment, incident=(first, sections))

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import LOWEST_RATE, laws_of, make_scenario, node_set
@@ -136,21 +135,8 @@ def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, S
 def runs_of_starts(
     values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
 ) -> Iterator[tuple[StrokeRecord, StraightnessMap]]:
-    """:func:`first_cycle` from each start; arguments and errors as of :func:`metrics_of_starts`."""
+    """:func:`first_cycle` from each start, in the order of :func:`offsets`. ``progress`` is called with the fraction
+    that is done. Raises the errors of :func:`run_stroke`."""
     for number, one in enumerate(values_of_starts(values, count), 1):
         yield first_cycle(one)
         progress(number / count)
-
-
-def metrics_of_starts(
-    values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
-) -> list[Metrics]:
-    """Figures of the first cycle from each start, in the order of :func:`offsets`.
-
-    ``progress`` is called with the fraction that is done.
-
-    Raises:
-        MetricsError: the stage does not move.
-        ParameterError, SurveyError, ValueError: as of :func:`run_stroke`.
-    """
-    return [evaluate(*run) for run in runs_of_starts(values, count, progress)]

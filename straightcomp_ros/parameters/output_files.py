@@ -106,6 +106,11 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def json_text(value: Any) -> str:
+    """The content of a JSON file, of :func:`plain` values."""
+    return json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n"
+
+
 MARK, UNFINISHED = ".straightcomp_made.json", "unfinished"
 """Names in an output folder: of the mark, and of the folder of what is not finished yet, or has failed."""
 

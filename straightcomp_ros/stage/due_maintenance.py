@@ -47,7 +47,7 @@ def read_advice(path: Path) -> DueMaintenance:
 
 
 class WatchedAdvice:
-    """The present content of a file, read again when it has changed; an empty name is no file.
+    """The present content of a file; an empty name is no file.
 
     A file that is not there yet says nothing: `straightcomp history advise` may run for the first time tonight. One
     that cannot be read says so in place of advice, since silence would look like a sound stage. ``clock`` is monotonic,
@@ -57,22 +57,15 @@ class WatchedAdvice:
     def __init__(self, file: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._clock = Path(file) if file else None, clock
         self._next_look = -math.inf
-        self._seen: tuple[int, int, int] | None = None
         self._due = DueMaintenance()
 
     def due(self) -> DueMaintenance:
         """What is due, by a look at the file at most once a second."""
         now = self._clock()
-        if self._path is None or now < self._next_look:
-            return self._due
-        self._next_look = now + _LOOK_EVERY_S
-        try:
-            status = self._path.stat()
-            seen = (status.st_mtime_ns, status.st_size, status.st_ino)
-            if seen != self._seen:
-                self._due, self._seen = read_advice(self._path), seen
-        except FileNotFoundError:
-            self._seen, self._due = None, DueMaintenance()
-        except (OSError, MaintenanceError) as error:
-            self._seen, self._due = None, DueMaintenance(as_of="now", sentences=(str(error),))
+        if self._path is not None and now >= self._next_look:
+            self._next_look = now + _LOOK_EVERY_S
+            try:
+                self._due = read_advice(self._path) if self._path.exists() else DueMaintenance()
+            except (OSError, MaintenanceError) as error:
+                self._due = DueMaintenance(as_of="now", sentences=(str(error),))
         return self._due

@@ -67,10 +67,6 @@ def test_a_sine_in_the_error_shows_in_the_figure_of_its_band_in_micrometres(make
     figures = found.figures()
     assert figures["error_rms_10_100_Hz_um"] == pytest.approx(1 / math.sqrt(2), rel=0.01)
     assert figures["error_rms_0_10_Hz_um"] < 0.02 and figures["error_rms_100_1000_Hz_um"] < 0.02
-    peak = found.as_json()["spectrum_peaks"][0]
-    assert peak["frequency_Hz"] == pytest.approx(40.0, abs=1.0)
-    # A Hann window of 1 s spreads a line over 1.5 Hz.
-    assert peak["amplitude_density_um_per_sqrt_Hz"] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
 
 
 def test_latency_is_shown_by_percentiles_and_spread_in_microseconds(make_record, assessed):
@@ -83,26 +79,13 @@ def test_latency_is_shown_by_percentiles_and_spread_in_microseconds(make_record,
     assert math.isnan(without["latency_p50_us"]) and math.isnan(without["latency_jitter_us"])
 
 
-@pytest.mark.parametrize("samples", [16, 17, 100, 101])
-def test_the_density_of_one_piece_adds_up_to_the_power_under_its_window(samples):
-    error = np.random.default_rng(samples).normal(3e-6, 1e-6, samples)
-    spectrum = error_spectrum(np.arange(samples) / 2000.0, error)
-    window = np.hanning(samples + 1)[:-1]
-    power = np.sum(((error - error.mean()) * window) ** 2) / np.sum(window**2)
-    assert spectrum.band_rms(0.0, 1001.0) ** 2 == pytest.approx(power, rel=1e-9)
-    assert spectrum.frequency[1] == pytest.approx(2000.0 / samples)
-    assert len(error_spectrum(np.arange(15) / 2000.0, error[:15]).density) == 0
-
-
-def test_a_band_holds_its_lower_end_and_not_its_upper_one_and_the_five_highest_peaks_come_first():
+def test_a_band_holds_its_lower_end_and_not_its_upper_one():
     time = np.arange(8192) / 2048.0
     spectrum = error_spectrum(time, 1e-6 * np.sin(2 * np.pi * 100 * time))
     # Of a line's power the Hann window leaves two thirds at its frequency and a sixth 1 Hz to each side.
     for low, high, part in ((100, 101, 4), (99, 100, 1), (101, 102, 1), (99, 102, 6), (102, 1025, 0)):
         assert spectrum.band_rms(low, high) ** 2 == pytest.approx(0.5e-12 * part / 6, abs=1e-20)
-    peaks = error_spectrum(time, sum(k * 1e-7 * np.sin(2 * np.pi * 50 * k * time) for k in range(1, 9))).peaks()
-    assert [round(frequency) for frequency, _ in peaks] == [400, 350, 300, 250, 200]
-    assert [density for _, density in peaks] == sorted((density for _, density in peaks), reverse=True)
+    assert len(error_spectrum(time[:15], time[:15]).density) == 0
 
 
 def limits(tmp_path: Path, text: str) -> Path:

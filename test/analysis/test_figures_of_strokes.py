@@ -12,12 +12,10 @@ import pytest
 from straightcomp_ros.analysis import html_report as report
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval
-from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
+from straightcomp_ros.analysis.error_detail import StickSlip, stick_slips
 from straightcomp_ros.analysis.html_page import blocks, worded
-from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
-from straightcomp_ros.straightness.survey import Run, Survey
 
 
 def one_way(deviation, y=0.0, r=0.0, truth=None):
@@ -92,21 +90,6 @@ def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
         assert stick_slips(time, 0.1 * time, np.round((r - 1.5e-6 * way) / 1e-7) * 1e-7, r) == []
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_slip_makes_good_a_part_of_the_stick_beyond_the_references_own_motion(way):
-    # The reference runs 0.1 µm a sample; the platform stands over 100 of them and then jumps within one.
-    step, samples = way * 0.1e-6, np.arange(1000)
-    r, time = step * samples, 1e-3 * samples
-    standing = samples[(samples >= 500) & (samples < 600)]
-    ahead = step * (len(standing) - 1)
-    for beyond, events in ((0.5, 1), (-0.5, 0)):
-        jump = SLIP * ahead + step + beyond * step
-        y = np.where(samples < 500, r, np.where(samples < 600, r[500], r[500] + jump))
-        found = [event for event in stick_slips(time, time, y, r) if event.time == pytest.approx(0.5)]
-        assert len(found) == events
-    assert stick_slips(time[:600], time[:600], y[:600], r[:600]) == []
-
-
 @pytest.fixture
 def drawn(monkeypatch):
     figures = []
@@ -135,107 +118,50 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
     assert x_mm == pytest.approx((record.true_x if truth else record.x)[moving] * 1e3)
     assert np.ptp(before) == pytest.approx(metrics.uncompensated_pp * 1e6)
     assert np.ptp(compensated) == pytest.approx(metrics.residual_pp * 1e6)
-    # Means over a few millimetres lie within the values that they are of.
-    for way, (x, values), (centres, means) in zip(
-        ("forward", "backward"), lines(after)[::2], lines(after)[1::2], strict=True
-    ):
-        assert len(x) == motion.samples(way).size and np.all(np.diff(centres) > 0.0)
-        assert centres.min() >= x.min() and centres.max() <= x.max()
+    for (x, values), (centres, means) in zip(lines(after)[::2], lines(after)[1::2], strict=True):
+        assert x.min() <= centres.min() and centres.max() <= x.max()
         assert values.min() <= means.min() and means.max() <= values.max()
-    # Strokes are shaded from their first sample to their last; blue is forward and red backward, as in all pictures.
     for patch, stroke in zip(error.patches, motion.strokes, strict=True):
-        red, _, blue, _ = patch.get_facecolor()
-        assert (blue > red) == (stroke.direction == "forward")
         span = patch.get_extents().transformed(error.transData.inverted())
         assert (span.x0, span.x1) == pytest.approx((record.time[stroke.start], record.time[stroke.stop - 1]))
-    legends = " ".join(text.get_text() for axes in drawn[0].axes for text in axes.get_legend().get_texts())
-    for value in (metrics.encoder_pp, metrics.true_pp or 0.0, metrics.residual_pp, metrics.uncompensated_pp):
-        assert not value or f"{value * 1e6:.2f} µm p-p" in legends
-    for axes in drawn[0].axes:
-        assert "/" in axes.get_xlabel() and "/" in axes.get_ylabel()
-        low, high = axes.get_ylim()
-        assert all(low <= values.min() and values.max() <= high for _, values in lines(axes))
 
 
-def test_a_picture_that_cannot_be_finished_leaves_the_former_one(tmp_path):
-    class Interrupted:
-        def savefig(self, file, **_):
-            file.write(b"half a picture")
-            raise KeyboardInterrupt
-
-    path = tmp_path / "run.png"
-    path.write_bytes(b"former")
-    with pytest.raises(KeyboardInterrupt):
-        plot.save_whole(Interrupted(), path)
-    assert path.read_bytes() == b"former" and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_built_map_has_its_ends_in_millimetres_and_its_runs():
-    x = np.linspace(0.05, 0.45, 41)
-    runs = (Run("1", "forward", x, bow(x)), Run("1", "backward", x, bow(x) + 2e-7))
-    figures = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False)).figures()
-    expected = {"points": 41, "first_mm": 50.0, "last_mm": 450.0}
-    expected |= {"forward_runs": 1, "backward_runs": 1, "rejected_runs": 0}
-    expected |= {"correction_pp_um": np.ptp(bow(x)) * 1e6, "reversal_max_um": 0.2}
-    assert {name: figures[name] for name in expected} == pytest.approx(expected)
-    assert figures["straightness_end_points_um"] == pytest.approx(8.0, rel=0.01)
-
-
-@pytest.mark.parametrize("count", [5, 100, 5000, 60_000, 60_007])
+@pytest.mark.parametrize("count", [100, 60_007])
 def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count):
     values = np.random.default_rng(count).normal(size=count)
     values[[count // 3, count // 2]] = 99.0, -99.0
     kept = report._extremes(values)
     assert {count // 3, count // 2} <= set(kept.tolist())
-    assert np.all(np.diff(kept) > 0) and kept[0] >= 0 and kept[-1] < count
     # However long the record, a page carries some thousand points; a short one is shown whole.
     assert len(kept) == count if count <= 100 else len(kept) <= 10_000
-    thinned = np.interp(np.arange(count), kept, values[kept])
-    assert np.median(np.abs(thinned)) < 5.0
 
 
-def test_the_curves_of_the_report_are_in_its_units(make_record, motion_profile, assessed):
+def test_the_curves_of_the_report_are_in_its_units_and_another_run_begins_where_this_one_does(
+    make_record, motion_profile, assessed
+):
     record = make_record(1e-6 * np.sin(2 * np.pi * 50 * motion_profile[0]), quantum=1e-9)
-    found = assessed(record)
+    found, other = assessed(record), assessed(replace(record, time=record.time + 100.0), "b")
     before, forward, backward = report._straightness(found).data
     assert max(forward.x) == pytest.approx(1760.0, abs=1.0) and len(report._straightness(found, before=False).data) == 2
     assert np.ptp(before.y) == pytest.approx(found.metrics.uncompensated_pp * 1e6)
     assert np.ptp(np.concatenate([forward.y, backward.y])) == pytest.approx(found.metrics.residual_pp * 1e6)
-    encoder, true = report._error(found, None).data
+    encoder, true, theirs = report._error(found, other).data
     assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
     assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)
-    window = found.record.motion.window
-    assert min(encoder.x) >= record.time[window.start] and max(encoder.x) <= record.time[window.stop - 1]
-    (spectrum,) = report._spectrum(found, None).data
+    assert min(theirs.x) == pytest.approx(min(true.x), abs=0.05) and theirs.name == "b"
+    spectrum, _ = report._spectrum(found, other).data
     peak = int(np.argmax(spectrum.y))
     assert spectrum.x[peak] == pytest.approx(50.0, abs=1.0)
     assert spectrum.y[peak] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
-    assert min(spectrum.x) > 0.0
 
 
-def test_another_run_is_shown_with_it_from_the_same_beginning(make_record, assessed):
-    record = make_record(0.2e-6)
-    late = replace(record, time=record.time + 100.0)
-    found, other = assessed(record), assessed(late, "b")
-    for pages, compared in ((1, None), (2, other)):
-        figures = report.report_html(found, compared).partition("<h2>Figures</h2>")[2]
-        assert figures.count('<td class="n">') == pages * len(found.figures())
-    *_, theirs = report._error(found, other).data
-    assert min(theirs.x) == pytest.approx(record.time[found.record.motion.window.start], abs=0.05)
-    assert theirs.name == "b" and len(report._spectrum(found, other).data) == 2
-
-
-def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record, assessed):
+def test_every_delay_is_in_a_bar_of_the_report(make_record, assessed):
     record = make_record(0.2e-6)
     latency, lateness = np.array([100e-6, 130e-6, 131e-6, 900e-6]), np.array([20e-6] * 5)
     bars = report._timing(assessed(record, latency=latency, lateness=lateness)).data
-    assert [bar.name for bar in bars] == ["sample to command", "sample to publication"]
+    assert [(bar.name, sum(bar.y)) for bar in bars] == [("sample to command", 4), ("sample to publication", 5)]
     # From 20 to 900 µs.
     assert [bar.width for bar in bars] == pytest.approx([880.0 / report._BINS] * 2)
-    for bar, values in zip(bars, (latency, lateness), strict=True):
-        assert len(bar.x) == len(bar.y) and sum(bar.y) == len(values)
-        for value in values * 1e6:
-            assert min(abs(x - value) for x, count in zip(bar.x, bar.y, strict=True) if count) <= bar.width / 2 + 1e-9
     assert report._timing(assessed(record, latency=latency[:0], lateness=lateness[:0])) is None
 
 
@@ -247,20 +173,13 @@ def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_mos
     slips = [StickSlip(1.5, 0.2, 0.25, 7e-6)] * 41
     text = events(stick_slips=slips)["Stick-slip: 41"]
     assert "and 1 more" in text and text.count("<tr>") == 41
-    heads = re.findall(r"<th(?: [^>]*)?>(.*?)</th>", text)
-    cells = re.findall(r"<td[^>]*>(.*?)</td>", text)[:4]
-    assert dict(zip(heads, cells, strict=True)) == {
-        "time / s": "1.5",
-        "x / mm": "200",
-        "stuck / ms": "250",
-        "slip / µm": "7",
-    }
-    assert "more" not in events(stick_slips=slips[:40])["Stick-slip: 40"] and not events()
+    assert all(words in text for words in ("x / mm", ">200<", "slip / µm", ">7<"))
+    assert "more" not in events(stick_slips=slips[:40])["Stick-slip: 40"] and not any(events().values())
     assert "Amplifier off while the stage moved: 1" in events(amplifier_off=[Interval(0.5, 0.75, 500)])
 
 
 def test_a_table_shows_numbers_to_four_digits_texts_as_they_are_and_a_dash_for_nothing():
-    assert "none" in blocks.table([])
+    assert blocks.table([]) == ""
     values = (None, math.nan, math.inf, 3, 0.123456, "a<b", True, False)
     text = blocks.table(worded({"slip_um": value} for value in values))
     cells = re.findall(r"<td[^>]*>(.*?)</td>", text)

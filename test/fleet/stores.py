@@ -24,7 +24,8 @@ def added(store, *sources, **options):
     """The tally of adding bags to a store in this process."""
     tally = Tally()
     places = (place for source in sources for place in bags_in(str(source)))
-    add(Store(str(store)), places, tally, **{"jobs": 1, **options})
+    for _ in add(Store(str(store)), places, tally, **{"jobs": 1, **options}):
+        pass
     return tally
 
 

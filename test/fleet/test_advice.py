@@ -7,12 +7,12 @@ from datetime import date, datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
+from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import levels_of
 from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
+from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
-from trials import wear as wear_found
-from trials.wear import Alarm, alarms_of
+from trials.wear import alarms_of
 from trials.worn_stage import BAGS_A_DAY, SOUND, WEARS, levels_of_months, months
 
 DAYS, BEGIN = 120, 60
@@ -138,7 +138,7 @@ def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear)
 
 def test_what_is_written_is_read(make_levels, tmp_path):
     advice, path = advice_of(make_levels(friction_A=1.0 + 0.005 * SINCE)), tmp_path / "stage.json"
-    write_advice(path, advice_json("gantry", date(2026, 5, 1), advice))
+    path.write_text(json_text(advice_json("gantry", date(2026, 5, 1), advice)))
     due = read_advice(path)
     assert (due.stage, due.as_of) == ("gantry", "2026-05-01")
     assert due.text.startswith("as of 2026-05-01: friction rose by") and "regrease" in due.text
@@ -150,12 +150,12 @@ def test_a_file_is_read_again_when_it_changes_and_not_more_often_than_once_a_sec
     path, now = tmp_path / "stage.json", 0.0
     watched = WatchedAdvice(str(path), lambda: now)
     assert watched.due().text == ""
-    write_advice(path, {"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]})
+    path.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
     now = 0.5
     assert watched.due().text == ""
     now = 1.0
     assert watched.due().text == "as of 2026-05-01: worn; mend"
-    write_advice(path, {"stage": "a", "as_of": "2026-05-02", "advice": []})
+    path.write_text(json.dumps({"stage": "a", "as_of": "2026-05-02", "advice": []}))
     now = 2.0
     assert watched.due().text == ""
     os.remove(path)
@@ -173,34 +173,10 @@ def test_a_damaged_file_or_a_folder_says_so_in_place_of_advice(tmp_path, content
     assert "cannot be read" in WatchedAdvice(str(tmp_path)).due().text
 
 
-def test_an_alarm_that_comes_again_or_with_another_cause_counts_again(make_levels):
-    def causes(**factors):
-        return [(alarm.cause, alarm.place) for alarm in alarms_of(make_levels(**factors))]
-
-    spells = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
-    again = causes(friction_A=1.0 + 0.3 * spells)
-    assert [(cause, place // 40) for cause, place in again] == [("friction_up", 1), ("friction_up", 2)]
-    # First the error alone is worse, then the friction that explains it is seen.
-    corrected = causes(encoder_rms_um=1.0 + 0.5 * (PLACES >= 40), friction_A=1.0 + 0.5 * (PLACES >= 60))
-    assert [cause for cause, _ in corrected] == ["unknown", "friction_up"]
-    # Stiffness first follows friction, then is a matter of its own, while no figure's alarm begins or ends.
-    stiffness = 1.0 + 0.1 * (PLACES >= 40) + 0.4 * (PLACES >= 80)
-    first, second = causes(friction_A=1.0 + 0.5 * (PLACES >= 40), stiffness_A_per_m=stiffness)
-    assert first == ("friction_up", 40) and second[0] == "stiffness" and second[1] >= 80
-
-
 @pytest.mark.nightly
 def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
     years = [levels_of_months(months(pool, SOUND, 0, 365, 900 + seed, bags=4), pool.x) for seed in range(5)]
     assert sum(len(alarms_of(year)) for year in years) <= 5
-
-
-def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning(monkeypatch, pool):
-    wear = next(one for one in wear_found.WEARS if one.name == "friction")
-    alarms = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
-    monkeypatch.setattr(wear_found, "_levels", lambda *_: None)
-    monkeypatch.setattr(wear_found, "alarms_of", lambda _: alarms)
-    assert wear_found.found(pool, wear, 0, True) == (50, 2)
 
 
 def test_each_fault_has_a_mark_in_the_line_of_its_kind():

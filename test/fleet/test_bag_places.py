@@ -33,7 +33,7 @@ def half_written(folder, size=1_000_000):
 
 
 def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
-    growing = GrowingFolders(settled_s=60.0)
+    growing = GrowingFolders()
     for size in (1_000_000, 1_100_000, 1_200_000):
         half_written(tmp_path, size)
         assert given(growing, tmp_path) == []
@@ -46,7 +46,7 @@ def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
 @pytest.mark.parametrize("metadata", [False, True])
 def test_an_unfinished_bag_waits_and_is_given_out_to_be_refused_when_it_rests(tmp_path, clock, metadata):
     """Also one whose metadata were copied before its messages."""
-    growing = GrowingFolders(settled_s=60.0)
+    growing = GrowingFolders()
     half_written(tmp_path)
     if metadata:
         shutil.copy(SAMPLES / "smc" / "metadata.yaml", tmp_path / "run")

@@ -89,7 +89,6 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [
-        ("add none", 2, "none does not exist; give a bag, a folder of bags"),
         ("add empty", 2, "empty: no bag is there; allowed: a bag, or a folder with bags below it"),
         ("add {bag} -o file", 2, "store file: is a file; name a folder"),
         ("add {bag} -o nonsense://x", 2, "nonsense://x: Protocol not known"),
@@ -98,14 +97,12 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
         ("add {bag} --every 0", 2, "--every 0; allowed: 0.1 to"),
         ("query none SELECT", 2, "store none: no bag was added there; make it: straightcomp history add BAG -o none"),
         ("query {store} SELEC", 2, "query: Parser Error"),
-        ("query {store} FROM_nowhere", 2, "query: Parser Error"),
         ("query", 2, "required: SQL"),
         ("advise {worn} --name none", 2, "its stages are: amplifier, bolt"),
         ("advise {worn} --since soon", 2, "allowed: a date as"),
         ("advise {worn} --since 2030-01-01", 1, "no strokes since 2030-01-01"),
         ("advise empty", 2, "has no strokes"),
         ("report {worn} -o file", 2, "is a file"),
-        ("map {worn} sound --survey none.csv", 2, "there is no such file"),
         ("map {worn} sound --survey config/survey_synthetic.csv", 1, "with another map"),
         ("map {worn} sound --survey config/survey_synthetic.csv --days 0", 2, "allowed"),
     ],

@@ -107,26 +107,17 @@ def test_what_a_killed_process_left_half_written_is_removed_by_a_later_one(tmp_p
     assert list(parts.iterdir()) == [fresh]
 
 
-def of_an_earlier_version(alone, store, layout):
-    """The store as earlier versions made it: a file for each bag, or a compacted file for each month."""
+def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubling_a_stroke(alone, months, tmp_path):
+    """That has a file for each bag."""
+    store = tmp_path / "store"
     shutil.copytree(alone[0], store)
     for file in store.glob("strokes/*/*/strokes.parquet"):
         table = pyarrow.parquet.read_table(file, partitioning=None)
-        if layout == "compacted":
-            file.rename(file.with_name("compacted-0123.parquet"))
-            continue
         file.unlink()
         for checksum in set(table["checksum"].to_pylist()):
             own = table.filter(pyarrow.compute.equal(table["checksum"], checksum))
             pyarrow.parquet.write_table(own, file.with_name(f"{checksum}.parquet"))
-
-
-@pytest.mark.parametrize("layout", ["a file for each bag", "compacted"])
-def test_a_store_of_an_earlier_version_is_read_and_added_to_without_doubling_a_stroke(alone, months, tmp_path, layout):
-    store = tmp_path / "store"
-    of_an_earlier_version(alone, store, layout)
     names = set(files_of(store))
-    assert strokes_of(store) == strokes_of(alone[0])
     assert added(store, months, again=True).added == COUNT
     assert strokes_of(store) == strokes_of(alone[0]) and set(files_of(store)) == names
     added(store, SAMPLES / "smc")

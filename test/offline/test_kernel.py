@@ -15,7 +15,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedPara
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.scenario import readings, references
+from straightcomp_ros.offline.scenario import references
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import can_run, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -89,11 +89,6 @@ def test_a_compiled_cycle_is_the_simulation_in_every_column(name):
         np.testing.assert_array_equal(getattr(record, field.name), getattr(expected, field.name), field.name)
 
 
-def test_friction_beyond_lugre_moves_the_platform_otherwise():
-    moved = [run_stroke(case(driver=driver))[0].true_y for driver in ({}, *CONTACTS.values())]
-    assert not any(np.array_equal(moved[one], moved[other]) for one, other in ((0, 1), (0, 2), (1, 2)))
-
-
 def test_what_the_compiled_cycle_does_not_model_is_left_to_the_simulation():
     values = case(stage={"drive.delay": 4.0})
     assert can_run(values)
@@ -145,13 +140,6 @@ def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
     np.testing.assert_array_equal(
         references(MAP, FeedforwardParameters(), STAGE.motion.highest_speed, stamps, x), expected
     )
-
-
-def test_readings_of_a_cycle_are_those_of_the_encoder_to_the_last_bit():
-    encoder = PlantParameters().encoder
-    positions = np.random.default_rng(7).uniform(-2.0, 2.0, 1000)
-    expected = [encoder.x_reading(position) for position in positions.tolist()]
-    np.testing.assert_array_equal(readings(encoder.x_resolution, positions), expected)
 
 
 def test_noise_reaches_the_encoder_and_not_the_platform_and_a_law_starts_anew_in_each_cycle():

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.table import Table
 
-from straightcomp_ros.analysis.html_page import html_plot, line_figure
+from straightcomp_ros.analysis.html_page import blocks, line_figure
 from straightcomp_ros.analysis.pictures import as_text
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.cli.output import console, notes, printable, styled
@@ -71,7 +71,7 @@ def test_plotly_takes_no_text_for_html():
     figure = line_figure("x", "<b>y</b>")
     figure.add_scatter(x=[0, 1], y=["<i>fault</i>", "a&lt;b"], name="<a href='x'>bag</a>", text=["<b>", "</script>"])
     figure.add_annotation(text="<b>corner</b>")
-    page = html_plot(figure)
+    page = blocks.plots([figure])
     for tag in ("<b>", "<i>", "<a href"):
         assert tag not in page and tag.replace("<", "\\u003c").replace(">", "\\u003e") not in page
     assert page.count("</script>") == page.count("<script")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -45,14 +45,13 @@ def add(
     jobs: int = -1,
     dask: str = "",
     remap: Mapping[str, str] | None = None,
-    on_added: Callable[[BagRow], None] = lambda row: None,
-) -> None:
-    """Evaluate the bags that the store does not have as they are now, and write what they give, each as soon as it is
-    there. Only this process writes: the workers need the bags, not the store.
+) -> Iterator[BagRow]:
+    """Evaluate the bags that the store does not have as they are now, write what they give, each as soon as it is
+    there, and give its row. Only this process writes: the workers need the bags, not the store.
 
     ``tally`` is counted up. ``again`` evaluates the bags that the store has, too. ``jobs`` and ``dask`` say where to
     evaluate, see :func:`straightcomp_ros.offline.workers.spread`. ``remap`` has the bags' topic for each of our topics
-    that has another name there. ``on_added`` is called with each bag that was evaluated, after it was written.
+    that has another name there.
 
     Raises:
         WorkersError: the workers cannot be reached.
@@ -73,7 +72,7 @@ def add(
                 tally.added += 1
             else:
                 tally.refused += 1
-        on_added(row)
+        yield row
 
 
 @contextmanager

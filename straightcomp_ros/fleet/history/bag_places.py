@@ -5,10 +5,9 @@ Folders that grow are listed again and again, since network file systems and S3 
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ from straightcomp_ros.bags.folder import STORED, split_number
 from straightcomp_ros.fleet.history import HistoryError, StorageError
 from straightcomp_ros.fleet.history.rows import BagRow
 
-SETTLED_S = 60.0
+_SETTLED_S = 60.0
 """Time in s without a change after which an unfinished bag counts as cut off."""
 _METADATA = "metadata.yaml"
 
@@ -85,26 +84,29 @@ def bags_in(url: str) -> Iterator[BagPlace]:
         if files.isdir(path):
             yield from _below(files, path.rstrip("/") or path, local)
         else:
-            state = _state_of(os.stat(path)) if local else _state_there(files.info(path))
-            yield BagPlace(_location(files, path, local), (), *state)
+            yield BagPlace(_location(files, path, local), (), *_state_of(files.info(path)))
 
 
 def is_finished(place: BagPlace) -> bool:
-    """Whether whoever wrote a bag has finished it: metadata.yaml is there, and each MCAP file has its end."""
+    """Whether whoever wrote a bag has finished it: metadata.yaml is there, and each MCAP file has its end. One that has
+    gone meanwhile, or cannot be read now, is not."""
     if place.names and _METADATA not in place.names:
         return False
     for path in place.paths:
         if path.endswith(".mcap"):
             files, inside, _ = file_system(path)
-            size = files.size(inside)
-            if files.cat_file(inside, start=max(size - len(MCAP0_MAGIC), 0), end=size) != MCAP0_MAGIC:
+            try:
+                end = files.cat_file(inside, start=max(files.size(inside) - len(MCAP0_MAGIC), 0))
+            except OSError:
+                return False
+            if end != MCAP0_MAGIC:
                 return False
     return True
 
 
 def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
     try:
-        entries = sorted(_listed(files, path, local))
+        entries = sorted(_listed(files, path))
     except FileNotFoundError:
         return  # removed meanwhile
     messages = [name for name, folder, *_ in entries if not folder and STORED.fullmatch(name)]
@@ -124,54 +126,42 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
             yield from _below(files, f"{path}/{name}", local)
 
 
-def _listed(files: Any, path: str, local: bool) -> Iterator[tuple[str, bool, int, datetime | None]]:
+def _listed(files: Any, path: str) -> Iterator[tuple[str, bool, int, datetime | None]]:
     """Of what is in a folder the name, whether it is a folder, and the state."""
-    if not local:
-        for info in files.ls(path, detail=True):
-            if info["type"] == "directory" or info["name"].rstrip("/") != path:
-                yield PurePosixPath(info["name"]).name, info["type"] == "directory", *_state_there(info)
-        return
-    # fsspec's own listing has a kilobyte for each entry.
-    with os.scandir(path) as found:
-        for one in found:
-            folder = one.is_dir(follow_symlinks=False)
-            if folder or one.is_file():
-                # One that was removed since the folder was listed says nothing of the others.
-                with suppress(FileNotFoundError):
-                    yield one.name, folder, *_state_of(one.stat())
+    for info in files.ls(path, detail=True):
+        name = info["name"]
+        if info["type"] == "other" and files.isfile(name):
+            info = files.info(name)  # what a link leads to
+        # S3 lists a folder as a file of its own.
+        if info["type"] == "directory" or (info["type"] == "file" and name.rstrip("/") != path):
+            yield PurePosixPath(name).name, info["type"] == "directory", *_state_of(info)
 
 
 def _location(files: Any, path: str, local: bool) -> str:
-    return os.path.abspath(path) if local else str(files.unstrip_protocol(path))
+    return path if local else str(files.unstrip_protocol(path))
 
 
-def _state_of(status: os.stat_result) -> tuple[int, datetime | None]:
-    """Size in bytes and time of change of a file here."""
-    return status.st_size, datetime.fromtimestamp(status.st_mtime, timezone.utc)
-
-
-def _state_there(info: Mapping[str, Any]) -> tuple[int, datetime | None]:
-    """The same elsewhere. Storages name the time differently: S3 as the first, Azure and Google as the others."""
-    known = (info.get(name) for name in ("LastModified", "last_modified", "updated"))
-    return info["size"], next((one.astimezone(timezone.utc) for one in known if isinstance(one, datetime)), None)
+def _state_of(info: Mapping[str, Any]) -> tuple[int, datetime | None]:
+    """Size in bytes and time of change. Storages name the time differently: this machine as the first, S3 as the
+    second, Azure and Google as the others."""
+    known = (info.get(name) for name in ("mtime", "LastModified", "last_modified", "updated"))
+    times = (datetime.fromtimestamp(one, timezone.utc) if isinstance(one, float) else one for one in known)
+    return info["size"], next((one.astimezone(timezone.utc) for one in times if isinstance(one, datetime)), None)
 
 
 class GrowingFolders:
     """Remembers which bags it gave out: 0.1 kB for each."""
 
-    def __init__(self, settled_s: float = SETTLED_S) -> None:
-        self._settled_s = settled_s
+    def __init__(self) -> None:
         self._given: set[int] = set()
         self._waiting: dict[str, tuple[int, float]] = {}
 
     def whole(self, places: Iterable[BagPlace]) -> Iterator[BagPlace]:
         """Of the bags that are there now those that were not given out as they are: finished ones, and those that have
-        not changed since an earlier call, ``settled_s`` ago."""
+        not changed since an earlier call, a minute ago."""
         for place in places:
             state = _state(place)
-            if state in self._given:
-                continue
-            if not _seems_finished(place) and not self._settled(place.location, state):
+            if state in self._given or not (is_finished(place) or self._settled(place.location, state)):
                 continue
             self._waiting.pop(place.location, None)
             self._given.add(state)
@@ -185,14 +175,7 @@ class GrowingFolders:
         now = time.monotonic()
         known, since = self._waiting.get(location, (state, now))
         self._waiting[location] = (state, since if known == state else now)
-        return known == state and now - since >= self._settled_s
-
-
-def _seems_finished(place: BagPlace) -> bool:
-    try:
-        return is_finished(place)
-    except OSError:
-        return False  # it has gone meanwhile, or cannot be read now
+        return known == state and now - since >= _SETTLED_S
 
 
 def _state(place: BagPlace | BagRow) -> int:

@@ -9,8 +9,7 @@ process that is killed. Other storages have no lock: there each bag has a file, 
 processes that add the same bags write the same bytes, and a process that is killed leaves nothing that the next one
 does not write again. The strokes are written before the row that says so.
 
-The strokes of a bag are in one file at any time. Stores that earlier versions made have a file for each bag, or a
-month's file named `compacted-HASH.parquet`: a bag's strokes stay in the file where they are.
+The strokes of a bag are in one file at any time: in a copy of another storage's store they stay in the bag's own.
 """
 
 from __future__ import annotations
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
 STROKES, BAGS = "strokes", "bags"
 _PARTS, _LOCK = ".parts", ".lock"
 _MONTH = "strokes.parquet"
-_FORMER_MONTH = "compacted-*.parquet"
 _VIEWS = f"""
 CREATE VIEW refused AS SELECT location, size, modified, reason FROM bags WHERE reason IS NOT NULL;
 CREATE VIEW bins AS
@@ -233,7 +231,7 @@ class Store:
             if own.exists():
                 self._write(str(own), data)
                 return
-            file = next(month.glob(_FORMER_MONTH), month / _MONTH)
+            file = month / _MONTH
             try:
                 content = _with_bag(file, checksum, data)
             except ArrowException as error:

@@ -21,8 +21,7 @@ from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import FOR_EVER, BagEvaluation, percentile_us, samples_taken
 from straightcomp_ros.analysis.judged_motion import recorded_drive
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, stroke_figures
-from straightcomp_ros.analysis.movements import standstill_figures
+from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, standstill_figures, stroke_figures
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.analysis.straightness_statement import statements

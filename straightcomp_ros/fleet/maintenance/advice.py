@@ -12,11 +12,9 @@ it whole; who reads it finds the old file or the new one:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +33,6 @@ from straightcomp_ros.fleet.maintenance.day_levels import (
     DayLevels,
 )
 from straightcomp_ros.fleet.maintenance.level_change import WEEK, LevelChange, Place, changes_of_figure, moved_place
-from straightcomp_ros.parameters.output_files import plain, write_whole
 
 _SAME_TIME = 3
 """Days between an update and a change that it may have made."""
@@ -206,9 +203,4 @@ def advice_json(stage: str, as_of: date, advice: Sequence[Advice]) -> dict[str, 
             said = {"cause": one.cause, "text": one.text, "remedy": one.remedy}
             days = {"since": str(one.since), "found": str(one.found)}
             entries.append({**said, **days, "from_mm": first, "to_mm": last, "figures": figures})
-    return plain({"stage": stage, "as_of": str(as_of), "advice": entries})  # type: ignore[no-any-return]
-
-
-def write_advice(path: Path, content: dict[str, Any]) -> None:
-    """Write :func:`advice_json`; OSError if that is impossible."""
-    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    return {"stage": stage, "as_of": str(as_of), "advice": entries}

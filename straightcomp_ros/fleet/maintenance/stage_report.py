@@ -15,7 +15,7 @@ import numpy as np
 import plotly.graph_objects as go
 from markupsafe import Markup
 
-from straightcomp_ros.analysis.html_page import blocks, html_page, html_plot, line_figure
+from straightcomp_ros.analysis.html_page import blocks, html_page, line_figure
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.analysis.metrics import LINES
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREEN, GREY, VERMILION
@@ -60,24 +60,22 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     for change in (change for one in advice for change in one.changes):
         changes[change.figure].append(change)
     plots = [
-        html_plot(history_plot(levels, name, changes[name]))
+        history_plot(levels, name, changes[name])
         for name, values in levels.figures.items()
         if np.count_nonzero(np.isfinite(values)) > 1
     ]
     faults = faults_over_time(strokes["start"].to_pylist(), strokes["faults"].to_pylist())
     slopes = blocks.paragraph("Median of all slopes between weeks (Theil and Sen) with its 95 % interval.")
-    trends, stated = _trends(levels, changes), _straightness(strokes)
-    drawn = [
-        ("Error r − y over x and time, by the encoder", over_time(levels, levels.profiles[ERROR_BINS])),
-        ("Change of the guide over x and time, by the displacement sensor", over_time(levels, levels.shifts)),
-    ]
+    trends = _trends(levels, changes)
+    error, guide = (over_time(levels, profiles) for profiles in (levels.profiles[ERROR_BINS], levels.shifts))
     sections = [
         _advice(levels, advice),
-        *((title, blocks.plots([html_plot(figure)])) for title, figure in drawn if figure is not None),
-        ("Figures from day to day", blocks.plots(plots, "pair") if plots else ""),
+        ("Error r − y over x and time, by the encoder", blocks.plots([error])),
+        ("Change of the guide over x and time, by the displacement sensor", blocks.plots([guide])),
+        ("Figures from day to day", blocks.plots(plots, "pair")),
         ("Trends of the last quarter", blocks.table(trends) + slopes if trends else ""),
-        (f"Straightness (ISO 230-1) of the last {_LATEST} strokes", blocks.table(stated) if stated else ""),
-        ("Faults over time", "" if faults is None else blocks.plots([html_plot(faults)])),
+        (f"Straightness (ISO 230-1) of the last {_LATEST} strokes", blocks.table(_straightness(strokes))),
+        ("Faults over time", blocks.plots([faults])),
         *_bags(strokes),
     ]
     drawn_at_all = any("Plotly.newPlot" in content for _, content in sections)
@@ -101,7 +99,7 @@ def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
         others = ", ".join(BY_NAME[change.figure].words for change in one.changes[1:])
         note = f"found on {one.found}" + (f"; changed with it: {others}" if others else "")
         remedy = f"What helps: {one.remedy}." if one.due else "Nothing to do: it is back where it was."
-        cards += blocks.card(one.text, remedy, not one.due, note, html_plot(evidence(levels, one)))
+        cards += blocks.card(one.text, remedy, not one.due, note, evidence(levels, one))
     return f"What needs attention: {sum(one.due for one in advice)}", cards
 
 
@@ -169,10 +167,9 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
                 "error p-p / µm": row["encoder_pp_um"],
                 "what": words(row),
             }
-            for row in found[:_SHOWN]
+            for row in found
         ]
-        more = blocks.paragraph(f"and {len(found) - _SHOWN} before") if len(found) > _SHOWN else ""
-        yield f"{title}: {len(found)}", blocks.table(shown) + more if shown else ""
+        yield f"{title}: {len(found)}", blocks.table(shown, most=_SHOWN)
 
 
 def history_plot(levels: DayLevels, name: str, changes: Sequence[LevelChange]) -> go.Figure:

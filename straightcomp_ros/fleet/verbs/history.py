@@ -10,7 +10,7 @@ import argparse
 import os
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import date, datetime, timezone
@@ -37,8 +37,6 @@ from straightcomp_ros.cli.results import figures_table, shown, titled_table
 
 if TYPE_CHECKING:
     import pyarrow
-
-    from straightcomp_ros.fleet.history.rows import BagRow
 
 SUMMARY = "the figures of many bags in one store, and questions to it"
 PURPOSE = "fleet"
@@ -87,29 +85,23 @@ def _add(options: argparse.Namespace) -> None:
             raise CommandFailed(f"{url}: no bag is there; allowed: a bag, or a folder with bags below it", exit_code=2)
         named |= {first.location} & {url.rstrip("/"), os.path.abspath(url)} if first else set()
 
-    with progress_bar() as bar:
+    workers = {"jobs": options.jobs or -1, "dask": options.dask}
+    # Ctrl-C is the usual end of --follow.
+    with progress_bar() as bar, suppress(*[KeyboardInterrupt] * options.follow):
         task = bar.add_task("looking for bags", total=None)
-
-        def on_added(row: BagRow) -> None:
-            bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
-            if row.reason is not None:
-                refused.add(row.location)
-                notes.print(f"refused: {row.reason}", soft_wrap=True, highlight=False)
-            if row.checksum is None:
-                growing.retry(row)
-
-        def add_new() -> None:
+        while True:
             found = chain.from_iterable(map(bags_in, options.bags))
             places = growing.whole(found) if options.follow else found
-            workers = {"jobs": options.jobs or -1, "dask": options.dask}
-            add(store, places, tally, again=options.again, remap=remap, on_added=on_added, **workers)
-
-        add_new()
-        # Ctrl-C is the usual end of these.
-        with suppress(KeyboardInterrupt):
-            while options.follow:
-                time.sleep(options.every)
-                add_new()
+            for row in add(store, places, tally, again=options.again, remap=remap, **workers):
+                bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
+                if row.reason is not None:
+                    refused.add(row.location)
+                    notes.print(f"refused: {row.reason}", soft_wrap=True, highlight=False)
+                if row.checksum is None:
+                    growing.retry(row)
+            if not options.follow:
+                break
+            time.sleep(options.every)
     if options.json:
         print_json({"store": options.store, **asdict(tally)})
     else:
@@ -188,9 +180,9 @@ def _advise(options: argparse.Namespace) -> None:
     (`straightcomp view --maintenance FILE`) and the OPC UA gateway (parameter `maintenance_file`, alarm MaintenanceDue)
     show: run it once a day.
     """
-    from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of, write_advice
+    from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
     from straightcomp_ros.fleet.maintenance.day_levels import BASELINE, day_levels
-    from straightcomp_ros.parameters.output_files import making
+    from straightcomp_ros.parameters.output_files import json_text
 
     folder = output_folder("--output", options.output) if options.output else None
     contents: dict[str, Any] = {}
@@ -211,13 +203,10 @@ def _advise(options: argparse.Namespace) -> None:
             what = one.remedy if one.due else "nothing: it is back where it was"
             console.print(f"  found {one.found}: {one.text}\n    → {what}", soft_wrap=True, highlight=False)
     if folder is not None:
-        files = {_file_of(stage, ".json"): content for stage, content in contents.items()}
-        with making(folder, files, force=options.force, anew=False):
-            for name, content in files.items():
-                write_advice(folder / name, content)
-        if files and not options.json:
-            paths = [folder / name for name in files]
-            print_written(*paths, then=f"straightcomp view --maintenance {shlex.quote(str(paths[0]))}")
+        files = _written(folder, ".json", {stage: json_text(one) for stage, one in contents.items()}, options.force)
+        if not options.json:
+            first = next(iter(files.values()))
+            print_written(*files.values(), then=f"straightcomp view --maintenance {shlex.quote(str(first))}")
     if options.json:
         print_json({"stages": contents})
 
@@ -235,17 +224,13 @@ def _report(options: argparse.Namespace) -> None:
     Advice with its evidence, trends of all figures, the error over x and time, faults, and the bags to look at.
     """
     from straightcomp_ros.fleet.maintenance.stage_report import stage_report
-    from straightcomp_ros.parameters.output_files import making, write_whole
 
     folder = output_folder("--output", options.output)
     pages = {stage: stage_report(stage, strokes) for stage, strokes in _stored_stages(options)}
-    files = {stage: folder / _file_of(stage, ".html") for stage in pages}
-    with making(folder, [file.name for file in files.values()], force=options.force, anew=False):
-        for stage, file in files.items():
-            write_whole(file, pages[stage])
-            if not options.json:
-                console.print(f"{stage}: {file}", soft_wrap=True, highlight=False)
+    files = _written(folder, ".html", pages, options.force)
     if not options.json:
+        for stage, file in files.items():
+            console.print(f"{stage}: {file}", soft_wrap=True, highlight=False)
         print_written(*files.values(), then="open it in a browser")
     else:
         print_json({"reports": {stage: str(file) for stage, file in files.items()}})
@@ -335,11 +320,16 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
         yield name, strokes
 
 
-def _file_of(stage: str, ending: str) -> str:
-    """Name of a stage's file: a stage may be called anything."""
+def _written(folder: Path, ending: str, texts: Mapping[str, str], force: bool) -> dict[str, Path]:
+    """Write a text for each stage into a folder, and return its file: a stage may be called anything."""
     from straightcomp_ros.fleet.history.rows import stored_name
+    from straightcomp_ros.parameters.output_files import making, write_whole
 
-    return f"{quote(stored_name(stage), safe=' ')}{ending}"
+    files = {stage: folder / f"{quote(stored_name(stage), safe=' ')}{ending}" for stage in texts}
+    with making(folder, [file.name for file in files.values()], force=force, anew=False):
+        for stage, file in files.items():
+            write_whole(file, texts[stage])
+    return files
 
 
 TOOLS = {

@@ -7,7 +7,6 @@ straightness is within it with its expanded uncertainty (ISO 14253-1: who states
 import base64
 import datetime
 import hashlib
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ from straightcomp_ros.analysis.html_page import blocks, html_page, with_code, wo
 from straightcomp_ros.analysis.straightness_statement import budget_rows, with_uncertainty
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.parameters.declaration import declarations, to_mapping
-from straightcomp_ros.parameters.output_files import plain, write_whole
+from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import load_map
@@ -100,7 +99,7 @@ def certificate(work: Work) -> Outcome:
         }
     )
     pictures = {"The loop, measured and modelled": folder / LOOP, "The stroke of the acceptance": folder / STROKE}
-    write_whole(folder / FIGURES, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    write_whole(folder / FIGURES, json_text(content))
     write_whole(folder / PAGE, _page(content, pictures))
     return Outcome(passed, f"{conclusion}; {folder / PAGE}, {FIGURES} and {TUNED} are written")
 
@@ -219,8 +218,7 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     signals = [(label, measured[name] * unit) for name, label, unit in _SIGNALS if name in measured]
     section("Samples and readback", (("figure", "measured"), signals))
     section("The machine as found", *_machine(identification.get("parameters", {}), content))
-    open_questions = identification.get("untold", [])
-    sections.append(("What the data cannot tell", blocks.list(open_questions) if open_questions else ""))
+    sections.append(("What the data cannot tell", blocks.list(identification.get("untold", []))))
     model, margins = response.get("model_margins", {}), response.get("margins", {})
     rows = [
         (heading(name), *("beyond the lines" if one is None else f"{one:.4g}" for one in (value, model.get(name))))

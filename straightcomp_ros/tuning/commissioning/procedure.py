@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
-from straightcomp_ros.parameters.output_files import plain, write_whole
+from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
@@ -121,7 +121,7 @@ class Procedure:
             "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
-        write_whole(self._folder / RECORD, json.dumps(plain(record), indent=1, ensure_ascii=False) + "\n")
+        write_whole(self._folder / RECORD, json_text(record))
 
     def _read(self) -> dict[str, Outcome]:
         path = self._folder / RECORD

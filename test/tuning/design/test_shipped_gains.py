@@ -5,8 +5,9 @@ Those of 'linear' and 'smc' are the paper's, whose figures they are to repeat.
 
 import pytest
 
+from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.offline.starts import metrics_of_starts, spreads
+from straightcomp_ros.offline.starts import runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, design_gains
 from straightcomp_ros.tuning.design.judged_gains import Judge
@@ -33,6 +34,7 @@ def test_the_shipped_gains_are_little_behind_a_design_for_the_shipped_stage():
     judge = Judge(scenario, LAW, SHIPPED_QUIET)
     assert judge.judge({}).cost <= judge.judge(design.values).cost + COST
     designed = {**shipped, "controller": {**shipped["controller"], **design.values}}
-    ours, theirs = (spreads(one.to_display() for one in metrics_of_starts(values)) for values in (shipped, designed))
+    runs = map(runs_of_starts, (shipped, designed))
+    ours, theirs = (spreads(evaluate(*one).to_display() for one in found) for found in runs)
     for name, behind in BEHIND.items():
         assert ours[name].median <= behind * theirs[name].median, name
