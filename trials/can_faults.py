@@ -17,6 +17,8 @@ _COUNT, _CURRENT = 1e-7, 0.01
 """m of a count of the positions here, and A."""
 _ROUNDED = 2e-7
 """m; what a float of 32 bits leaves of a position of 2 m. From sample to sample y changes by more."""
+_DRIFT = 100e-6
+"""Of the board's clock."""
 _LEAD_IN = 4 * BLOCK
 _TRANSIT_NS = 110_000
 _START_NS = 1_700_000_000_000_000_000
@@ -64,8 +66,6 @@ def run_trial(
     board: CanParameters,
     *,
     frames: int = 20_000,
-    first: int = 0,
-    drift: float = 100e-6,
     seed: int = 1,
 ) -> Trial:
     """Send ``frames`` samples, and inject faults after the clock has settled.
@@ -74,18 +74,16 @@ def run_trial(
         rates: see :class:`~straightcomp_ros.hardware.can.hub.Faults`.
         board: its DBC file and kind of bus.
         frames: samples to send.
-        first: number of the first sample.
-        drift: of the board's clock.
         seed: of jitter and faults.
     """
     # The error counter would end a real run; here every single fault must be seen.
     receiver = Receiver(dataclasses.replace(board, strike_limit=1000, sample_memory=100_000), StageParameters())
     wire = receiver.wire
     faults, chance = Faults(rates, seed), random.Random(seed)
-    period_ns = 500_000 * (1.0 + drift)
+    period_ns = 500_000 * (1.0 + _DRIFT)
     for k in range(frames):
         arrival_ns = _START_NS + round(k * period_ns) + _TRANSIT_NS + round(chance.expovariate(1 / 40e3))
-        for frame in _frames(wire, first + k, arrival_ns):
+        for frame in _frames(wire, k, arrival_ns):
             # Count only the faults of one frame of each sample, not those of the slow ones.
             hurt = k > _LEAD_IN and frame.identifier == wire.sample.identifier and k < frames - 2
             for arrived in faults(frame) if hurt else [frame]:
@@ -94,8 +92,8 @@ def run_trial(
     for index, sample, _ in receiver.samples:
         x, y = position(index)
         good = abs(sample.x - x * _COUNT) < _ROUNDED and abs(sample.y - y * _COUNT) < _ROUNDED
-        late_ns = sample.stamp_ns - _START_NS - round((index - first) * period_ns) - _TRANSIT_NS
-        wrong += not (good and 0 <= index - first < frames and abs(late_ns) < 100_000)
+        late_ns = sample.stamp_ns - _START_NS - round(index * period_ns) - _TRANSIT_NS
+        wrong += not (good and 0 <= index < frames and abs(late_ns) < 100_000)
     return Trial(frames, faults.injected, len(receiver.samples), wrong, receiver)
 
 

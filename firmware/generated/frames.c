@@ -121,13 +121,13 @@ static inline uint32_t unpack_right_shift_u32(
     return (uint32_t)((uint32_t)(value & mask) >> shift);
 }
 
-int frames_encoder_pack(
+int frames_message_1_pack(
     uint8_t *dst_p,
-    const struct frames_encoder_t *src_p,
+    const struct frames_message_1_t *src_p,
     size_t size)
 {
-    uint32_t platform_y;
-    uint32_t stage_x;
+    uint32_t x;
+    uint32_t y;
 
     if (size < 8u) {
         return (-EINVAL);
@@ -135,126 +135,126 @@ int frames_encoder_pack(
 
     memset(&dst_p[0], 0, 8);
 
-    dst_p[0] |= pack_left_shift_u8(src_p->encoder_crc, 0u, 0xffu);
-    dst_p[1] |= pack_left_shift_u8(src_p->encoder_alive, 0u, 0x0fu);
+    dst_p[0] |= pack_left_shift_u8(src_p->signal_0, 0u, 0xffu);
+    dst_p[1] |= pack_left_shift_u8(src_p->alive, 0u, 0x0fu);
     dst_p[1] |= pack_left_shift_u8(src_p->amplifier, 4u, 0x30u);
-    dst_p[1] |= pack_left_shift_u8(src_p->board_fault, 6u, 0xc0u);
-    dst_p[2] |= pack_right_shift_u8(src_p->board_fault, 2u, 0x01u);
-    dst_p[2] |= pack_left_shift_u8(src_p->encoders_valid, 1u, 0x02u);
-    stage_x = (uint32_t)src_p->stage_x;
-    dst_p[2] |= pack_left_shift_u32(stage_x, 2u, 0xfcu);
-    dst_p[3] |= pack_right_shift_u32(stage_x, 6u, 0xffu);
-    dst_p[4] |= pack_right_shift_u32(stage_x, 14u, 0xffu);
-    dst_p[5] |= pack_right_shift_u32(stage_x, 22u, 0x0fu);
-    platform_y = (uint32_t)src_p->platform_y;
-    dst_p[5] |= pack_left_shift_u32(platform_y, 4u, 0xf0u);
-    dst_p[6] |= pack_right_shift_u32(platform_y, 4u, 0xffu);
-    dst_p[7] |= pack_right_shift_u32(platform_y, 12u, 0xffu);
+    dst_p[1] |= pack_left_shift_u8(src_p->fault, 6u, 0xc0u);
+    dst_p[2] |= pack_right_shift_u8(src_p->fault, 2u, 0x01u);
+    dst_p[2] |= pack_left_shift_u8(src_p->good, 1u, 0x02u);
+    x = (uint32_t)src_p->x;
+    dst_p[2] |= pack_left_shift_u32(x, 2u, 0xfcu);
+    dst_p[3] |= pack_right_shift_u32(x, 6u, 0xffu);
+    dst_p[4] |= pack_right_shift_u32(x, 14u, 0xffu);
+    dst_p[5] |= pack_right_shift_u32(x, 22u, 0x0fu);
+    y = (uint32_t)src_p->y;
+    dst_p[5] |= pack_left_shift_u32(y, 4u, 0xf0u);
+    dst_p[6] |= pack_right_shift_u32(y, 4u, 0xffu);
+    dst_p[7] |= pack_right_shift_u32(y, 12u, 0xffu);
 
     return (8);
 }
 
-int frames_encoder_init(struct frames_encoder_t *msg_p)
+int frames_message_1_init(struct frames_message_1_t *msg_p)
 {
     if (msg_p == NULL) return -1;
 
-    memset(msg_p, 0, sizeof(struct frames_encoder_t));
+    memset(msg_p, 0, sizeof(struct frames_message_1_t));
 
     return 0;
 }
 
-bool frames_encoder_encoder_crc_is_in_range(uint8_t value)
+bool frames_message_1_signal_0_is_in_range(uint8_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_encoder_crc_is_in_phys_range(double value)
+bool frames_message_1_signal_0_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_encoder_alive_is_in_range(uint8_t value)
+bool frames_message_1_alive_is_in_range(uint8_t value)
 {
     return (value <= 15u);
 }
 
-bool frames_encoder_encoder_alive_is_in_phys_range(double value)
+bool frames_message_1_alive_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_amplifier_is_in_range(uint8_t value)
+bool frames_message_1_amplifier_is_in_range(uint8_t value)
 {
     return (value <= 3u);
 }
 
-bool frames_encoder_amplifier_is_in_phys_range(double value)
+bool frames_message_1_amplifier_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_board_fault_is_in_range(uint8_t value)
+bool frames_message_1_fault_is_in_range(uint8_t value)
 {
     return (value <= 7u);
 }
 
-bool frames_encoder_board_fault_is_in_phys_range(double value)
+bool frames_message_1_fault_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_encoders_valid_is_in_range(uint8_t value)
+bool frames_message_1_good_is_in_range(uint8_t value)
 {
     return (value <= 1u);
 }
 
-bool frames_encoder_encoders_valid_is_in_phys_range(double value)
+bool frames_message_1_good_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_stage_x_is_in_range(int32_t value)
+bool frames_message_1_x_is_in_range(int32_t value)
 {
     return ((value >= -33554432) && (value <= 33554431));
 }
 
-bool frames_encoder_stage_x_is_in_phys_range(double value)
+bool frames_message_1_x_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_platform_y_is_in_range(int32_t value)
+bool frames_message_1_y_is_in_range(int32_t value)
 {
     return ((value >= -524288) && (value <= 524287));
 }
 
-bool frames_encoder_platform_y_is_in_phys_range(double value)
+bool frames_message_1_y_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-int frames_coil_current_pack(
+int frames_message_2_pack(
     uint8_t *dst_p,
-    const struct frames_coil_current_t *src_p,
+    const struct frames_message_2_t *src_p,
     size_t size)
 {
-    uint16_t measured_current;
+    uint16_t current;
 
     if (size < 8u) {
         return (-EINVAL);
@@ -262,208 +262,208 @@ int frames_coil_current_pack(
 
     memset(&dst_p[0], 0, 8);
 
-    dst_p[0] |= pack_left_shift_u8(src_p->coil_current_crc, 0u, 0xffu);
-    dst_p[1] |= pack_left_shift_u8(src_p->coil_current_alive, 0u, 0x0fu);
+    dst_p[0] |= pack_left_shift_u8(src_p->signal_0, 0u, 0xffu);
+    dst_p[1] |= pack_left_shift_u8(src_p->alive, 0u, 0x0fu);
     dst_p[1] |= pack_left_shift_u8(src_p->referenced, 4u, 0x10u);
-    measured_current = (uint16_t)src_p->measured_current;
-    dst_p[2] |= pack_left_shift_u16(measured_current, 0u, 0xffu);
-    dst_p[3] |= pack_right_shift_u16(measured_current, 8u, 0xffu);
-    dst_p[4] |= pack_left_shift_u32(src_p->sample_counter, 0u, 0xffu);
-    dst_p[5] |= pack_right_shift_u32(src_p->sample_counter, 8u, 0xffu);
-    dst_p[6] |= pack_right_shift_u32(src_p->sample_counter, 16u, 0xffu);
-    dst_p[7] |= pack_right_shift_u32(src_p->sample_counter, 24u, 0xffu);
+    current = (uint16_t)src_p->current;
+    dst_p[2] |= pack_left_shift_u16(current, 0u, 0xffu);
+    dst_p[3] |= pack_right_shift_u16(current, 8u, 0xffu);
+    dst_p[4] |= pack_left_shift_u32(src_p->counter, 0u, 0xffu);
+    dst_p[5] |= pack_right_shift_u32(src_p->counter, 8u, 0xffu);
+    dst_p[6] |= pack_right_shift_u32(src_p->counter, 16u, 0xffu);
+    dst_p[7] |= pack_right_shift_u32(src_p->counter, 24u, 0xffu);
 
     return (8);
 }
 
-int frames_coil_current_init(struct frames_coil_current_t *msg_p)
+int frames_message_2_init(struct frames_message_2_t *msg_p)
 {
     if (msg_p == NULL) return -1;
 
-    memset(msg_p, 0, sizeof(struct frames_coil_current_t));
+    memset(msg_p, 0, sizeof(struct frames_message_2_t));
 
     return 0;
 }
 
-bool frames_coil_current_coil_current_crc_is_in_range(uint8_t value)
+bool frames_message_2_signal_0_is_in_range(uint8_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_coil_current_crc_is_in_phys_range(double value)
+bool frames_message_2_signal_0_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_coil_current_alive_is_in_range(uint8_t value)
+bool frames_message_2_alive_is_in_range(uint8_t value)
 {
     return (value <= 15u);
 }
 
-bool frames_coil_current_coil_current_alive_is_in_phys_range(double value)
+bool frames_message_2_alive_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_referenced_is_in_range(uint8_t value)
+bool frames_message_2_referenced_is_in_range(uint8_t value)
 {
     return (value <= 1u);
 }
 
-bool frames_coil_current_referenced_is_in_phys_range(double value)
+bool frames_message_2_referenced_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_measured_current_is_in_range(int16_t value)
+bool frames_message_2_current_is_in_range(int16_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_measured_current_is_in_phys_range(double value)
+bool frames_message_2_current_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_sample_counter_is_in_range(uint32_t value)
+bool frames_message_2_counter_is_in_range(uint32_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_coil_current_sample_counter_is_in_phys_range(double value)
+bool frames_message_2_counter_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-int frames_command_unpack(
-    struct frames_command_t *dst_p,
+int frames_message_3_unpack(
+    struct frames_message_3_t *dst_p,
     const uint8_t *src_p,
     size_t size)
 {
-    uint16_t control_current;
+    uint16_t current;
 
     if (size < 5u) {
         return (-EINVAL);
     }
 
-    dst_p->command_crc = unpack_right_shift_u8(src_p[0], 0u, 0xffu);
-    dst_p->command_alive = unpack_right_shift_u8(src_p[1], 0u, 0x0fu);
+    dst_p->signal_0 = unpack_right_shift_u8(src_p[0], 0u, 0xffu);
+    dst_p->alive = unpack_right_shift_u8(src_p[1], 0u, 0x0fu);
     dst_p->enable = unpack_right_shift_u8(src_p[1], 4u, 0x30u);
-    dst_p->reset_fault = unpack_right_shift_u8(src_p[1], 6u, 0xc0u);
-    control_current = unpack_right_shift_u16(src_p[2], 0u, 0xffu);
-    control_current |= unpack_left_shift_u16(src_p[3], 8u, 0xffu);
-    dst_p->control_current = (int16_t)control_current;
-    dst_p->echoed_counter = unpack_right_shift_u8(src_p[4], 0u, 0xffu);
+    dst_p->reset = unpack_right_shift_u8(src_p[1], 6u, 0xc0u);
+    current = unpack_right_shift_u16(src_p[2], 0u, 0xffu);
+    current |= unpack_left_shift_u16(src_p[3], 8u, 0xffu);
+    dst_p->current = (int16_t)current;
+    dst_p->echo = unpack_right_shift_u8(src_p[4], 0u, 0xffu);
 
     return (0);
 }
 
-int frames_command_init(struct frames_command_t *msg_p)
+int frames_message_3_init(struct frames_message_3_t *msg_p)
 {
     if (msg_p == NULL) return -1;
 
-    memset(msg_p, 0, sizeof(struct frames_command_t));
+    memset(msg_p, 0, sizeof(struct frames_message_3_t));
 
     return 0;
 }
 
-bool frames_command_command_crc_is_in_range(uint8_t value)
+bool frames_message_3_signal_0_is_in_range(uint8_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_command_crc_is_in_phys_range(double value)
+bool frames_message_3_signal_0_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_command_alive_is_in_range(uint8_t value)
+bool frames_message_3_alive_is_in_range(uint8_t value)
 {
     return (value <= 15u);
 }
 
-bool frames_command_command_alive_is_in_phys_range(double value)
+bool frames_message_3_alive_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_enable_is_in_range(uint8_t value)
+bool frames_message_3_enable_is_in_range(uint8_t value)
 {
     return (value <= 3u);
 }
 
-bool frames_command_enable_is_in_phys_range(double value)
+bool frames_message_3_enable_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_reset_fault_is_in_range(uint8_t value)
+bool frames_message_3_reset_is_in_range(uint8_t value)
 {
     return (value <= 3u);
 }
 
-bool frames_command_reset_fault_is_in_phys_range(double value)
+bool frames_message_3_reset_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_control_current_is_in_range(int16_t value)
+bool frames_message_3_current_is_in_range(int16_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_control_current_is_in_phys_range(double value)
+bool frames_message_3_current_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_echoed_counter_is_in_range(uint8_t value)
+bool frames_message_3_echo_is_in_range(uint8_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_echoed_counter_is_in_phys_range(double value)
+bool frames_message_3_echo_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-int frames_heartbeat_pack(
+int frames_message_4_pack(
     uint8_t *dst_p,
-    const struct frames_heartbeat_t *src_p,
+    const struct frames_message_4_t *src_p,
     size_t size)
 {
     if (size < 1u) {
@@ -472,40 +472,40 @@ int frames_heartbeat_pack(
 
     memset(&dst_p[0], 0, 1);
 
-    dst_p[0] |= pack_left_shift_u8(src_p->node_state, 0u, 0x7fu);
+    dst_p[0] |= pack_left_shift_u8(src_p->state, 0u, 0x7fu);
 
     return (1);
 }
 
-int frames_heartbeat_init(struct frames_heartbeat_t *msg_p)
+int frames_message_4_init(struct frames_message_4_t *msg_p)
 {
     if (msg_p == NULL) return -1;
 
-    memset(msg_p, 0, sizeof(struct frames_heartbeat_t));
+    memset(msg_p, 0, sizeof(struct frames_message_4_t));
 
     return 0;
 }
 
-bool frames_heartbeat_node_state_is_in_range(uint8_t value)
+bool frames_message_4_state_is_in_range(uint8_t value)
 {
     return (value <= 127u);
 }
 
-bool frames_heartbeat_node_state_is_in_phys_range(double value)
+bool frames_message_4_state_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-int frames_encoder_fd_pack(
+int frames_message_5_pack(
     uint8_t *dst_p,
-    const struct frames_encoder_fd_t *src_p,
+    const struct frames_message_5_t *src_p,
     size_t size)
 {
-    uint16_t measured_current;
-    uint32_t platform_y;
-    uint32_t stage_x;
+    uint16_t current;
+    uint32_t x;
+    uint32_t y;
 
     if (size < 16u) {
         return (-EINVAL);
@@ -513,275 +513,275 @@ int frames_encoder_fd_pack(
 
     memset(&dst_p[0], 0, 16);
 
-    dst_p[0] |= pack_left_shift_u8(src_p->encoder_crc, 0u, 0xffu);
-    dst_p[1] |= pack_left_shift_u8(src_p->encoder_alive, 0u, 0x0fu);
+    dst_p[0] |= pack_left_shift_u8(src_p->signal_0, 0u, 0xffu);
+    dst_p[1] |= pack_left_shift_u8(src_p->alive, 0u, 0x0fu);
     dst_p[1] |= pack_left_shift_u8(src_p->amplifier, 4u, 0x30u);
-    dst_p[1] |= pack_left_shift_u8(src_p->board_fault, 6u, 0xc0u);
-    dst_p[2] |= pack_right_shift_u8(src_p->board_fault, 2u, 0x01u);
-    dst_p[2] |= pack_left_shift_u8(src_p->encoders_valid, 1u, 0x02u);
-    stage_x = (uint32_t)src_p->stage_x;
-    dst_p[2] |= pack_left_shift_u32(stage_x, 2u, 0xfcu);
-    dst_p[3] |= pack_right_shift_u32(stage_x, 6u, 0xffu);
-    dst_p[4] |= pack_right_shift_u32(stage_x, 14u, 0xffu);
-    dst_p[5] |= pack_right_shift_u32(stage_x, 22u, 0x0fu);
-    platform_y = (uint32_t)src_p->platform_y;
-    dst_p[5] |= pack_left_shift_u32(platform_y, 4u, 0xf0u);
-    dst_p[6] |= pack_right_shift_u32(platform_y, 4u, 0xffu);
-    dst_p[7] |= pack_right_shift_u32(platform_y, 12u, 0xffu);
-    measured_current = (uint16_t)src_p->measured_current;
-    dst_p[8] |= pack_left_shift_u16(measured_current, 0u, 0xffu);
-    dst_p[9] |= pack_right_shift_u16(measured_current, 8u, 0xffu);
-    dst_p[10] |= pack_left_shift_u32(src_p->sample_counter, 0u, 0xffu);
-    dst_p[11] |= pack_right_shift_u32(src_p->sample_counter, 8u, 0xffu);
-    dst_p[12] |= pack_right_shift_u32(src_p->sample_counter, 16u, 0xffu);
-    dst_p[13] |= pack_right_shift_u32(src_p->sample_counter, 24u, 0xffu);
+    dst_p[1] |= pack_left_shift_u8(src_p->fault, 6u, 0xc0u);
+    dst_p[2] |= pack_right_shift_u8(src_p->fault, 2u, 0x01u);
+    dst_p[2] |= pack_left_shift_u8(src_p->good, 1u, 0x02u);
+    x = (uint32_t)src_p->x;
+    dst_p[2] |= pack_left_shift_u32(x, 2u, 0xfcu);
+    dst_p[3] |= pack_right_shift_u32(x, 6u, 0xffu);
+    dst_p[4] |= pack_right_shift_u32(x, 14u, 0xffu);
+    dst_p[5] |= pack_right_shift_u32(x, 22u, 0x0fu);
+    y = (uint32_t)src_p->y;
+    dst_p[5] |= pack_left_shift_u32(y, 4u, 0xf0u);
+    dst_p[6] |= pack_right_shift_u32(y, 4u, 0xffu);
+    dst_p[7] |= pack_right_shift_u32(y, 12u, 0xffu);
+    current = (uint16_t)src_p->current;
+    dst_p[8] |= pack_left_shift_u16(current, 0u, 0xffu);
+    dst_p[9] |= pack_right_shift_u16(current, 8u, 0xffu);
+    dst_p[10] |= pack_left_shift_u32(src_p->counter, 0u, 0xffu);
+    dst_p[11] |= pack_right_shift_u32(src_p->counter, 8u, 0xffu);
+    dst_p[12] |= pack_right_shift_u32(src_p->counter, 16u, 0xffu);
+    dst_p[13] |= pack_right_shift_u32(src_p->counter, 24u, 0xffu);
     dst_p[14] |= pack_left_shift_u8(src_p->referenced, 0u, 0x01u);
 
     return (16);
 }
 
-int frames_encoder_fd_init(struct frames_encoder_fd_t *msg_p)
+int frames_message_5_init(struct frames_message_5_t *msg_p)
 {
     if (msg_p == NULL) return -1;
 
-    memset(msg_p, 0, sizeof(struct frames_encoder_fd_t));
+    memset(msg_p, 0, sizeof(struct frames_message_5_t));
 
     return 0;
 }
 
-bool frames_encoder_fd_encoder_crc_is_in_range(uint8_t value)
+bool frames_message_5_signal_0_is_in_range(uint8_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_encoder_crc_is_in_phys_range(double value)
+bool frames_message_5_signal_0_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_encoder_alive_is_in_range(uint8_t value)
+bool frames_message_5_alive_is_in_range(uint8_t value)
 {
     return (value <= 15u);
 }
 
-bool frames_encoder_fd_encoder_alive_is_in_phys_range(double value)
+bool frames_message_5_alive_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_amplifier_is_in_range(uint8_t value)
+bool frames_message_5_amplifier_is_in_range(uint8_t value)
 {
     return (value <= 3u);
 }
 
-bool frames_encoder_fd_amplifier_is_in_phys_range(double value)
+bool frames_message_5_amplifier_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_board_fault_is_in_range(uint8_t value)
+bool frames_message_5_fault_is_in_range(uint8_t value)
 {
     return (value <= 7u);
 }
 
-bool frames_encoder_fd_board_fault_is_in_phys_range(double value)
+bool frames_message_5_fault_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_encoders_valid_is_in_range(uint8_t value)
+bool frames_message_5_good_is_in_range(uint8_t value)
 {
     return (value <= 1u);
 }
 
-bool frames_encoder_fd_encoders_valid_is_in_phys_range(double value)
+bool frames_message_5_good_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_stage_x_is_in_range(int32_t value)
+bool frames_message_5_x_is_in_range(int32_t value)
 {
     return ((value >= -33554432) && (value <= 33554431));
 }
 
-bool frames_encoder_fd_stage_x_is_in_phys_range(double value)
+bool frames_message_5_x_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_platform_y_is_in_range(int32_t value)
+bool frames_message_5_y_is_in_range(int32_t value)
 {
     return ((value >= -524288) && (value <= 524287));
 }
 
-bool frames_encoder_fd_platform_y_is_in_phys_range(double value)
+bool frames_message_5_y_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_measured_current_is_in_range(int16_t value)
+bool frames_message_5_current_is_in_range(int16_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_measured_current_is_in_phys_range(double value)
+bool frames_message_5_current_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_sample_counter_is_in_range(uint32_t value)
+bool frames_message_5_counter_is_in_range(uint32_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_sample_counter_is_in_phys_range(double value)
+bool frames_message_5_counter_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_encoder_fd_referenced_is_in_range(uint8_t value)
+bool frames_message_5_referenced_is_in_range(uint8_t value)
 {
     return (value <= 1u);
 }
 
-bool frames_encoder_fd_referenced_is_in_phys_range(double value)
+bool frames_message_5_referenced_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-int frames_command_fd_unpack(
-    struct frames_command_fd_t *dst_p,
+int frames_message_6_unpack(
+    struct frames_message_6_t *dst_p,
     const uint8_t *src_p,
     size_t size)
 {
-    uint16_t control_current;
+    uint16_t current;
 
     if (size < 8u) {
         return (-EINVAL);
     }
 
-    dst_p->command_crc = unpack_right_shift_u8(src_p[0], 0u, 0xffu);
-    dst_p->command_alive = unpack_right_shift_u8(src_p[1], 0u, 0x0fu);
+    dst_p->signal_0 = unpack_right_shift_u8(src_p[0], 0u, 0xffu);
+    dst_p->alive = unpack_right_shift_u8(src_p[1], 0u, 0x0fu);
     dst_p->enable = unpack_right_shift_u8(src_p[1], 4u, 0x30u);
-    dst_p->reset_fault = unpack_right_shift_u8(src_p[1], 6u, 0xc0u);
-    control_current = unpack_right_shift_u16(src_p[2], 0u, 0xffu);
-    control_current |= unpack_left_shift_u16(src_p[3], 8u, 0xffu);
-    dst_p->control_current = (int16_t)control_current;
-    dst_p->echoed_counter = unpack_right_shift_u32(src_p[4], 0u, 0xffu);
-    dst_p->echoed_counter |= unpack_left_shift_u32(src_p[5], 8u, 0xffu);
-    dst_p->echoed_counter |= unpack_left_shift_u32(src_p[6], 16u, 0xffu);
-    dst_p->echoed_counter |= unpack_left_shift_u32(src_p[7], 24u, 0xffu);
+    dst_p->reset = unpack_right_shift_u8(src_p[1], 6u, 0xc0u);
+    current = unpack_right_shift_u16(src_p[2], 0u, 0xffu);
+    current |= unpack_left_shift_u16(src_p[3], 8u, 0xffu);
+    dst_p->current = (int16_t)current;
+    dst_p->echo = unpack_right_shift_u32(src_p[4], 0u, 0xffu);
+    dst_p->echo |= unpack_left_shift_u32(src_p[5], 8u, 0xffu);
+    dst_p->echo |= unpack_left_shift_u32(src_p[6], 16u, 0xffu);
+    dst_p->echo |= unpack_left_shift_u32(src_p[7], 24u, 0xffu);
 
     return (0);
 }
 
-int frames_command_fd_init(struct frames_command_fd_t *msg_p)
+int frames_message_6_init(struct frames_message_6_t *msg_p)
 {
     if (msg_p == NULL) return -1;
 
-    memset(msg_p, 0, sizeof(struct frames_command_fd_t));
+    memset(msg_p, 0, sizeof(struct frames_message_6_t));
 
     return 0;
 }
 
-bool frames_command_fd_command_crc_is_in_range(uint8_t value)
+bool frames_message_6_signal_0_is_in_range(uint8_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_command_crc_is_in_phys_range(double value)
+bool frames_message_6_signal_0_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_command_alive_is_in_range(uint8_t value)
+bool frames_message_6_alive_is_in_range(uint8_t value)
 {
     return (value <= 15u);
 }
 
-bool frames_command_fd_command_alive_is_in_phys_range(double value)
+bool frames_message_6_alive_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_enable_is_in_range(uint8_t value)
+bool frames_message_6_enable_is_in_range(uint8_t value)
 {
     return (value <= 3u);
 }
 
-bool frames_command_fd_enable_is_in_phys_range(double value)
+bool frames_message_6_enable_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_reset_fault_is_in_range(uint8_t value)
+bool frames_message_6_reset_is_in_range(uint8_t value)
 {
     return (value <= 3u);
 }
 
-bool frames_command_fd_reset_fault_is_in_phys_range(double value)
+bool frames_message_6_reset_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_control_current_is_in_range(int16_t value)
+bool frames_message_6_current_is_in_range(int16_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_control_current_is_in_phys_range(double value)
+bool frames_message_6_current_is_in_phys_range(double value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_echoed_counter_is_in_range(uint32_t value)
+bool frames_message_6_echo_is_in_range(uint32_t value)
 {
     (void)value;
 
     return (true);
 }
 
-bool frames_command_fd_echoed_counter_is_in_phys_range(double value)
+bool frames_message_6_echo_is_in_phys_range(double value)
 {
     (void)value;
 

@@ -45,104 +45,104 @@ extern "C" {
 #endif
 
 /* Frame ids. */
-#define FRAMES_ENCODER_FRAME_ID (0x181u)
-#define FRAMES_COIL_CURRENT_FRAME_ID (0x281u)
-#define FRAMES_COMMAND_FRAME_ID (0x201u)
-#define FRAMES_HEARTBEAT_FRAME_ID (0x701u)
-#define FRAMES_ENCODER_FD_FRAME_ID (0x381u)
-#define FRAMES_COMMAND_FD_FRAME_ID (0x301u)
+#define FRAMES_MESSAGE_1_FRAME_ID (0x181u)
+#define FRAMES_MESSAGE_2_FRAME_ID (0x281u)
+#define FRAMES_MESSAGE_3_FRAME_ID (0x201u)
+#define FRAMES_MESSAGE_4_FRAME_ID (0x701u)
+#define FRAMES_MESSAGE_5_FRAME_ID (0x381u)
+#define FRAMES_MESSAGE_6_FRAME_ID (0x301u)
 
 /* Frame lengths in bytes. */
-#define FRAMES_ENCODER_LENGTH (8u)
-#define FRAMES_COIL_CURRENT_LENGTH (8u)
-#define FRAMES_COMMAND_LENGTH (5u)
-#define FRAMES_HEARTBEAT_LENGTH (1u)
-#define FRAMES_ENCODER_FD_LENGTH (16u)
-#define FRAMES_COMMAND_FD_LENGTH (8u)
+#define FRAMES_MESSAGE_1_LENGTH (8u)
+#define FRAMES_MESSAGE_2_LENGTH (8u)
+#define FRAMES_MESSAGE_3_LENGTH (5u)
+#define FRAMES_MESSAGE_4_LENGTH (1u)
+#define FRAMES_MESSAGE_5_LENGTH (16u)
+#define FRAMES_MESSAGE_6_LENGTH (8u)
 
 /* Extended or standard frame types. */
-#define FRAMES_ENCODER_IS_EXTENDED (0)
-#define FRAMES_COIL_CURRENT_IS_EXTENDED (0)
-#define FRAMES_COMMAND_IS_EXTENDED (0)
-#define FRAMES_HEARTBEAT_IS_EXTENDED (0)
-#define FRAMES_ENCODER_FD_IS_EXTENDED (0)
-#define FRAMES_COMMAND_FD_IS_EXTENDED (0)
+#define FRAMES_MESSAGE_1_IS_EXTENDED (0)
+#define FRAMES_MESSAGE_2_IS_EXTENDED (0)
+#define FRAMES_MESSAGE_3_IS_EXTENDED (0)
+#define FRAMES_MESSAGE_4_IS_EXTENDED (0)
+#define FRAMES_MESSAGE_5_IS_EXTENDED (0)
+#define FRAMES_MESSAGE_6_IS_EXTENDED (0)
 
 /* Frame cycle times in milliseconds. */
-#define FRAMES_ENCODER_CYCLE_TIME_MS (0.5u)
-#define FRAMES_COIL_CURRENT_CYCLE_TIME_MS (5.0u)
-#define FRAMES_COMMAND_CYCLE_TIME_MS (0.5u)
-#define FRAMES_HEARTBEAT_CYCLE_TIME_MS (50.0u)
-#define FRAMES_ENCODER_FD_CYCLE_TIME_MS (0.5u)
-#define FRAMES_COMMAND_FD_CYCLE_TIME_MS (0.5u)
+#define FRAMES_MESSAGE_1_CYCLE_TIME_MS (0.5u)
+#define FRAMES_MESSAGE_2_CYCLE_TIME_MS (5.0u)
+#define FRAMES_MESSAGE_3_CYCLE_TIME_MS (0.5u)
+#define FRAMES_MESSAGE_4_CYCLE_TIME_MS (50.0u)
+#define FRAMES_MESSAGE_5_CYCLE_TIME_MS (0.5u)
+#define FRAMES_MESSAGE_6_CYCLE_TIME_MS (0.5u)
 
 /* Signal choices. */
 
 
 /* Frame Names. */
-#define FRAMES_ENCODER_NAME "encoder"
-#define FRAMES_COIL_CURRENT_NAME "coil_current"
-#define FRAMES_COMMAND_NAME "command"
-#define FRAMES_HEARTBEAT_NAME "heartbeat"
-#define FRAMES_ENCODER_FD_NAME "encoder_fd"
-#define FRAMES_COMMAND_FD_NAME "command_fd"
+#define FRAMES_MESSAGE_1_NAME "message_1"
+#define FRAMES_MESSAGE_2_NAME "message_2"
+#define FRAMES_MESSAGE_3_NAME "message_3"
+#define FRAMES_MESSAGE_4_NAME "message_4"
+#define FRAMES_MESSAGE_5_NAME "message_5"
+#define FRAMES_MESSAGE_6_NAME "message_6"
 
 /* Signal Names. */
-#define FRAMES_ENCODER_ENCODER_CRC_NAME "encoder_crc"
-#define FRAMES_ENCODER_ENCODER_ALIVE_NAME "encoder_alive"
-#define FRAMES_ENCODER_AMPLIFIER_NAME "amplifier"
-#define FRAMES_ENCODER_BOARD_FAULT_NAME "board_fault"
-#define FRAMES_ENCODER_ENCODERS_VALID_NAME "encoders_valid"
-#define FRAMES_ENCODER_STAGE_X_NAME "stage_x"
-#define FRAMES_ENCODER_PLATFORM_Y_NAME "platform_y"
-#define FRAMES_COIL_CURRENT_COIL_CURRENT_CRC_NAME "coil_current_crc"
-#define FRAMES_COIL_CURRENT_COIL_CURRENT_ALIVE_NAME "coil_current_alive"
-#define FRAMES_COIL_CURRENT_REFERENCED_NAME "referenced"
-#define FRAMES_COIL_CURRENT_MEASURED_CURRENT_NAME "measured_current"
-#define FRAMES_COIL_CURRENT_SAMPLE_COUNTER_NAME "sample_counter"
-#define FRAMES_COMMAND_COMMAND_CRC_NAME "command_crc"
-#define FRAMES_COMMAND_COMMAND_ALIVE_NAME "command_alive"
-#define FRAMES_COMMAND_ENABLE_NAME "enable"
-#define FRAMES_COMMAND_RESET_FAULT_NAME "reset_fault"
-#define FRAMES_COMMAND_CONTROL_CURRENT_NAME "control_current"
-#define FRAMES_COMMAND_ECHOED_COUNTER_NAME "echoed_counter"
-#define FRAMES_HEARTBEAT_NODE_STATE_NAME "node_state"
-#define FRAMES_ENCODER_FD_ENCODER_CRC_NAME "encoder_crc"
-#define FRAMES_ENCODER_FD_ENCODER_ALIVE_NAME "encoder_alive"
-#define FRAMES_ENCODER_FD_AMPLIFIER_NAME "amplifier"
-#define FRAMES_ENCODER_FD_BOARD_FAULT_NAME "board_fault"
-#define FRAMES_ENCODER_FD_ENCODERS_VALID_NAME "encoders_valid"
-#define FRAMES_ENCODER_FD_STAGE_X_NAME "stage_x"
-#define FRAMES_ENCODER_FD_PLATFORM_Y_NAME "platform_y"
-#define FRAMES_ENCODER_FD_MEASURED_CURRENT_NAME "measured_current"
-#define FRAMES_ENCODER_FD_SAMPLE_COUNTER_NAME "sample_counter"
-#define FRAMES_ENCODER_FD_REFERENCED_NAME "referenced"
-#define FRAMES_COMMAND_FD_COMMAND_CRC_NAME "command_crc"
-#define FRAMES_COMMAND_FD_COMMAND_ALIVE_NAME "command_alive"
-#define FRAMES_COMMAND_FD_ENABLE_NAME "enable"
-#define FRAMES_COMMAND_FD_RESET_FAULT_NAME "reset_fault"
-#define FRAMES_COMMAND_FD_CONTROL_CURRENT_NAME "control_current"
-#define FRAMES_COMMAND_FD_ECHOED_COUNTER_NAME "echoed_counter"
+#define FRAMES_MESSAGE_1_SIGNAL_0_NAME "signal_0"
+#define FRAMES_MESSAGE_1_ALIVE_NAME "alive"
+#define FRAMES_MESSAGE_1_AMPLIFIER_NAME "amplifier"
+#define FRAMES_MESSAGE_1_FAULT_NAME "fault"
+#define FRAMES_MESSAGE_1_GOOD_NAME "good"
+#define FRAMES_MESSAGE_1_X_NAME "x"
+#define FRAMES_MESSAGE_1_Y_NAME "y"
+#define FRAMES_MESSAGE_2_SIGNAL_0_NAME "signal_0"
+#define FRAMES_MESSAGE_2_ALIVE_NAME "alive"
+#define FRAMES_MESSAGE_2_REFERENCED_NAME "referenced"
+#define FRAMES_MESSAGE_2_CURRENT_NAME "current"
+#define FRAMES_MESSAGE_2_COUNTER_NAME "counter"
+#define FRAMES_MESSAGE_3_SIGNAL_0_NAME "signal_0"
+#define FRAMES_MESSAGE_3_ALIVE_NAME "alive"
+#define FRAMES_MESSAGE_3_ENABLE_NAME "enable"
+#define FRAMES_MESSAGE_3_RESET_NAME "reset"
+#define FRAMES_MESSAGE_3_CURRENT_NAME "current"
+#define FRAMES_MESSAGE_3_ECHO_NAME "echo"
+#define FRAMES_MESSAGE_4_STATE_NAME "state"
+#define FRAMES_MESSAGE_5_SIGNAL_0_NAME "signal_0"
+#define FRAMES_MESSAGE_5_ALIVE_NAME "alive"
+#define FRAMES_MESSAGE_5_AMPLIFIER_NAME "amplifier"
+#define FRAMES_MESSAGE_5_FAULT_NAME "fault"
+#define FRAMES_MESSAGE_5_GOOD_NAME "good"
+#define FRAMES_MESSAGE_5_X_NAME "x"
+#define FRAMES_MESSAGE_5_Y_NAME "y"
+#define FRAMES_MESSAGE_5_CURRENT_NAME "current"
+#define FRAMES_MESSAGE_5_COUNTER_NAME "counter"
+#define FRAMES_MESSAGE_5_REFERENCED_NAME "referenced"
+#define FRAMES_MESSAGE_6_SIGNAL_0_NAME "signal_0"
+#define FRAMES_MESSAGE_6_ALIVE_NAME "alive"
+#define FRAMES_MESSAGE_6_ENABLE_NAME "enable"
+#define FRAMES_MESSAGE_6_RESET_NAME "reset"
+#define FRAMES_MESSAGE_6_CURRENT_NAME "current"
+#define FRAMES_MESSAGE_6_ECHO_NAME "echo"
 
 /**
- * Signals in message encoder.
+ * Signals in message message_1.
  *
  * All signal values are as on the CAN bus.
  */
-struct frames_encoder_t {
+struct frames_message_1_t {
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t encoder_crc;
+    uint8_t signal_0;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t encoder_alive;
+    uint8_t alive;
 
     /**
      * Range: -
@@ -156,49 +156,49 @@ struct frames_encoder_t {
      * Scale: 1
      * Offset: 0
      */
-    uint8_t board_fault;
+    uint8_t fault;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t encoders_valid;
+    uint8_t good;
 
     /**
      * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
-    int32_t stage_x;
+    int32_t x;
 
     /**
      * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
-    int32_t platform_y;
+    int32_t y;
 };
 
 /**
- * Signals in message coil_current.
+ * Signals in message message_2.
  *
  * All signal values are as on the CAN bus.
  */
-struct frames_coil_current_t {
+struct frames_message_2_t {
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t coil_current_crc;
+    uint8_t signal_0;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t coil_current_alive;
+    uint8_t alive;
 
     /**
      * Range: -
@@ -212,35 +212,35 @@ struct frames_coil_current_t {
      * Scale: 0.0001
      * Offset: 0
      */
-    int16_t measured_current;
+    int16_t current;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint32_t sample_counter;
+    uint32_t counter;
 };
 
 /**
- * Signals in message command.
+ * Signals in message message_3.
  *
  * All signal values are as on the CAN bus.
  */
-struct frames_command_t {
+struct frames_message_3_t {
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t command_crc;
+    uint8_t signal_0;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t command_alive;
+    uint8_t alive;
 
     /**
      * Range: -
@@ -254,56 +254,56 @@ struct frames_command_t {
      * Scale: 1
      * Offset: 0
      */
-    uint8_t reset_fault;
+    uint8_t reset;
 
     /**
      * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
-    int16_t control_current;
+    int16_t current;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t echoed_counter;
+    uint8_t echo;
 };
 
 /**
- * Signals in message heartbeat.
+ * Signals in message message_4.
  *
  * All signal values are as on the CAN bus.
  */
-struct frames_heartbeat_t {
+struct frames_message_4_t {
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t node_state;
+    uint8_t state;
 };
 
 /**
- * Signals in message encoder_fd.
+ * Signals in message message_5.
  *
  * All signal values are as on the CAN bus.
  */
-struct frames_encoder_fd_t {
+struct frames_message_5_t {
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t encoder_crc;
+    uint8_t signal_0;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t encoder_alive;
+    uint8_t alive;
 
     /**
      * Range: -
@@ -317,42 +317,42 @@ struct frames_encoder_fd_t {
      * Scale: 1
      * Offset: 0
      */
-    uint8_t board_fault;
+    uint8_t fault;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t encoders_valid;
+    uint8_t good;
 
     /**
      * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
-    int32_t stage_x;
+    int32_t x;
 
     /**
      * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
-    int32_t platform_y;
+    int32_t y;
 
     /**
      * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
-    int16_t measured_current;
+    int16_t current;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint32_t sample_counter;
+    uint32_t counter;
 
     /**
      * Range: -
@@ -363,24 +363,24 @@ struct frames_encoder_fd_t {
 };
 
 /**
- * Signals in message command_fd.
+ * Signals in message message_6.
  *
  * All signal values are as on the CAN bus.
  */
-struct frames_command_fd_t {
+struct frames_message_6_t {
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t command_crc;
+    uint8_t signal_0;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint8_t command_alive;
+    uint8_t alive;
 
     /**
      * Range: -
@@ -394,25 +394,25 @@ struct frames_command_fd_t {
      * Scale: 1
      * Offset: 0
      */
-    uint8_t reset_fault;
+    uint8_t reset;
 
     /**
      * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
-    int16_t control_current;
+    int16_t current;
 
     /**
      * Range: -
      * Scale: 1
      * Offset: 0
      */
-    uint32_t echoed_counter;
+    uint32_t echo;
 };
 
 /**
- * Pack message encoder.
+ * Pack message message_1.
  *
  * @param[out] dst_p Buffer to pack the message into.
  * @param[in] src_p Data to pack.
@@ -420,19 +420,19 @@ struct frames_command_fd_t {
  *
  * @return Size of packed data, or negative error code.
  */
-int frames_encoder_pack(
+int frames_message_1_pack(
     uint8_t *dst_p,
-    const struct frames_encoder_t *src_p,
+    const struct frames_message_1_t *src_p,
     size_t size);
 
 /**
- * Init message fields to default values from encoder.
+ * Init message fields to default values from message_1.
  *
  * @param[in] msg_p Message to init.
  *
  * @return zero(0) on success or (-1) in case of nullptr argument.
  */
-int frames_encoder_init(struct frames_encoder_t *msg_p);
+int frames_message_1_init(struct frames_message_1_t *msg_p);
 
 /**
  * Check that given signal is in allowed range.
@@ -441,7 +441,7 @@ int frames_encoder_init(struct frames_encoder_t *msg_p);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_encoder_crc_is_in_range(uint8_t value);
+bool frames_message_1_signal_0_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -454,7 +454,7 @@ bool frames_encoder_encoder_crc_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_encoder_crc_is_in_phys_range(double value);
+bool frames_message_1_signal_0_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -463,7 +463,7 @@ bool frames_encoder_encoder_crc_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_encoder_alive_is_in_range(uint8_t value);
+bool frames_message_1_alive_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -476,7 +476,7 @@ bool frames_encoder_encoder_alive_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_encoder_alive_is_in_phys_range(double value);
+bool frames_message_1_alive_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -485,7 +485,7 @@ bool frames_encoder_encoder_alive_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_amplifier_is_in_range(uint8_t value);
+bool frames_message_1_amplifier_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -498,7 +498,7 @@ bool frames_encoder_amplifier_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_amplifier_is_in_phys_range(double value);
+bool frames_message_1_amplifier_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -507,7 +507,7 @@ bool frames_encoder_amplifier_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_board_fault_is_in_range(uint8_t value);
+bool frames_message_1_fault_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -520,7 +520,7 @@ bool frames_encoder_board_fault_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_board_fault_is_in_phys_range(double value);
+bool frames_message_1_fault_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -529,7 +529,7 @@ bool frames_encoder_board_fault_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_encoders_valid_is_in_range(uint8_t value);
+bool frames_message_1_good_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -542,7 +542,7 @@ bool frames_encoder_encoders_valid_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_encoders_valid_is_in_phys_range(double value);
+bool frames_message_1_good_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -551,7 +551,7 @@ bool frames_encoder_encoders_valid_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_stage_x_is_in_range(int32_t value);
+bool frames_message_1_x_is_in_range(int32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -564,7 +564,7 @@ bool frames_encoder_stage_x_is_in_range(int32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_stage_x_is_in_phys_range(double value);
+bool frames_message_1_x_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -573,7 +573,7 @@ bool frames_encoder_stage_x_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_platform_y_is_in_range(int32_t value);
+bool frames_message_1_y_is_in_range(int32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -586,10 +586,10 @@ bool frames_encoder_platform_y_is_in_range(int32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_platform_y_is_in_phys_range(double value);
+bool frames_message_1_y_is_in_phys_range(double value);
 
 /**
- * Pack message coil_current.
+ * Pack message message_2.
  *
  * @param[out] dst_p Buffer to pack the message into.
  * @param[in] src_p Data to pack.
@@ -597,19 +597,19 @@ bool frames_encoder_platform_y_is_in_phys_range(double value);
  *
  * @return Size of packed data, or negative error code.
  */
-int frames_coil_current_pack(
+int frames_message_2_pack(
     uint8_t *dst_p,
-    const struct frames_coil_current_t *src_p,
+    const struct frames_message_2_t *src_p,
     size_t size);
 
 /**
- * Init message fields to default values from coil_current.
+ * Init message fields to default values from message_2.
  *
  * @param[in] msg_p Message to init.
  *
  * @return zero(0) on success or (-1) in case of nullptr argument.
  */
-int frames_coil_current_init(struct frames_coil_current_t *msg_p);
+int frames_message_2_init(struct frames_message_2_t *msg_p);
 
 /**
  * Check that given signal is in allowed range.
@@ -618,7 +618,7 @@ int frames_coil_current_init(struct frames_coil_current_t *msg_p);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_coil_current_crc_is_in_range(uint8_t value);
+bool frames_message_2_signal_0_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -631,7 +631,7 @@ bool frames_coil_current_coil_current_crc_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_coil_current_crc_is_in_phys_range(double value);
+bool frames_message_2_signal_0_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -640,7 +640,7 @@ bool frames_coil_current_coil_current_crc_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_coil_current_alive_is_in_range(uint8_t value);
+bool frames_message_2_alive_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -653,7 +653,7 @@ bool frames_coil_current_coil_current_alive_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_coil_current_alive_is_in_phys_range(double value);
+bool frames_message_2_alive_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -662,7 +662,7 @@ bool frames_coil_current_coil_current_alive_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_referenced_is_in_range(uint8_t value);
+bool frames_message_2_referenced_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -675,7 +675,7 @@ bool frames_coil_current_referenced_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_referenced_is_in_phys_range(double value);
+bool frames_message_2_referenced_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -684,7 +684,7 @@ bool frames_coil_current_referenced_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_measured_current_is_in_range(int16_t value);
+bool frames_message_2_current_is_in_range(int16_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -697,7 +697,7 @@ bool frames_coil_current_measured_current_is_in_range(int16_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_measured_current_is_in_phys_range(double value);
+bool frames_message_2_current_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -706,7 +706,7 @@ bool frames_coil_current_measured_current_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_sample_counter_is_in_range(uint32_t value);
+bool frames_message_2_counter_is_in_range(uint32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -719,10 +719,10 @@ bool frames_coil_current_sample_counter_is_in_range(uint32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_coil_current_sample_counter_is_in_phys_range(double value);
+bool frames_message_2_counter_is_in_phys_range(double value);
 
 /**
- * Unpack message command.
+ * Unpack message message_3.
  *
  * @param[out] dst_p Object to unpack the message into.
  * @param[in] src_p Message to unpack.
@@ -730,19 +730,19 @@ bool frames_coil_current_sample_counter_is_in_phys_range(double value);
  *
  * @return zero(0) or negative error code.
  */
-int frames_command_unpack(
-    struct frames_command_t *dst_p,
+int frames_message_3_unpack(
+    struct frames_message_3_t *dst_p,
     const uint8_t *src_p,
     size_t size);
 
 /**
- * Init message fields to default values from command.
+ * Init message fields to default values from message_3.
  *
  * @param[in] msg_p Message to init.
  *
  * @return zero(0) on success or (-1) in case of nullptr argument.
  */
-int frames_command_init(struct frames_command_t *msg_p);
+int frames_message_3_init(struct frames_message_3_t *msg_p);
 
 /**
  * Check that given signal is in allowed range.
@@ -751,7 +751,7 @@ int frames_command_init(struct frames_command_t *msg_p);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_command_crc_is_in_range(uint8_t value);
+bool frames_message_3_signal_0_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -764,7 +764,7 @@ bool frames_command_command_crc_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_command_crc_is_in_phys_range(double value);
+bool frames_message_3_signal_0_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -773,7 +773,7 @@ bool frames_command_command_crc_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_command_alive_is_in_range(uint8_t value);
+bool frames_message_3_alive_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -786,7 +786,7 @@ bool frames_command_command_alive_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_command_alive_is_in_phys_range(double value);
+bool frames_message_3_alive_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -795,7 +795,7 @@ bool frames_command_command_alive_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_enable_is_in_range(uint8_t value);
+bool frames_message_3_enable_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -808,7 +808,7 @@ bool frames_command_enable_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_enable_is_in_phys_range(double value);
+bool frames_message_3_enable_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -817,7 +817,7 @@ bool frames_command_enable_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_reset_fault_is_in_range(uint8_t value);
+bool frames_message_3_reset_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -830,7 +830,7 @@ bool frames_command_reset_fault_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_reset_fault_is_in_phys_range(double value);
+bool frames_message_3_reset_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -839,7 +839,7 @@ bool frames_command_reset_fault_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_control_current_is_in_range(int16_t value);
+bool frames_message_3_current_is_in_range(int16_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -852,7 +852,7 @@ bool frames_command_control_current_is_in_range(int16_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_control_current_is_in_phys_range(double value);
+bool frames_message_3_current_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -861,7 +861,7 @@ bool frames_command_control_current_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_echoed_counter_is_in_range(uint8_t value);
+bool frames_message_3_echo_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -874,10 +874,10 @@ bool frames_command_echoed_counter_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_echoed_counter_is_in_phys_range(double value);
+bool frames_message_3_echo_is_in_phys_range(double value);
 
 /**
- * Pack message heartbeat.
+ * Pack message message_4.
  *
  * @param[out] dst_p Buffer to pack the message into.
  * @param[in] src_p Data to pack.
@@ -885,19 +885,19 @@ bool frames_command_echoed_counter_is_in_phys_range(double value);
  *
  * @return Size of packed data, or negative error code.
  */
-int frames_heartbeat_pack(
+int frames_message_4_pack(
     uint8_t *dst_p,
-    const struct frames_heartbeat_t *src_p,
+    const struct frames_message_4_t *src_p,
     size_t size);
 
 /**
- * Init message fields to default values from heartbeat.
+ * Init message fields to default values from message_4.
  *
  * @param[in] msg_p Message to init.
  *
  * @return zero(0) on success or (-1) in case of nullptr argument.
  */
-int frames_heartbeat_init(struct frames_heartbeat_t *msg_p);
+int frames_message_4_init(struct frames_message_4_t *msg_p);
 
 /**
  * Check that given signal is in allowed range.
@@ -906,7 +906,7 @@ int frames_heartbeat_init(struct frames_heartbeat_t *msg_p);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_heartbeat_node_state_is_in_range(uint8_t value);
+bool frames_message_4_state_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -919,10 +919,10 @@ bool frames_heartbeat_node_state_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_heartbeat_node_state_is_in_phys_range(double value);
+bool frames_message_4_state_is_in_phys_range(double value);
 
 /**
- * Pack message encoder_fd.
+ * Pack message message_5.
  *
  * @param[out] dst_p Buffer to pack the message into.
  * @param[in] src_p Data to pack.
@@ -930,19 +930,19 @@ bool frames_heartbeat_node_state_is_in_phys_range(double value);
  *
  * @return Size of packed data, or negative error code.
  */
-int frames_encoder_fd_pack(
+int frames_message_5_pack(
     uint8_t *dst_p,
-    const struct frames_encoder_fd_t *src_p,
+    const struct frames_message_5_t *src_p,
     size_t size);
 
 /**
- * Init message fields to default values from encoder_fd.
+ * Init message fields to default values from message_5.
  *
  * @param[in] msg_p Message to init.
  *
  * @return zero(0) on success or (-1) in case of nullptr argument.
  */
-int frames_encoder_fd_init(struct frames_encoder_fd_t *msg_p);
+int frames_message_5_init(struct frames_message_5_t *msg_p);
 
 /**
  * Check that given signal is in allowed range.
@@ -951,7 +951,7 @@ int frames_encoder_fd_init(struct frames_encoder_fd_t *msg_p);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_encoder_crc_is_in_range(uint8_t value);
+bool frames_message_5_signal_0_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -964,7 +964,7 @@ bool frames_encoder_fd_encoder_crc_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_encoder_crc_is_in_phys_range(double value);
+bool frames_message_5_signal_0_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -973,7 +973,7 @@ bool frames_encoder_fd_encoder_crc_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_encoder_alive_is_in_range(uint8_t value);
+bool frames_message_5_alive_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -986,7 +986,7 @@ bool frames_encoder_fd_encoder_alive_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_encoder_alive_is_in_phys_range(double value);
+bool frames_message_5_alive_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -995,7 +995,7 @@ bool frames_encoder_fd_encoder_alive_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_amplifier_is_in_range(uint8_t value);
+bool frames_message_5_amplifier_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1008,7 +1008,7 @@ bool frames_encoder_fd_amplifier_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_amplifier_is_in_phys_range(double value);
+bool frames_message_5_amplifier_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1017,7 +1017,7 @@ bool frames_encoder_fd_amplifier_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_board_fault_is_in_range(uint8_t value);
+bool frames_message_5_fault_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1030,7 +1030,7 @@ bool frames_encoder_fd_board_fault_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_board_fault_is_in_phys_range(double value);
+bool frames_message_5_fault_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1039,7 +1039,7 @@ bool frames_encoder_fd_board_fault_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_encoders_valid_is_in_range(uint8_t value);
+bool frames_message_5_good_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1052,7 +1052,7 @@ bool frames_encoder_fd_encoders_valid_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_encoders_valid_is_in_phys_range(double value);
+bool frames_message_5_good_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1061,7 +1061,7 @@ bool frames_encoder_fd_encoders_valid_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_stage_x_is_in_range(int32_t value);
+bool frames_message_5_x_is_in_range(int32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1074,7 +1074,7 @@ bool frames_encoder_fd_stage_x_is_in_range(int32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_stage_x_is_in_phys_range(double value);
+bool frames_message_5_x_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1083,7 +1083,7 @@ bool frames_encoder_fd_stage_x_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_platform_y_is_in_range(int32_t value);
+bool frames_message_5_y_is_in_range(int32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1096,7 +1096,7 @@ bool frames_encoder_fd_platform_y_is_in_range(int32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_platform_y_is_in_phys_range(double value);
+bool frames_message_5_y_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1105,7 +1105,7 @@ bool frames_encoder_fd_platform_y_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_measured_current_is_in_range(int16_t value);
+bool frames_message_5_current_is_in_range(int16_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1118,7 +1118,7 @@ bool frames_encoder_fd_measured_current_is_in_range(int16_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_measured_current_is_in_phys_range(double value);
+bool frames_message_5_current_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1127,7 +1127,7 @@ bool frames_encoder_fd_measured_current_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_sample_counter_is_in_range(uint32_t value);
+bool frames_message_5_counter_is_in_range(uint32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1140,7 +1140,7 @@ bool frames_encoder_fd_sample_counter_is_in_range(uint32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_sample_counter_is_in_phys_range(double value);
+bool frames_message_5_counter_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1149,7 +1149,7 @@ bool frames_encoder_fd_sample_counter_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_referenced_is_in_range(uint8_t value);
+bool frames_message_5_referenced_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1162,10 +1162,10 @@ bool frames_encoder_fd_referenced_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_encoder_fd_referenced_is_in_phys_range(double value);
+bool frames_message_5_referenced_is_in_phys_range(double value);
 
 /**
- * Unpack message command_fd.
+ * Unpack message message_6.
  *
  * @param[out] dst_p Object to unpack the message into.
  * @param[in] src_p Message to unpack.
@@ -1173,19 +1173,19 @@ bool frames_encoder_fd_referenced_is_in_phys_range(double value);
  *
  * @return zero(0) or negative error code.
  */
-int frames_command_fd_unpack(
-    struct frames_command_fd_t *dst_p,
+int frames_message_6_unpack(
+    struct frames_message_6_t *dst_p,
     const uint8_t *src_p,
     size_t size);
 
 /**
- * Init message fields to default values from command_fd.
+ * Init message fields to default values from message_6.
  *
  * @param[in] msg_p Message to init.
  *
  * @return zero(0) on success or (-1) in case of nullptr argument.
  */
-int frames_command_fd_init(struct frames_command_fd_t *msg_p);
+int frames_message_6_init(struct frames_message_6_t *msg_p);
 
 /**
  * Check that given signal is in allowed range.
@@ -1194,7 +1194,7 @@ int frames_command_fd_init(struct frames_command_fd_t *msg_p);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_command_crc_is_in_range(uint8_t value);
+bool frames_message_6_signal_0_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1207,7 +1207,7 @@ bool frames_command_fd_command_crc_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_command_crc_is_in_phys_range(double value);
+bool frames_message_6_signal_0_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1216,7 +1216,7 @@ bool frames_command_fd_command_crc_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_command_alive_is_in_range(uint8_t value);
+bool frames_message_6_alive_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1229,7 +1229,7 @@ bool frames_command_fd_command_alive_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_command_alive_is_in_phys_range(double value);
+bool frames_message_6_alive_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1238,7 +1238,7 @@ bool frames_command_fd_command_alive_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_enable_is_in_range(uint8_t value);
+bool frames_message_6_enable_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1251,7 +1251,7 @@ bool frames_command_fd_enable_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_enable_is_in_phys_range(double value);
+bool frames_message_6_enable_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1260,7 +1260,7 @@ bool frames_command_fd_enable_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_reset_fault_is_in_range(uint8_t value);
+bool frames_message_6_reset_is_in_range(uint8_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1273,7 +1273,7 @@ bool frames_command_fd_reset_fault_is_in_range(uint8_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_reset_fault_is_in_phys_range(double value);
+bool frames_message_6_reset_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1282,7 +1282,7 @@ bool frames_command_fd_reset_fault_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_control_current_is_in_range(int16_t value);
+bool frames_message_6_current_is_in_range(int16_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1295,7 +1295,7 @@ bool frames_command_fd_control_current_is_in_range(int16_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_control_current_is_in_phys_range(double value);
+bool frames_message_6_current_is_in_phys_range(double value);
 
 /**
  * Check that given signal is in allowed range.
@@ -1304,7 +1304,7 @@ bool frames_command_fd_control_current_is_in_phys_range(double value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_echoed_counter_is_in_range(uint32_t value);
+bool frames_message_6_echo_is_in_range(uint32_t value);
 
 /**
  * Check that given physical value is in allowed range before encoding.
@@ -1317,7 +1317,7 @@ bool frames_command_fd_echoed_counter_is_in_range(uint32_t value);
  *
  * @return true if in range, false otherwise.
  */
-bool frames_command_fd_echoed_counter_is_in_phys_range(double value);
+bool frames_message_6_echo_is_in_phys_range(double value);
 
 
 #ifdef __cplusplus

@@ -2,62 +2,66 @@
 #include "frames.h"
 #include "wire.h"
 
-static void pack_encoder(uint8_t *data, const struct wire_report *report, uint32_t page)
+/* Encoder */
+static void pack_message_1(uint8_t *data, const struct wire_report *report, uint32_t page)
 {
-    const struct frames_encoder_t frame = {
-        .encoder_alive = (uint8_t)report->alive,
+    const struct frames_message_1_t frame = {
+        .alive = (uint8_t)report->alive,
         .amplifier = (uint8_t)((const uint32_t[]){1u, 1u, 2u, 3u})[report->amplifier],
-        .board_fault = (uint8_t)((const uint32_t[]){0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u})[report->fault],
-        .encoders_valid = (uint8_t)(report->good ? 1 : 0),
-        .stage_x = (int32_t)limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)),
-        .platform_y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
+        .fault = (uint8_t)((const uint32_t[]){0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u})[report->fault],
+        .good = (uint8_t)(report->good ? 1 : 0),
+        .x = (int32_t)limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)),
+        .y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
     };
 
     (void)page;
-    (void)frames_encoder_pack(data, &frame, 8u);
+    (void)frames_message_1_pack(data, &frame, 8u);
 }
 
-static void pack_coil_current(uint8_t *data, const struct wire_report *report, uint32_t page)
+/* CoilCurrent */
+static void pack_message_2(uint8_t *data, const struct wire_report *report, uint32_t page)
 {
-    const struct frames_coil_current_t frame = {
-        .coil_current_alive = (uint8_t)report->alive,
+    const struct frames_message_2_t frame = {
+        .alive = (uint8_t)report->alive,
         .referenced = (uint8_t)(report->referenced ? 1 : 0),
-        .measured_current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
-        .sample_counter = (uint32_t)report->counter,
+        .current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
+        .counter = (uint32_t)report->counter,
     };
 
     (void)page;
-    (void)frames_coil_current_pack(data, &frame, 8u);
+    (void)frames_message_2_pack(data, &frame, 8u);
 }
 
-static bool unpack_command(struct command *command, const uint8_t *data, size_t length)
+/* Command */
+static bool unpack_message_3(struct command *command, const uint8_t *data, size_t length)
 {
-    struct frames_command_t frame;
-    bool known = frames_command_unpack(&frame, data, length) == 0;
+    struct frames_message_3_t frame;
+    bool known = frames_message_3_unpack(&frame, data, length) == 0;
 
     if (known) {
-        command->current = (board_real)frame.control_current * (board_real)0.0001;
+        command->current = (board_real)frame.current * (board_real)0.0001;
         command->given |= (uint8_t)COMMAND_CURRENT;
         command->enable = frame.enable == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_ENABLE;
-        command->reset = frame.reset_fault == (uint8_t)2;
+        command->reset = frame.reset == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_RESET;
-        command->echo = (uint32_t)frame.echoed_counter;
+        command->echo = (uint32_t)frame.echo;
         command->given |= (uint8_t)COMMAND_ECHO;
-        command->alive = (uint32_t)frame.command_alive;
+        command->alive = (uint32_t)frame.alive;
         command->given |= (uint8_t)COMMAND_ALIVE;
-        known = ((frame.enable == (uint8_t)1) || (frame.enable == (uint8_t)2)) && ((frame.reset_fault == (uint8_t)1) || (frame.reset_fault == (uint8_t)2)) && (frame.command_alive < 15u);
+        known = ((frame.enable == (uint8_t)1) || (frame.enable == (uint8_t)2)) && ((frame.reset == (uint8_t)1) || (frame.reset == (uint8_t)2)) && (frame.alive < 15u);
     }
     return known;
 }
 
-static void pack_heartbeat(uint8_t *data, bool boot_up)
+/* Heartbeat */
+static void pack_message_4(uint8_t *data, bool boot_up)
 {
-    const struct frames_heartbeat_t frame = {
-        .node_state = (uint8_t)(boot_up ? 0u : 5u),
+    const struct frames_message_4_t frame = {
+        .state = (uint8_t)(boot_up ? 0u : 5u),
     };
 
-    (void)frames_heartbeat_pack(data, &frame, 1u);
+    (void)frames_message_4_pack(data, &frame, 1u);
 }
 
 static bool classic_fits(const struct wire_report *report)
@@ -74,7 +78,7 @@ static const struct wire_frame classic_frames[] = {
         .every = 1u,
         .alive_most = 14u,
         .protection = {.profile = PROTECTION_E2E_1, .place = 0u, .big_endian = false, .by_identifier = true},
-        .pack = pack_encoder,
+        .pack = pack_message_1,
     },
     {
         .identifier = 0x281u,
@@ -84,7 +88,7 @@ static const struct wire_frame classic_frames[] = {
         .every = 10u,
         .alive_most = 14u,
         .protection = {.profile = PROTECTION_E2E_1, .place = 0u, .big_endian = false, .by_identifier = true},
-        .pack = pack_coil_current,
+        .pack = pack_message_2,
     },
 };
 
@@ -93,7 +97,7 @@ static const struct wire_order classic_orders[] = {
         .identifier = 0x201u,
         .length = 5u,
         .protection = {.profile = PROTECTION_E2E_1, .place = 0u, .big_endian = false, .by_identifier = true},
-        .unpack = unpack_command,
+        .unpack = unpack_message_3,
     },
 };
 
@@ -102,7 +106,7 @@ static const struct wire_heartbeat classic_heartbeat = {
     .length = 1u,
     .fd = false,
     .period_ns = INT64_C(50000000),
-    .pack = pack_heartbeat,
+    .pack = pack_message_4,
 };
 
 static const struct wire classic = {
@@ -119,41 +123,43 @@ static const struct wire classic = {
     .fits = classic_fits,
 };
 
-static void pack_encoder_fd(uint8_t *data, const struct wire_report *report, uint32_t page)
+/* EncoderFd */
+static void pack_message_5(uint8_t *data, const struct wire_report *report, uint32_t page)
 {
-    const struct frames_encoder_fd_t frame = {
-        .encoder_alive = (uint8_t)report->alive,
+    const struct frames_message_5_t frame = {
+        .alive = (uint8_t)report->alive,
         .amplifier = (uint8_t)((const uint32_t[]){1u, 1u, 2u, 3u})[report->amplifier],
-        .board_fault = (uint8_t)((const uint32_t[]){0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u})[report->fault],
-        .encoders_valid = (uint8_t)(report->good ? 1 : 0),
-        .stage_x = (int32_t)limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)),
-        .platform_y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
-        .measured_current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
-        .sample_counter = (uint32_t)report->counter,
+        .fault = (uint8_t)((const uint32_t[]){0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u})[report->fault],
+        .good = (uint8_t)(report->good ? 1 : 0),
+        .x = (int32_t)limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)),
+        .y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
+        .current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
+        .counter = (uint32_t)report->counter,
         .referenced = (uint8_t)(report->referenced ? 1 : 0),
     };
 
     (void)page;
-    (void)frames_encoder_fd_pack(data, &frame, 16u);
+    (void)frames_message_5_pack(data, &frame, 16u);
 }
 
-static bool unpack_command_fd(struct command *command, const uint8_t *data, size_t length)
+/* CommandFd */
+static bool unpack_message_6(struct command *command, const uint8_t *data, size_t length)
 {
-    struct frames_command_fd_t frame;
-    bool known = frames_command_fd_unpack(&frame, data, length) == 0;
+    struct frames_message_6_t frame;
+    bool known = frames_message_6_unpack(&frame, data, length) == 0;
 
     if (known) {
-        command->current = (board_real)frame.control_current * (board_real)0.0001;
+        command->current = (board_real)frame.current * (board_real)0.0001;
         command->given |= (uint8_t)COMMAND_CURRENT;
         command->enable = frame.enable == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_ENABLE;
-        command->reset = frame.reset_fault == (uint8_t)2;
+        command->reset = frame.reset == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_RESET;
-        command->echo = (uint32_t)frame.echoed_counter;
+        command->echo = (uint32_t)frame.echo;
         command->given |= (uint8_t)COMMAND_ECHO;
-        command->alive = (uint32_t)frame.command_alive;
+        command->alive = (uint32_t)frame.alive;
         command->given |= (uint8_t)COMMAND_ALIVE;
-        known = ((frame.enable == (uint8_t)1) || (frame.enable == (uint8_t)2)) && ((frame.reset_fault == (uint8_t)1) || (frame.reset_fault == (uint8_t)2)) && (frame.command_alive < 15u);
+        known = ((frame.enable == (uint8_t)1) || (frame.enable == (uint8_t)2)) && ((frame.reset == (uint8_t)1) || (frame.reset == (uint8_t)2)) && (frame.alive < 15u);
     }
     return known;
 }
@@ -172,7 +178,7 @@ static const struct wire_frame fd_frames[] = {
         .every = 1u,
         .alive_most = 14u,
         .protection = {.profile = PROTECTION_E2E_1, .place = 0u, .big_endian = false, .by_identifier = true},
-        .pack = pack_encoder_fd,
+        .pack = pack_message_5,
     },
 };
 
@@ -181,7 +187,7 @@ static const struct wire_order fd_orders[] = {
         .identifier = 0x301u,
         .length = 8u,
         .protection = {.profile = PROTECTION_E2E_1, .place = 0u, .big_endian = false, .by_identifier = true},
-        .unpack = unpack_command_fd,
+        .unpack = unpack_message_6,
     },
 };
 
@@ -190,7 +196,7 @@ static const struct wire_heartbeat fd_heartbeat = {
     .length = 1u,
     .fd = false,
     .period_ns = INT64_C(50000000),
-    .pack = pack_heartbeat,
+    .pack = pack_message_4,
 };
 
 static const struct wire fd = {

@@ -371,7 +371,7 @@ def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], res
     if coded.is_float:
         # Its resolution where the stage needs the largest number.
         scale = abs(coded.scale * frames.factors[field])
-        kind: Any = {16: np.float16, 32: np.float32, 64: np.float64}[coded.length]
+        kind: Any = {32: np.float32, 64: np.float64}[coded.length]
         step = float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale
     detail = (
         f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "

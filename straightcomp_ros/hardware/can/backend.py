@@ -83,11 +83,6 @@ class CanHardware(Hardware):
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
-        command = self._wire.command
-        if not command.fits("current", current):
-            least, largest = command.spans["current"]
-            allowed = f"{least:.6g} to {largest:.6g} A"
-            raise ValueError(f"control current {current} A does not fit its frame; allowed: {allowed}")
         number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
         if self._send(number, current):
             self._current = current
@@ -136,7 +131,7 @@ class CanHardware(Hardware):
         if self._stage_frames is None:
             super().home(now_ns)
         else:
-            self._send_to_stage([self._stage_frames.home_payload()])
+            self._send_to_stage(self._stage_frames.stage_payloads(()))
 
     def pace(self, pace: Pace) -> None:
         self._send_to_stage([self._frames_for_stage().pace_payload(pace)])
@@ -167,7 +162,7 @@ class CanHardware(Hardware):
 
     @property
     def lost_samples(self) -> int:
-        return self._receiver.sequence.lost + self._receiver.sequence.unplaced + self._receiver.overflowed
+        return self._receiver.sequence.lost + self._receiver.overflowed
 
     @property
     def applied_current(self) -> float:
@@ -304,10 +299,10 @@ class CanHardware(Hardware):
     def _send(self, number: int, current: float = 0.0) -> bool:
         asked = current if self._wanted else 0.0
         command = Command(0, self._wanted, self._resetting, asked, number % (self._wire.echo_modulus or 1))
-        sent = 0
-        for frames in self._wire.commands:
-            payload = frames.pack(command._replace(alive=self._turn % frames.alive_modulus))
-            sent += self._link.send(frames.identifier, payload, fd=frames.fd)
+        # Packed before any is sent: a current that does not fit is refused as a whole.
+        payloads = [one.pack(command._replace(alive=self._turn % one.alive_modulus)) for one in self._wire.commands]
+        frames = zip(self._wire.commands, payloads, strict=True)
+        sent = sum(self._link.send(one.identifier, payload, fd=one.fd) for one, payload in frames)
         # A count that was sent, if only in one of several messages, must not come again.
         self._turn += sent > 0
         complete = sent == len(self._wire.commands)

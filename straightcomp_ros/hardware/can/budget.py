@@ -6,11 +6,13 @@ revisited and revised", Real-Time Systems 35 (2007): a frame waits for at most o
 be interrupted.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from straightcomp_ros.hardware.can.board_dbc import Wire
-from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, FD_SIZES
-from straightcomp_ros.hardware.can.hub import addressed, priority, to_packet
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
+from straightcomp_ros.hardware.can.frames import Frames
+from straightcomp_ros.hardware.can.hub import addressed, priority
 
 
 class Bitrate(NamedTuple):
@@ -22,25 +24,6 @@ class Bitrate(NamedTuple):
 
 CLASSIC_1M = Bitrate(1_000_000)
 FD_1M_5M = Bitrate(1_000_000, 5_000_000)
-
-
-class Traffic(NamedTuple):
-    """A frame that is sent again and again: payload in bytes, frames per second; ``fd`` in the format of CAN FD.
-
-    ``extended`` is for an identifier of 29 bits.
-    """
-
-    name: str
-    size: int
-    rate: float
-    fd: bool
-    extended: bool = False
-
-    def time(self, bitrate: Bitrate) -> float:
-        """Longest time on the wire in s, with the space to the next frame."""
-        if self.fd and bitrate.data:
-            return fd_time(self.size, bitrate.nominal, bitrate.data, extended=self.extended)
-        return classic_bits(self.size, extended=self.extended) / bitrate.nominal
 
 
 def classic_bits(size: int, *, extended: bool = False) -> int:
@@ -59,36 +42,39 @@ def fd_time(size: int, nominal: int, data: int, *, extended: bool = False) -> fl
     Nominal rate: SOF, identifier of 11 bits, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuff bits; an identifier
     of 29 bits adds 19; ACK, its delimiter, EOF and intermission, 12 bits. Data rate: ESI, DLC and payload, at worst
     with a stuff bit after every four; stuff count, CRC and their fixed stuff bits; the CRC delimiter.
-
-    Raises:
-        ValueError: CAN FD has no frames of this size.
     """
-    if size not in FD_SIZES:
-        raise ValueError(f"CAN FD has no frames of {size} bytes; allowed: {FD_SIZES}")
     arbitration, payload, crc = 17 + 19 * extended, 5 + 8 * size, 17 if size <= 16 else 21
     slow = arbitration + (arbitration - 1) // 4 + 12
     fixed_stuff = 1 + (4 + crc - 1) // 4
     return slow / nominal + (payload + (payload + 3) // 4 + 4 + crc + fixed_stuff + 1) / data
 
 
-def traffic(wire: Wire, rate: float) -> list[Traffic]:
-    """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first."""
+def frame_time(frames: Frames, bitrate: Bitrate) -> float:
+    """Longest time of one of these frames on the wire in s, with the space to the next frame."""
+    extended = bool(frames.identifier & EXTENDED_ID)
+    if frames.fd and bitrate.data:
+        return fd_time(frames.size, bitrate.nominal, bitrate.data, extended=extended)
+    return classic_bits(frames.size, extended=extended) / bitrate.nominal
+
+
+def traffic(wire: Wire, rate: float) -> dict[Frames, float]:
+    """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first, and how many a second."""
     rates = {frames: rate / frames.every for frames in (*wire.commands, *wire.reports.values())}
     if wire.heartbeat:
         rates[wire.heartbeat] = 1.0 / wire.heartbeat.period
-    ranked = sorted(rates, key=lambda frames: priority(to_packet(addressed(frames.identifier, b"", fd=False))))
-    return [Traffic(one.name, one.size, rates[one], one.fd, bool(one.identifier & EXTENDED_ID)) for one in ranked]
+    ranked = sorted(rates, key=lambda frames: priority(addressed(frames.identifier, b"", fd=False)))
+    return {frames: rates[frames] for frames in ranked}
 
 
-def load(sent: list[Traffic], bitrate: Bitrate) -> float:
+def load(sent: Mapping[Frames, float], bitrate: Bitrate) -> float:
     """Fraction of the time for which the bus is busy, at worst."""
-    return sum(frame.time(bitrate) * frame.rate for frame in sent)
+    return sum(frame_time(frames, bitrate) * rate for frames, rate in sent.items())
 
 
-def round_trip(sent: list[Traffic], bitrate: Bitrate, pair: tuple[str, str]) -> float:
+def round_trip(sent: Mapping[Frames, float], bitrate: Bitrate, pair: tuple[Frames, Frames]) -> float:
     """Longest time in s on the bus from sample to command, the two frames ``pair``: each waits for the longest other.
 
     It holds while it is shorter than a control period. The host's computing time comes on top.
     """
-    times = {frame.name: frame.time(bitrate) for frame in sent}
-    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in pair)
+    times = {frames: frame_time(frames, bitrate) for frames in sent}
+    return sum(times[own] + max(time for one, time in times.items() if one is not own) for own in pair)

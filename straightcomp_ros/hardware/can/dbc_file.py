@@ -26,9 +26,9 @@ EXTENDED_ID = 1 << 31
 _LARGEST = {False: 0x7FF, True: 0x1FFFFFFF}
 FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes of a frame of CAN FD."""
-FLOATS = {16: "e", 32: "f", 64: "d"}
+FLOATS = {32: "f", 64: "d"}
 """struct's letters by the bits of a float."""
-_LARGEST_FLOAT = {16: 65504.0, 32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
+_LARGEST_FLOAT = {32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
 _WHOLE = {
     "VERSION": r'VERSION\s*"',
     "NS_": r"(?!)",
@@ -225,7 +225,7 @@ def refuse_signal(message: Message, signal: Signal) -> None:
     if not 0 < signal.length <= 8 * message.length - shift(signal, message.length) <= 8 * message.length:
         raise DbcError(f"{place} does not lie within the {message.length} bytes of its message")
     if signal.is_float and signal.length not in FLOATS:
-        raise DbcError(f"{place} is a float of {signal.length} bits; allowed: 16, 32 or 64")
+        raise DbcError(f"{place} is a float of {signal.length} bits; allowed: 32 or 64")
     numbers = (signal.scale, signal.offset, signal.minimum or 0, signal.maximum or 0)
     if signal.scale == 0 or not all(map(math.isfinite, numbers)):
         raise DbcError(f"{place} has a factor of {signal.scale}; allowed: finite numbers, and a factor other than 0")
@@ -275,7 +275,8 @@ def used_signals(message: Message, used: Sequence[Signal]) -> Message:
         raise DbcError(f"two signals lie on each other: {error}") from None
     for signal in message.signals:
         shown = all(selector.name in chosen for selector, _ in selectors(message, signal))
-        if signal.raw_initial and shown and signal.name not in chosen:
+        usable = not signal.is_float or signal.length in FLOATS
+        if signal.raw_initial and shown and usable and signal.name not in chosen:
             # One that lies on others, or beyond the message, is left out.
             with contextlib.suppress(cantools.Error):
                 found, chosen = made(chosen | {signal.name: signal}), chosen | {signal.name: signal}
@@ -294,13 +295,16 @@ def _found(file: str) -> Path:
 
 def _text(path: Path) -> str:
     try:
-        content = path.read_bytes()
+        return decoded(path.read_bytes())
     except OSError as error:
         raise DbcError(f"'{path}': {error.strerror}") from None
+
+
+def decoded(content: bytes) -> str:
+    """Text in UTF-8, or as Vector's tools write it in Europe."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # What Vector's tools write in Europe.
         return content.decode("cp1252", errors="replace")
 
 

@@ -5,20 +5,20 @@ last frame with a checksum starts the motion. These are classic frames on either
 comes right before it, on CAN FD only: it fills the longest frame there is. config/emulator.dbc describes them.
 """
 
-import struct
 import zlib
 from collections.abc import Sequence
 
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, Dbc
-from straightcomp_ros.hardware.can.frames import FrameError, Frames
+from straightcomp_ros.hardware.can.frames import Crc, FrameError, Frames
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.parameters.declaration import ParameterError
 
 FILE = "config/emulator.dbc"
-_POINTS = "Points"
+_SEALED = {"StagePace": "PaceCrc", "Truth": "TruthCrc"}
+"""By message the signal with a CRC-32 of the rest."""
 
 
 class EmulatorFrames:
@@ -41,121 +41,95 @@ class EmulatorFrames:
                     f"its own, which is the emulator's '{name}'; allowed: false, or another 'can.node'"
                 )
             signals = {signal.name: signal for signal in message.signals}
+            crc = Crc(message, signals.pop(_SEALED[name]), None, "crc_32", []) if name in _SEALED else None
             physical = {name: 1.0 for name, signal in signals.items() if signal.unit or signal.scale != 1.0}
-            found.append(Frames(message, identifier, signals, physical))
-        self._time, self._motion, self._start, self._pace, self._truth = found
+            found.append(Frames(message, identifier, signals, physical, crc=crc))
+        self.time, self.motion, self.start, self.pace, self._truth = found
         self.stage = {frames.identifier: frames for frames in found[:4]}
         """The frames of a trajectory and of its pace, by identifier."""
         self.truth_id = self._truth.identifier
-        crc = self._truth.fields["TruthCrc"]
-        self._content = (crc.start + crc.length) // 8
-        self._most_points = int(self._start.fields[_POINTS].maximum or 0)
 
     def stage_payloads(self, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
-        """Identifier and payload of each frame that moves a simulated stage, in the order of sending.
+        """Identifier and payload of each frame that moves a simulated stage, in the order of sending; without points it
+        is homed.
 
         Raises:
             HardwareError: too many points, or one that does not fit its frame.
         """
-        most = self._most_points
+        most = int(self.start.fields["Points"].maximum or 0)
         if len(waypoints) > most:
             raise HardwareError(f"stage trajectory has {len(waypoints)} points; allowed over CAN: <= {most}")
         frames = []
         for number, point in enumerate(waypoints):
             try:
-                frames.append((self._time.identifier, self._time.pack((number, point.time_ns))))
-                motion = self._motion.pack((number, point.position, point.velocity))
-                frames.append((self._motion.identifier, motion))
+                frames.append((self.time.identifier, self.time.pack((number, point.time_ns))))
+                motion = self.motion.pack((number, point.position, point.velocity))
+                frames.append((self.motion.identifier, motion))
             except ValueError as error:
                 raise HardwareError(f"stage trajectory, point {number}: {error}") from None
         seal = zlib.crc32(b"".join(payload for _, payload in frames))
-        return [*frames, (self._start.identifier, self._start.pack((len(waypoints), seal)))]
-
-    def home_payload(self) -> tuple[int, bytes]:
-        """Identifier and payload of the frame that references x: it starts a motion without points."""
-        return self._start.identifier, self._start.pack((0, zlib.crc32(b"")))
+        return [*frames, (self.start.identifier, self.start.pack((len(waypoints), seal)))]
 
     def pace_payload(self, pace: Pace) -> tuple[int, bytes]:
-        """Identifier and payload of the frame that asks for a pace; it has its own checksum."""
-        numbers = pace.override, int(pace.hold), int(pace.end)
-        return self._pace.identifier, self._pace.pack((*numbers, _seal_of_pace(numbers)))
+        """Identifier and payload of the frame that asks for a pace."""
+        return self.pace.identifier, self.pace.pack((pace.override, int(pace.hold), int(pace.end)))
 
     def truth_payload(self, counter: int, truth: Truth) -> bytes:
-        """The counter of the sample, CRC-32 of the rest with the counter as start value, and the truth."""
-        pack = self._truth.pack
-        seal = zlib.crc32(pack((counter, 0, *truth))[self._content :], counter)
-        return pack((counter, seal, *truth))
+        """The truth with the counter of its sample."""
+        return self._truth.pack((counter, *truth))
 
     def truth_of(self, payload: bytes) -> tuple[int, Truth]:
         """Sample counter and truth; raises FrameError if the frame is damaged."""
         try:
-            counter, seal, *numbers = self._truth.unpack(payload)
+            counter, *numbers = self._truth.unpack(payload)
         except FrameError:
             raise FrameError("truth") from None
-        if seal != zlib.crc32(payload[self._content :], counter):
-            raise FrameError("truth")
         return counter, Truth(*numbers)
 
 
-def _seal_of_pace(numbers: tuple[float, int, int]) -> int:
-    override, hold, end = numbers
-    return zlib.crc32(struct.pack("<IBB", round(override * 1e4), hold, end))
-
-
 class StageReceiver:
-    """Collects the frames of :meth:`EmulatorFrames.stage_payloads` on the simulated machine's side."""
+    """Obeys the frames of an :class:`EmulatorFrames` on the simulated machine's side."""
 
     refused = ""
     """Why the last trajectory was refused."""
 
     def __init__(self, frames: EmulatorFrames) -> None:
-        self._frames = frames.stage
-        self._pace_id, self._home = frames.pace_payload(Pace())[0], frames.home_payload()
+        self._frames = frames
         self._points = self._empty()
 
     def _empty(self) -> dict[int, dict[int, tuple[bytes, tuple[int | float, ...]]]]:
         """Payload and values of times and motions by their numbers."""
-        time_id, motion_id, *_ = self._frames
-        return {time_id: {}, motion_id: {}}
+        return {self._frames.time.identifier: {}, self._frames.motion.identifier: {}}
 
     def obey(self, identifier: int, payload: bytes, machine: Hardware, at_ns: int) -> None:
         """Take one frame, and move ``machine`` from ``at_ns`` on with the one that starts the motion."""
+        frames = self._frames.stage.get(identifier)
+        if frames is None:
+            return
         try:
-            if identifier == self._pace_id and len(payload) == self._frames[identifier].size:
-                override, hold, end, seal = self._frames[identifier].unpack(payload)
-                if seal != _seal_of_pace((override, int(hold), int(end))):
-                    raise HardwareError("the frame of a pace is damaged")
-                machine.pace(Pace(float(override), bool(hold), bool(end)))
-                return
-            if (identifier, payload) == self._home:
+            number, *values = frames.unpack(payload)
+            if frames is self._frames.pace:
+                hold, end = values
+                machine.pace(Pace(float(number), bool(hold), bool(end)))
+            elif frames is not self._frames.start:
+                self._points[identifier][number] = payload, tuple(values)
+            elif points := self._gathered(number, *values):
+                machine.move(Trajectory(points), at_ns)
+            else:
                 machine.home(at_ns)
-                return
-            trajectory = self.add(identifier, payload)
-            if trajectory is not None:
-                machine.move(trajectory, at_ns)
+        except FrameError as error:
+            self.refused = f"a frame of '{frames.name}' is damaged ({error})"
         except (HardwareError, ValueError) as error:
             self.refused = str(error)
 
-    def add(self, identifier: int, payload: bytes) -> Trajectory | None:
-        """Take one frame; return the trajectory with the frame that starts the motion.
-
-        Raises:
-            HardwareError: frames before it were lost or damaged.
-            ValueError: the points make no trajectory.
-        """
-        frames = self._frames.get(identifier)
-        if frames is None or len(payload) != frames.size:
-            return None
-        number, *values = frames.unpack(payload)
-        if identifier in self._points:
-            self._points[identifier][number] = payload, tuple(values)
-            return None
+    def _gathered(self, number: int, seal: int) -> list[Waypoint]:
+        """The points that came; HardwareError if frames of them were lost or damaged."""
         (times, motions), self._points = self._points.values(), self._empty()
         refused = f"stage trajectory of {number} points is refused"
         try:
             points = [(times[k], motions[k]) for k in range(number)]
         except KeyError as error:
             raise HardwareError(f"{refused}: frames of it are missing") from error
-        if [zlib.crc32(b"".join(sent for point in points for sent, _ in point))] != values:
+        if zlib.crc32(b"".join(sent for point in points for sent, _ in point)) != seal:
             raise HardwareError(f"{refused}: its CRC-32 is wrong")
-        return Trajectory([Waypoint(int(time[0]), *motion) for (_, time), (_, motion) in points])
+        return [Waypoint(int(time[0]), *motion) for (_, time), (_, motion) in points]

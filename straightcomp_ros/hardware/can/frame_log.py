@@ -19,7 +19,7 @@ from typing import Any, TextIO, cast
 import can
 from can.io.blf import BLFParseError
 
-from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, decoded
 from straightcomp_ros.hardware.interface import HardwareError
 
 _QUEUE_LIMIT = 20_000
@@ -184,10 +184,7 @@ def _plain_asc(file: Path) -> TextIO:
     relative, now = False, Decimal(0)
     with gzip.open(file) if file.suffix.lower() == ".gz" else file.open("rb") as opened:
         for content in opened:
-            try:
-                line = content.decode("utf-8-sig")
-            except UnicodeDecodeError:
-                line = content.decode("cp1252", errors="replace")
+            line = decoded(content)
             relative = relative or re.match(r"\s*base\s+\w+\s+timestamps\s+relative", line, re.IGNORECASE) is not None
             timed = re.match(r"\s*(\d+\.\d+)(?=\s)", line)
             if relative and timed:

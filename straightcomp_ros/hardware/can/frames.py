@@ -13,6 +13,7 @@ Profile 2: CRC-8 of polynomial 0x2F, start and final XOR 0xFF, over the payload 
 counter chooses.
 Profile 5: CRC-16 of polynomial 0x1021, start 0xFFFF, over the payload and the 16-bit data id, low byte first.
 J1850: CRC-8 of polynomial 0x1D, start and final XOR 0xFF, over the payload; it has no data id.
+The frames of config/emulator.dbc have the CRC-32 of zlib.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from __future__ import annotations
 import enum
 import math
 import struct
+import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
@@ -137,6 +139,7 @@ PROFILES = {
     "e2e_2": _Profile(8, crc8.autosar, 16, 0xFF),
     "e2e_5": _Profile(16, crc16.ibm_3740, 1, 0xFFFF),
     "j1850": _Profile(8, crc8.sae_j1850),
+    "crc_32": _Profile(32, zlib.crc32),
 }
 
 
@@ -305,11 +308,6 @@ class Frames:
         """Resolution of ``field`` in SI units; 0 for a float."""
         signal = self.fields[field]
         return 0.0 if signal.is_float else abs(signal.scale * self.factors[field])
-
-    def fits(self, field: str, value: float) -> bool:
-        """Whether ``value`` in SI units rounds to one that can be sent; NaN does not."""
-        (least, largest), half = self.spans[field], 0.5 * self.step(field)
-        return least <= value <= largest or least - half < value < largest + half
 
     def _span(self, field: str) -> tuple[float, float]:
         signal, factor = self.fields[field], self.factors[field]

@@ -1,16 +1,15 @@
 """The frames of a board in C, for the firmware core: what firmware/core/wire.h declares.
 
 cantools (MIT) writes ``frames.h`` and ``frames.c``, which put the signals of a message into a payload and take them
-out. ``wire.c``, made here by a template, says what the signals mean to the core. No text of a DBC file reaches C: of
-its names only small letters, digits and underscores, of all else numbers.
+out. ``wire.c``, made here by a template, says what the signals mean to the core. No text of a DBC file reaches C but
+the letters and digits of a name, in a comment.
 """
 
 from __future__ import annotations
 
 import copy
-import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import jinja2
@@ -28,11 +27,6 @@ _SHORT = 31
 """Bits from which on a value may be more than the core's nearest() takes."""
 _LARGEST_FLOAT = 3.4028234663852886e38
 _FLOATS = {32: "float", 64: "double"}
-_KEYWORDS = (
-    " auto bool break case char const continue default do double else enum extern false float for goto if inline int "
-    "long register restrict return short signed sizeof static struct switch true typedef union unsigned void volatile "
-    "while "
-)
 _TEMPLATE = """\
 {% macro frame(wire, one, page, indent) %}
 {{ " " * indent }}const struct frames_{{ names[one.name] }}_t frame = {
@@ -49,6 +43,7 @@ _TEMPLATE = """\
 {% macro pack(wire, one) %}
 {% set call = "(void)frames_%s_pack(data, &frame, %du);" | format(names[one.name], one.size) %}
 
+/* {{ plain(one.name) }} */
 static void pack_{{ names[one.name] }}(uint8_t *data{{- \
 ", const struct wire_report *report, uint32_t page" if one is not sameas wire.heartbeat else ", bool boot_up" }})
 {
@@ -69,6 +64,7 @@ static void pack_{{ names[one.name] }}(uint8_t *data{{- \
 {% macro unpack(one) %}
 {% set statements, tests = unpacked(one) %}
 
+/* {{ plain(one.name) }} */
 static bool unpack_{{ names[one.name] }}(struct command *command, const uint8_t *data, size_t length)
 {
     struct frames_{{ names[one.name] }}_t frame;
@@ -168,57 +164,30 @@ def frames_in_c(wires: Sequence[Wire]) -> dict[str, str]:
         described.append(("fd" if wire.fd else "classic", wire, first_here))
     for one in messages.values():
         _refuse(one)
-    names = _message_names({name: one.message for name, one in messages.items()})
+    names = {name: f"message_{number}" for number, name in enumerate(messages, 1)}
     database = Database([_renamed(one, names[name]) for name, one in messages.items()])
     header, source, *_ = generate(
         database, "frames", "frames.h", "frames.c", "", floating_point_numbers=False, node_name="Board"
     )
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.globals |= {"names": names, "protection": _protection, "packed": _packed, "unpacked": _unpacked}
-    environment.globals |= {"EXTENDED_ID": EXTENDED_ID, "within": lambda frames, axis: _number(frames, axis)[1]}
+    environment.globals |= {"EXTENDED_ID": EXTENDED_ID, "plain": lambda name: re.sub(r"[^A-Za-z0-9]", "_", name)}
+    environment.globals |= {"within": lambda frames, axis: _number(frames, axis)[1]}
     text = environment.from_string(_TEMPLATE).render(dbc=wires[0].source().split()[0], wires=described)
     # Without the date: the files change when their content does.
     made = {name: _WHEN.sub(r"\1.", text) for name, text in (("frames.h", header), ("frames.c", source))}
     return made | {"wire.c": text}
 
 
-def _numbered(plain: str, mark: str) -> Iterator[str]:
-    yield plain
-    yield from (f"{plain}{mark}{number}" for number in itertools.count(2))
-
-
-def c_names(names: Iterable[str]) -> dict[str, str]:
-    """For each name of a DBC file one in C: in small letters, no keyword, and no two alike."""
-    from cantools.database.can.c_source import camel_to_snake_case
-
-    found: dict[str, str] = {}
-    for name in names:
-        # As cantools writes them, which leaves such names as they are.
-        plain = re.sub(r"_+", "_", camel_to_snake_case(name))
-        candidates = _numbered(plain if re.match("[a-z]", plain) else f"x{plain}", "_")
-        found[name] = next(own for own in candidates if own not in found.values() and f" {own} " not in _KEYWORDS)
-    return found
-
-
-def _member_names(message: Message) -> dict[str, str]:
-    return c_names(signal.name for signal in message.signals)
-
-
-def _message_names(messages: Mapping[str, Message]) -> dict[str, str]:
-    """Names of the messages in C. cantools joins them with those of signals: A with B_C must not meet A_B with C."""
-    names, taken = c_names(messages), set[str]()
-    for name, message in messages.items():
-        for own in _numbered(names[name], "_n"):
-            joined = {own, *(f"{own}_{member}" for member in _member_names(message).values())}
-            if not joined & taken:
-                break
-        names[name], taken = own, taken | joined
-    return names
+def _members(frames: Frames) -> dict[str, str]:
+    """For each signal of a message its name in C: that of what it means."""
+    fields = {signal.name: field for field, signal in frames.fields.items()}
+    return {one.name: fields.get(one.name, f"signal_{place}") for place, one in enumerate(frames.message.signals)}
 
 
 def _renamed(frames: Frames, name: str) -> Message:
-    """The message with names for C, so that keywords and names that differ by their case alone do no harm."""
-    own, names, of_host = copy.deepcopy(frames.message), _member_names(frames.message), frames.kind is Command
+    """The message as cantools gets it: without texts of the file."""
+    own, names, of_host = copy.deepcopy(frames.message), _members(frames), frames.kind is Command
     own.name, own.senders[:] = name, ["Host" if of_host else "Board"]
     for signal in own.signals:
         # cantools writes the function that unpacks a signal for its receivers alone.
@@ -235,11 +204,8 @@ def _renamed(frames: Frames, name: str) -> Message:
 def _refuse(frames: Frames) -> None:
     """Raise DbcError for a signal that the firmware cannot have."""
     for signal in frames.message.signals:
-        place = f"signal '{signal.name}' of message '{frames.name}'"
-        if signal.is_float and signal.length not in _FLOATS:
-            raise DbcError(f"{place} is a float of {signal.length} bits; the firmware has those of 32 and 64 bits")
         if signal.length > 64:
-            raise DbcError(f"{place} has more than the firmware's 64 bits")
+            raise DbcError(f"signal '{signal.name}' of message '{frames.name}' has more than the firmware's 64 bits")
     for field in ("alive", "counter", "echo"):
         if frames.counts(field) > _MOST_COUNTS:
             place = f"'{frames.fields[field].name}' of message '{frames.name}'"
@@ -291,7 +257,7 @@ def _number(frames: Frames, field: str) -> tuple[str, str]:
 
 def _packed(wire: Wire, frames: Frames, page: Mapping[str, int]) -> dict[str, str]:
     """Values of the members of cantools' struct in C, for one page of a multiplexed message."""
-    own, fields = _member_names(frames.message), {signal.name: field for field, signal in frames.fields.items()}
+    own, fields = _members(frames), {signal.name: field for field, signal in frames.fields.items()}
     values = {}
     for signal in frames.message.signals:
         shown = in_page(frames.message, signal, page)
@@ -329,7 +295,7 @@ def _chosen(values: Iterable[int], index: str) -> str:
 
 def _unpacked(frames: Frames) -> tuple[list[str], list[str]]:
     """Statements that read a command from cantools' struct ``frame``, and the conditions under which it is one."""
-    own = _member_names(frames.message)
+    own = _members(frames)
     statements, tests = [], []
     for field, signal in frames.fields.items():
         raw = f"frame.{own[signal.name]}"

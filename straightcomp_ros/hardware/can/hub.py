@@ -67,13 +67,12 @@ def from_packet(packet: bytes) -> Frame:
     return Frame(stamp_ns, identifier, flags, packet[_HEAD.size :])
 
 
-def priority(packet: bytes) -> tuple[int, int, int]:
+def priority(frame: Frame) -> tuple[int, int, int]:
     """Sort key by which frames win the bus, the lowest first: by the bits of the identifier."""
-    _, identifier, flags = _HEAD.unpack_from(packet)
-    if flags & EXTENDED:
+    if frame.flags & EXTENDED:
         # After eleven equal bits a standard frame wins.
-        return identifier >> 18, 1, identifier & 0x3FFFF
-    return identifier, 0, 0
+        return frame.identifier >> 18, 1, frame.identifier & 0x3FFFF
+    return frame.identifier, 0, 0
 
 
 class LinkCut(Exception):
@@ -224,7 +223,7 @@ class Hub:
         for _ in range(_AT_ONCE):
             if not waiting:
                 break
-            sender = next(iter(waiting)) if len(waiting) == 1 else min(waiting, key=lambda n: priority(waiting[n]))
+            sender = min(waiting, key=lambda node: priority(from_packet(waiting[node])))
             self._pass_on(sender, waiting.pop(sender))
             self._fetch(sender)
 

@@ -17,7 +17,6 @@ from straightcomp_ros.hardware.can.hub import Frame
 
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
-_SELECTABLE = 1024
 _BITS = {
     "is_extended_id": hub.EXTENDED,
     "is_remote_frame": hub.REMOTE,
@@ -45,8 +44,6 @@ class HubBus(can.BusABC):
             self._socket.close()
             raise can.CanInitializationError(f"no hub at '{channel}': {error.strerror}") from error
         self._socket.setblocking(False)
-        self._readable = select.poll()
-        self._readable.register(self._socket, select.POLLIN)
         self.channel_info = f"hub {channel}"
         super().__init__(channel=channel, can_filters=can_filters, **options)
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
@@ -56,7 +53,8 @@ class HubBus(can.BusABC):
 
         It is without the cost of python-can's message.
         """
-        if timeout != 0.0 and not self._wait(timeout):
+        # poll() takes no times below a millisecond.
+        if timeout != 0.0 and not select.select([self._socket], [], [], timeout)[0]:
             return None
         try:
             packet = self._socket.recv(hub.LONGEST)
@@ -95,12 +93,6 @@ class HubBus(can.BusABC):
         frame = self.recv_frame(timeout)
         # An error frame has no identifier and passes the filters, as with socketcan.
         return (message_of(frame), bool(frame.flags & hub.ERROR)) if frame else (None, False)
-
-    def _wait(self, timeout: float | None) -> bool:
-        # select() takes times below a millisecond, but no descriptors from 1024 on.
-        if self._socket.fileno() < _SELECTABLE:
-            return bool(select.select([self._socket], [], [], timeout)[0])
-        return bool(self._readable.poll(None if timeout is None else max(1, round(timeout * 1e3))))
 
     def shutdown(self) -> None:
         super().shutdown()

@@ -119,7 +119,11 @@ class Receiver:
         try:
             handler(payload, arrival_ns)
         except FrameError as error:
-            self._count_error(error)
+            self.counts[str(error)] += 1
+            self.error_counter += _BAD_FRAME
+            if self.error_counter >= self._error_limit:
+                self.error_limit_hits += 1
+                self.restart()
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
         """Count an error that the interface reports, by the identifier and the payload of Linux's error frame."""
@@ -129,13 +133,6 @@ class Receiver:
         if classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE:
             self.counts["error_passive"] += 1
 
-    def _count_error(self, error: FrameError) -> None:
-        self.counts[str(error)] += 1
-        self.error_counter += _BAD_FRAME
-        if self.error_counter >= self._error_limit:
-            self.error_limit_hits += 1
-            self.restart()
-
     def _receive(self, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         report = frames.unpack(payload)
         if report.x is not None:
@@ -143,8 +140,9 @@ class Receiver:
             return
         self._take_reference(report)
         self._take_status(report, arrival_ns)
-        if report.counter is not None:
-            self._number_waiting(report.counter, arrival_ns)
+        placed = None if report.counter is None else self.sequence.place(report.counter, arrival_ns)
+        if placed is not None:
+            self._place(*placed)
 
     def _receive_component(self, number: int, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         """Take a frame with a component of a sample, whose others come in frames of other messages."""
@@ -159,14 +157,6 @@ class Receiver:
             self.sequence.wait(report, arrival_ns)
         else:
             self._place(report, ahead, arrival_ns)
-
-    def _number_waiting(self, counter: int, arrival_ns: int) -> None:
-        for number, report, came_ns in self.sequence.place(counter, arrival_ns):
-            index = self.sequence.index
-            try:
-                self._place(report._replace(counter=number), 1 if index is None else number - index, came_ns)
-            except FrameError as error:
-                self._count_error(error)
 
     def _place(self, report: Report, ahead: int, arrival_ns: int) -> None:
         """Take a sample that is so many ahead of the newest."""

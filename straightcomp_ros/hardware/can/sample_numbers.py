@@ -6,9 +6,10 @@ they do if they arrive within half a period of the first; two samples then diffe
 late by that much.
 
 A count in the sample's own frame gives the number while by the host's clock fewer samples passed since the last frame
-than the count distinguishes. After a longer silence, frames wait for the next frame with the full counter, if the
-board has such; otherwise the numbers start anew: they are never guessed. Frames without any count are numbered in
-their order; if a row of them comes late by a whole period and more, samples before them were lost.
+than the count distinguishes. After a longer silence, the next frame with the full counter gives the number of the
+sample right before it, if the board has such; otherwise the numbers start anew: they are never guessed. Frames without
+any count are numbered in their order; if a row of them comes late by a whole period and more, samples before them were
+lost.
 
 Frames are late by a varying amount, but never early. The stamps therefore follow a line through the promptest frame of
 each block. A first-order correction of its offset and an integral correction of its rate make it follow a quartz that
@@ -200,7 +201,6 @@ class SampleNumbers:
     Attributes:
         index: number of the newest accepted sample; None before the first.
         jumps: how often the numbers started anew by themselves.
-        unplaced: frames that waited for a number in vain.
     """
 
     def __init__(self, clock: SampleClock, period_ns: int, modulus: int, full_modulus: int = 0) -> None:
@@ -208,7 +208,7 @@ class SampleNumbers:
         self._modulus, self._full_modulus = modulus, full_modulus
         self._early = min(_EARLY, (modulus - 1) // 3)
         self._ambiguous = modulus - 1 - self._early if modulus else _SILENCE
-        self.lost = self.repeated = self.out_of_order = self.unplaced = self.jumps = 0
+        self.lost = self.repeated = self.out_of_order = self.jumps = 0
         self._missing: deque[int] = deque(maxlen=_KEPT_MISSING)
         self._newest_ns = 0
         self.reset()
@@ -217,7 +217,7 @@ class SampleNumbers:
         """Start anew: the next frame with a full counter gives the number."""
         self.index: int | None = None
         self._missing.clear()
-        self._waiting: list[tuple[Report, int]] = []
+        self._waiting: tuple[Report, int] | None = None
         self._lateness: deque[float] = deque(maxlen=_ROW)
         self._clock.reset()
 
@@ -235,11 +235,11 @@ class SampleNumbers:
         return max((arrival_ns - self._newest_ns) / self._period_ns, unsettled)
 
     def ahead(self, count: int | None, arrival_ns: int) -> int | None:
-        """How many samples a frame is ahead of the newest accepted one, 1 for the next; None if it has to wait.
+        """How many samples a frame is ahead of the newest accepted one, 1 for the next; None while nothing tells.
 
         With zero or less it carries no new sample, see :meth:`count_old`.
         """
-        if self.index is None or self._waiting:
+        if self.index is None:
             return None if self._full_modulus else 1
         passed = self._passed(self.index, arrival_ns)
         if passed >= self._ambiguous:
@@ -285,32 +285,20 @@ class SampleNumbers:
             self.repeated += 1
 
     def wait(self, report: Report, arrival_ns: int) -> None:
-        """Keep a frame until its number is known; the oldest of too many is given up."""
-        self._waiting.append((report, arrival_ns))
-        if len(self._waiting) > self._modulus - 1:
-            del self._waiting[0]
-            self.unplaced += 1
+        """Keep a frame whose number nothing tells, in place of the one before it: the full counter may come next."""
+        self._waiting = report, arrival_ns
 
-    def place(self, counter: int, arrival_ns: int) -> list[tuple[int, Report, int]]:
-        """Number the waiting frames; returns (number, report, arrival_ns) in the order of their arrival.
-
-        ``counter`` came at ``arrival_ns`` in a frame of its own.
-        """
+    def place(self, counter: int, arrival_ns: int) -> tuple[Report, int, int] | None:
+        """The waiting frame if a full counter is that of its sample: report, how many samples it is ahead, arrival."""
         half = self._full_modulus // 2
-        ahead = 0 if self.index is None else (counter - self.index + half) % self._full_modulus - half
-        if not self._waiting:
+        ahead = 1 if self.index is None else (counter - self.index + half) % self._full_modulus - half
+        waiting, self._waiting = self._waiting, None
+        if waiting is None:
             if self.index is not None and not -1 <= ahead < self._modulus - 1:
                 self._jump()
-            return []
-        number = counter if self.index is None else self.index + ahead
-        placed = []
-        for report, waiting_ns in reversed(self._waiting):
-            lost = (number - (report.alive or 0)) % self._modulus
-            swapped = self._modulus - lost
-            # To lose almost as many as the count distinguishes takes as long; swapped frames arrive close together.
-            soon = (arrival_ns - waiting_ns) / self._period_ns + self._early < lost
-            number -= -swapped if soon and swapped <= self._early else lost
-            arrival_ns = waiting_ns
-            placed.append((number, report, waiting_ns))
-        self._waiting = []
-        return placed[::-1]
+            return None
+        report, waiting_ns = waiting
+        # Another sample with the same count is older.
+        matches = (counter - (report.alive or 0)) % self._modulus == 0
+        soon = arrival_ns - waiting_ns < self._modulus * self._period_ns
+        return (report._replace(counter=counter), ahead, waiting_ns) if matches and soon else None

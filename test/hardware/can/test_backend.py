@@ -405,7 +405,7 @@ def test_the_largest_current_that_fits_its_frame_is_sent_and_off_and_reset_go_ou
     commands = running.caught()
     for current in (3.2767, -3.2767):
         running.host.write(current, running.now)
-        with pytest.raises(ValueError, match="does not fit its frame"):
+        with pytest.raises(ValueError, match="does not fit signal"):
             running.host.write(current + math.copysign(1e-4, current), running.now)
     assert [command.current for command in commands] == pytest.approx([3.2767, -3.2767])
     commands.clear()
@@ -488,8 +488,7 @@ def test_counters_show_bus_log_and_lost_samples_wherever_they_went(running):
     running.run(0.02)
     assert host.lost_samples == 4
     host._receiver.overflowed = 10
-    host._receiver.sequence.unplaced = 100
-    assert host.lost_samples == 114
+    assert host.lost_samples == 14
 
 
 @pytest.mark.parametrize(("taken", "samples", "turns"), [(1, [], 3), (1, [None], 1), (0, [], 1)])

@@ -346,22 +346,13 @@ WIDE_COUNT = {
 }
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({" 39|32@0-": " 39|16@0-"}, "signal 'POS_X' of message 'DSP_MEAS' is a float of 16 bits; the firmware has"),
-        (WIDE_COUNT, "'SET_CNT' of message 'PC_SET' counts beyond 32 bits"),
-        ({"SIG_VALTYPE_ 288 POS_X : 1;": ""}, ""),
-    ],
-    ids=["float of 16 bits", "36 bits", "whole number"],
-)
-def test_only_a_signal_that_the_firmware_cannot_have_is_refused(tmp_path, changes, words):
+def test_a_counter_that_the_firmware_cannot_have_is_refused(tmp_path):
     text = FOREIGN_FILE.with_suffix(".dbc").read_text()
-    for old, new in changes.items():
+    for old, new in WIDE_COUNT.items():
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "other.dbc").write_text(text)
-    with pytest.raises(DbcError, match=words) if words else contextlib.nullcontext():
+    with pytest.raises(DbcError, match="'SET_CNT' of message 'PC_SET' counts beyond 32 bits"):
         frames_in_c([replace(FOREIGN, dbc=str(tmp_path / "other.dbc")).make_wire()])
 
 

@@ -8,27 +8,18 @@ from types import SimpleNamespace
 
 import can
 import pytest
-from can_boards import GUIDE, STAGE
 from waiting import comes_true
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.can import frame_log
-from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.frame_log import FrameLog, RecordedBus, of_the_board, play
-from straightcomp_ros.hardware.can.hub import addressed
-from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link
-from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.parameters.declaration import ParameterError
 
 FORMATS = pytest.mark.parametrize("ending", [".log", ".blf"])
 START_S = 1_700_000_000.0
-SAMPLES = 1000
 BUS = {"driver.can.interface": "virtual", "driver.can.channel": "frame log"}
 
 
@@ -125,45 +116,6 @@ def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path):
     read = list(RecordedBus(link.log.file))
     assert [(frame.arbitration_id, frame.is_rx) for frame in read] == [(0x301, False)] + [(0x381, True)] * 5
     assert abs(read[0].timestamp - time.time()) < 300
-
-
-@FORMATS
-@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
-def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, ending, fd):
-    """Half a second of a board whose stage moves."""
-    frames, now = [], [0]
-    parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
-
-    def send(identifier, payload, fd):
-        frames.append(message_of(addressed(identifier, payload, fd=fd, stamp_ns=round(START_S * 1e9) + now[0])))
-
-    board, wire = Board(parameters, SimulatedParameters(), STAGE, GUIDE, send), parameters.make_wire()
-    board.start(0)
-    board.machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
-    for number in range(SAMPLES):
-        now[0] = number * STAGE.period_ns
-        board.cycle(now[0])
-    log = written(tmp_path / f"board{ending}", frames)
-    log.close()
-    of_samples = [frame for frame in frames if frame.arbitration_id == wire.sample.identifier]
-    sent = [wire.sample.unpack(bytes(frame.data)) for frame in of_samples]
-    feeds = []
-
-    def link(parameters, identifiers, receive, clock):
-        feeds.extend([identifiers, receive])
-        return SimpleNamespace(start=lambda: None, send=lambda *_, **__: True, problem="")
-
-    driver = CanHardware(parameters, STAGE, lambda: round(START_S * 1e9), link)
-    identifiers, receive = feeds
-    for recorded in of_the_board(RecordedBus(log.file), identifiers):
-        receive(frame_of(recorded), round(recorded.timestamp * 1e9))
-    read = driver.read(round(START_S * 1e9))
-    assert [(sample.x, sample.y) for sample, _ in read] == [(one.x, one.y) for one in sent[BLOCK - 1 :]]
-    # A log has microseconds.
-    assert all(abs(b[0].stamp_ns - a[0].stamp_ns - 500_000) < 2_000 for a, b in itertools.pairwise(read))
-    for sample, truth in read:
-        assert (truth is not None) == fd
-        assert truth is None or abs(truth.x - sample.x) <= 0.51e-7
 
 
 def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monkeypatch):

@@ -106,8 +106,10 @@ def either(request):
 @pytest.mark.parametrize("gap", [5, 14, 15, 16, 30, 31, 500])
 def test_a_gap_of_any_length_costs_no_certainty_about_the_number_of_a_sample(either, gap):
     either.samples(500).samples(500, lost=gap)
-    assert either.newest(500) == list(range(500 + gap, 1000 + gap))
-    assert either.receiver.sequence.lost == gap and either.receiver.sequence.jumps == 0
+    # A classic board's own count does not bridge ten: the next full counter does.
+    lost = gap if gap < 10 or either.receiver.wire.fd else gap + -gap % 10
+    assert either.newest(500 + gap - lost) == list(range(500 + lost, 1000 + gap))
+    assert either.receiver.sequence.lost == lost and either.receiver.sequence.jumps == 0
 
 
 def test_numbers_run_on_over_the_end_of_the_counter(either):
