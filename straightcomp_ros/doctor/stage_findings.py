@@ -337,13 +337,11 @@ def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Fin
 
 
 def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
-    """As :func:`wire_findings`, for a machine that is a board on CAN or has a DBC file; none for another."""
-    if driver.hardware == "can" or driver.can.dbc:
-        yield from wire_findings(driver.stage, driver.can)
-
-
-def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Finding]:
-    """Check the frames of the board with ``can`` for ``stage``: ranges, resolution, protection, load of the bus."""
+    """Check the frames of a machine that is a board on CAN or has a DBC file, none of another: ranges, resolution,
+    protection, load of the bus."""
+    stage, can = driver.stage, driver.can
+    if driver.hardware != "can" and not can.dbc:
+        return
     wire, motion, encoder, step = can.make_wire(), stage.motion, stage.encoder, stage.drive.current_step
     names = [frames.name for frames in (*wire.reports.values(), *wire.commands)]
     yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(names)}")

@@ -10,7 +10,7 @@ import cantools
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.doctor.stage_findings import wire_findings
+from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
@@ -128,7 +128,7 @@ def test_what_the_wire_does_not_use_changes_nothing(board, compiled, more):
     plain = board().make_wire().sample.pack(REPORT, 0)
     can = board(f"{BOARD}\n{more}")
     assert can.make_wire().sample.pack(REPORT, 0) == plain
-    assert {finding.state for finding in wire_findings(DriverNodeParameters().stage, can)} <= {"ok", "warn"}
+    assert {finding.state for finding in board_findings(DriverNodeParameters(can=can))} <= {"ok", "warn"}
     compiled(can)
 
 
