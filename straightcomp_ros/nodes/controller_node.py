@@ -88,7 +88,7 @@ class ControllerComponent:
         if not lockstep:
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
-        Diagnostics(node, self._counters, description=parameters.stage.identity)
+        Diagnostics(node, self._counters, self.loop.report, description=parameters.stage.identity)
 
     def activate(self) -> None:
         """Start with the samples that arrive from now on."""
@@ -223,7 +223,6 @@ class ControllerComponent:
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
             EXCITATION: self._excitation.state,
-            **self.loop.report(),
             **(self._learning.counters() if self._learning is not None else {}),
         }
 

@@ -118,7 +118,15 @@ class DriverComponent:
         machine = parameters.hardware
         if machine == "can":
             machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
-        Diagnostics(node, self._counters, machine, description=parameters.stage.identity)
+        Diagnostics(
+            node,
+            self._counters,
+            self.loop.report,
+            self._commands.counters,
+            self._hardware.counters,
+            hardware_id=machine,
+            description=parameters.stage.identity,
+        )
         if parameters.override != 1.0:
             self._hardware.pace(Pace(parameters.override))
 
@@ -366,9 +374,6 @@ class DriverComponent:
             "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
             UNREFERENCED: self._hardware.unreferenced,
-            **self.loop.report(),
-            **self._commands.counters(),
-            **self._hardware.counters(),
         }
         if self._safety.fault is not None:
             counters["error"] = self._safety.reason

@@ -57,7 +57,7 @@ class FeedforwardComponent:
         node.offer(Trigger, "~/reload_map", self._on_reload_map)
         node.offer(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
-        Diagnostics(node, self._counters, description=parameters.stage.identity)
+        Diagnostics(node, self._counters, self.loop.report, description=parameters.stage.identity)
 
     def activate(self) -> None:
         """Start with the samples that arrive from now on."""
@@ -135,7 +135,7 @@ class FeedforwardComponent:
         return 1 + age_ns // _BATCH_NS, age_ns
 
     def _counters(self) -> dict[str, object]:
-        return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}
+        return {SAMPLES: self._samples, LOST: self._gaps.lost}
 
     def close(self) -> None:
         """There is nothing to release."""

@@ -65,7 +65,7 @@ class PlayerNode(Runnable):
         self._queue = Streams(node).queue(COMMAND) if parameters.ahead else None
         steps_ns = [later - sooner for sooner, later in pairwise(self._due_ns)]
         self.loop = PeriodicLoop(max(median_high(steps_ns or [0]), 50_000), self._cycle)
-        Diagnostics(node, lambda: {SAMPLES: self._next, **self.loop.missed.report()})
+        Diagnostics(node, lambda: {SAMPLES: self._next}, self.loop.missed.report)
 
     def _cycle(self, wake_ns: int) -> None:
         if self._start_ns is None:

@@ -50,7 +50,13 @@ class SteadyTimer:
 
 
 class SteadyTimers:
-    """Timers that are called in the order in which they are due, by the clock ``monotonic_ns``."""
+    """Timers that are called in the order in which they are due, by the clock ``monotonic_ns``.
+
+    Attributes:
+        by_loop: a loop calls them, one after each of its cycles, and the executor none.
+    """
+
+    by_loop = False
 
     def __init__(self, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._monotonic_ns = monotonic_ns
@@ -85,8 +91,8 @@ class SteadyTimers:
         return True
 
     def call_all(self) -> None:
-        """Call each timer that is due, once."""
-        for _ in list(self._timers):
+        """Call each timer that is due, once; none while a loop does."""
+        for _ in [] if self.by_loop else list(self._timers):
             self.call_one()
 
 

@@ -35,6 +35,7 @@ class IntraProcess:
         self.publishers: list[tuple[int, str, Callable[[], object]]] = []
         self._cycles: dict[int, Callable[[], object]] = {}
         self.sender = WorkerThread(lambda reason: print(reason, file=sys.stderr))
+        self.sender.start()
 
     def follow(self, place: int, cycle: Callable[[], object]) -> None:
         """Call ``cycle`` in each :meth:`deliver`, after those of the nodes with a lower ``place``."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent import futures
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from queue import SimpleQueue
 from typing import Protocol, TypeVar
 
 from straightcomp_ros.timing.delays import Histogram
@@ -21,6 +22,9 @@ IDLE_EVERY_NS = 6_000_000
 period left waits for the next period, but at most for one more interval."""
 _EARLIER_NS = 50
 """Step by which the loop adapts to the machine's wake-up delay: at 2 kHz it covers 50 µs in half a second."""
+_MOST_AWAKE_NS, _NAP_S = 2_000_000, 0.0001
+"""A loop that is always late sleeps after each 2 ms: at a real-time priority it would keep those from running who send
+its messages."""
 _GAIN = 0.02
 """Of the phase-locked loop."""
 _SWITCH_INTERVAL_S = 1e-4
@@ -72,7 +76,7 @@ class PeriodicLoop:
         self._period_ns = period_ns
         self._most_early_ns = period_ns // 8 if punctual else 0
         self._early_ns = 0
-        self._wake_ns = 0
+        self._wake_ns = self._slept_ns = 0
         self._cycle = cycle
         self.missed = MissedPeriods(period_ns)
         self._timer_errors = Histogram()
@@ -101,9 +105,12 @@ class PeriodicLoop:
         wait_ns = wake_ns - self._early_ns - monotonic_ns()
         if wait_ns > 0:
             time.sleep(wait_ns * 1e-9)
-            self._follow(monotonic_ns() - (wake_ns - self._early_ns))
+            self._slept_ns = monotonic_ns()
+            self._follow(self._slept_ns - (wake_ns - self._early_ns))
+        elif wake_ns - self._slept_ns > _MOST_AWAKE_NS:
+            time.sleep(_NAP_S)
+            self._slept_ns = monotonic_ns()
         else:
-            # At a real-time priority a loop that never sleeps would keep the middleware's threads from running.
             os.sched_yield()
         while monotonic_ns() < wake_ns:
             pass
@@ -224,34 +231,48 @@ def awaited(job: Callable[[], T], meanwhile: Callable[[], object]) -> T:
 
 
 class WorkerThread:
-    """Does jobs of some milliseconds in a thread, in the order of submission, so that the loop misses no cycle.
+    """Does jobs in a thread, in the order in which they came, so that the loop misses no cycle.
 
-    The thread is started by the first job, in the loop's thread, so it inherits the loop's scheduling. With a lower
-    priority it could be preempted while it holds the interpreter lock, and would block the loop. ``failed`` is called
-    with the reason when a job fails.
+    The thread is started by the first job, in the loop's thread, so it inherits the loop's scheduling, unless
+    :meth:`start` did before. With a lower priority on the same CPU it would be preempted while it holds the interpreter
+    lock, and the loop would wait for both.
+    ``failed`` is called with the reason when a job fails.
     """
 
     def __init__(self, failed: Callable[[str], object]) -> None:
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         self._failed = failed
-        self._thread = ThreadPoolExecutor(max_workers=1)
-        self._last: Future[None] | None = None
+        # An executor's futures take longer than most of the jobs.
+        self._jobs: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
 
-    def run(self, job: Callable[[], None]) -> None:
+    def run(self, job: Callable[[], object]) -> None:
         """Queue ``job`` and return at once."""
-        self._last = self._thread.submit(job)
-        self._last.add_done_callback(self._report)
+        self.start()
+        self._jobs.put(job)
+
+    def start(self) -> None:
+        """Start the thread, if it has not been."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, daemon=True)
+            self._thread.start()
 
     def wait(self) -> None:
         """Wait for all jobs. Without one no thread is started: the caller may have another scheduling than the loop."""
-        if self._last is not None:
-            futures.wait([self._last])
+        if self._thread is not None:
+            done = threading.Event()
+            self._jobs.put(done.set)
+            done.wait()
 
     def close(self) -> None:
         """Wait for all jobs, and end the thread."""
-        self._thread.shutdown(wait=True)
+        if self._thread is not None:
+            self._jobs.put(None)
+            self._thread.join()
 
-    def _report(self, done: Future[None]) -> None:
-        error = done.exception()
-        if error is not None:
-            self._failed(f"a job of the worker thread failed: {error!r}")
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            try:
+                job()
+            except Exception as error:  # A job is the work of another file, and the thread must go on.
+                self._failed(f"a job of the worker thread failed: {error!r}")

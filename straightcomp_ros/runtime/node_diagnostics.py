@@ -4,6 +4,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -27,8 +28,8 @@ from straightcomp_ros.timing.node_timing import (
 )
 from straightcomp_ros.timing.realtime import realtime_limit
 
-_TICK_S, _TICKS = 0.25, 4
-"""Values are collected at every fourth tick and published at the next one."""
+_TICK_S, _TICKS = 0.1, 10
+"""A report takes ten ticks: one for each part of its values, then its text and its publication."""
 _LOOK_S = 0.05
 """Interval at which the threads' waiting times for a CPU are read."""
 _PRIORITY = "realtime.priority"
@@ -37,68 +38,78 @@ _PRIORITY = "realtime.priority"
 class Diagnostics:
     """Collects the values once a second and publishes them, with the rate at which ``samples`` grow.
 
-    Either step takes about 0.2 ms with cold caches: in one turn of a loop's idle work they would delay the next cycle.
+    Each step takes about 0.1 ms with cold caches: in one turn of a loop's idle work they would delay the next cycles.
 
-    ``values`` returns values by name, always with ``samples``, and with ``error`` to report an error. A name ends with
-    the unit, unless the value is a count: ``_us``, ``_hz``. An empty ``hardware_id`` stands for this computer's name.
+    ``counters`` and ``parts`` return values by name; the first always ``samples``, and ``error`` to report an error. A
+    name ends with the unit, unless the value is a count: ``_us``, ``_hz``. An empty ``hardware_id`` stands for this computer's name.
     ``description`` is that of the stage; empty if the node works with none.
     """
 
     def __init__(
-        self, node: Node, values: Callable[[], Mapping[str, object]], hardware_id: str = "", description: str = ""
+        self,
+        node: Node,
+        counters: Callable[[], Mapping[str, object]],
+        *parts: Callable[[], Mapping[str, object]],
+        hardware_id: str = "",
+        description: str = "",
     ) -> None:
         self._description = {DESCRIPTION: description} if description else {}
         self._hardware_id = hardware_id or platform.node()
         self._levels = Levels()
         self._node = node
-        self._values = values
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._before = (time.monotonic(), 0, time.process_time())
         self._limit = realtime_limit()
-        self._collected: tuple[Time, Mapping[str, object]] | None = None
-        self._ticks = 0
+        self._stamp = Time()
+        self._values: dict[str, object] = {}
+        self._pairs: list[KeyValue] = []
+        self._steps = [
+            partial(self._begin, counters),
+            *(partial(self._collect, part) for part in parts),
+            self._describe,
+            self._publish,
+        ]
+        self._step = 0
         self._cpu_wait = CpuWait()
         self._cpu_wait.take_us()
         node.create_timer(_LOOK_S, self._cpu_wait.look)
         node.create_timer(_TICK_S, self._tick)
 
     def _tick(self) -> None:
-        self._ticks += 1
-        if self._ticks % _TICKS == 0:
-            self._collect()
-        else:
-            self._publish()
+        step, self._step = self._step, (self._step + 1) % _TICKS
+        if step < len(self._steps):
+            self._steps[step]()
 
-    def _collect(self) -> None:
-        values = self._values()
+    def _begin(self, counters: Callable[[], Mapping[str, object]]) -> None:
+        self._stamp, values = self._node.get_clock().now().to_msg(), counters()
         rate_hz, cores = self._rates(int(str(values[SAMPLES])))
-        values = {
-            **values,
+        self._values = {**values, RATE: f"{rate_hz:.1f}", CPU_CORES: f"{cores:.2f}"}
+
+    def _collect(self, part: Callable[[], Mapping[str, object]]) -> None:
+        self._values |= part()
+
+    def _describe(self) -> None:
+        self._values |= {
             **self._description,
-            RATE: f"{rate_hz:.1f}",
-            CPU_CORES: f"{cores:.2f}",
             CPUS: ",".join(map(str, sorted(os.sched_getaffinity(0)))),
             PROCESS: os.getpid(),
             REALTIME_LIMIT: self._limit,
             CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
             SCHEDULING: self._scheduling(),
         }
-        self._collected = self._node.get_clock().now().to_msg(), values
+        self._pairs = [KeyValue(key=key, value=str(value)) for key, value in self._values.items()]
 
     def _publish(self) -> None:
-        if self._collected is None:
-            return
-        (stamp, values), self._collected = self._collected, None
-        level, words = self._levels.next(values)
+        level, words = self._levels.next(self._values)
         status = DiagnosticStatus(
             level=bytes([level]),
             name=self._node.get_fully_qualified_name().lstrip("/"),
             message=words,
             hardware_id=self._hardware_id,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+            values=self._pairs,
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
+        message.header.stamp = self._stamp
         self._publisher.publish(message)
 
     def _scheduling(self) -> str:

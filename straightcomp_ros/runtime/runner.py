@@ -154,6 +154,7 @@ def _spin(runnable: Any, nodes: Sequence[GuardedNode]) -> int:
     try:
         while not runnable.done.done():
             turn = runnable.turn
+            nodes[0].steady_timers.by_loop = bool(runnable.loop)
             try:
                 if runnable.loop:
                     runnable.loop.run(turn.done, idle, idle_every_ns)
@@ -199,7 +200,7 @@ def _settle(runnable: Any, nodes: Sequence[GuardedNode], executor: Executor) -> 
     gc.disable()
     logger = nodes[0].get_logger()
     graph = f"{nodes[0].context.get_domain_id()}{nodes[0].get_namespace()}"
-    for refusal in realtime.apply(runnable.realtime, logger.info, graph):
+    for refusal in realtime.apply(runnable.realtime, logger.info, graph, loop_alone=len(nodes) > 1):
         logger.warning(refusal)
     logger.info(middleware_in_words())
     logger.info("ready")

@@ -33,7 +33,7 @@ from straightcomp_ros.messages.cdr import (
     unpack_batch,
 )
 from straightcomp_ros.runtime.guarded_node import ThrottledWarning
-from straightcomp_ros.runtime.inside_rclpy import raw_publish, raw_take, unlocked_publish, waiter
+from straightcomp_ros.runtime.inside_rclpy import count_publishers, raw_publish, raw_take, unlocked_publish, waiter
 from straightcomp_ros.runtime.intra_process import IntraProcess, MemoryQueue
 from straightcomp_ros.runtime.loops import WorkerThread
 
@@ -415,7 +415,7 @@ class Streams:
         if not self._shared:
             return False
         own = sum(topic == stream.topic for _, topic, _ in self._shared.publishers)
-        return bool(self._node.count_publishers(stream.topic) > own)
+        return count_publishers(self._node, self._node.resolve_topic_name(stream.topic)) > own
 
     def _in_memory(self, stream: Stream) -> MemoryQueue | None:
         if not self._shared or stream.topic not in self._shared.queues:

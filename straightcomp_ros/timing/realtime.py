@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,11 +68,19 @@ class RealtimeParameters:
     )
 
 
-def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _: None, graph: str = "") -> list[str]:
+def apply(
+    realtime: RealtimeParameters,
+    inform: Callable[[str], None] = lambda _: None,
+    graph: str = "",
+    loop_alone: bool = False,
+) -> list[str]:
     """Apply the parameters, after all threads of the node have started; returns a sentence for each refused request.
 
     ``inform`` is called with what was done to other programs. ``graph`` distinguishes the node's graph from others on
-    this machine, whose loops have other CPUs; empty for a program that belongs to none.
+    this machine, whose loops have other CPUs; empty for a program that belongs to none. With ``loop_alone`` the calling
+    thread's loop waits for no message: where it has a priority and the CPU 'loop', the process's other threads are on
+    'rest', as another node would be. At normal scheduling all stay together: elsewhere another program could preempt a
+    thread that holds the interpreter lock.
     """
     refusals: list[str] = []
 
@@ -83,12 +91,18 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
             refusals.append(f"real-time: {what} was refused ({error}); running without. Remedy: {remedy}")
 
     cpus = realtime.cpus
+    # Threads that a node without such a loop has started itself do not affect its timing.
+    own = set() if loop_alone else {thread.native_id for thread in threading.enumerate()}
+    others = set(map(int, os.listdir(_THREADS))) - own - {threading.get_native_id()}
     priority = realtime.priority - (cpus == REST and realtime.priority > 1)
-    if cpus:
-        remedy = f"name CPUs that this process may use, '{LOOP}' or '{REST}'"
-        attempt(f"CPUs '{cpus}'", lambda: _set_cpus(cpus, graph), remedy)
     if priority > 0:
         attempt(f"priority {priority}", lambda: _set_priority(priority), "give this user rtprio in limits.conf")
+    granted = priority > 0 and os.sched_getscheduler(0) == os.SCHED_FIFO
+    if cpus:
+        remedy = f"name CPUs that this process may use, '{LOOP}' or '{REST}'"
+        attempt(f"CPUs '{cpus}'", lambda: _set_cpus(cpus, graph, loop_alone and granted), remedy)
+    if granted:
+        _set_priorities(priority, others)
     if realtime.lock_memory:
         attempt("locking memory", _lock_memory, "give this user memlock in limits.conf")
     if realtime.keep_awake:
@@ -112,31 +126,35 @@ def realtime_limit(folder: Path = Path("/proc/sys/kernel"), release: str | None 
     return ""
 
 
-def _set_cpus(names: str, graph: str) -> None:
+def _set_cpus(names: str, graph: str, loop_alone: bool) -> None:
     if names in (LOOP, REST):
         permitted = os.sched_getaffinity(0) | kept_free() | left_behind()
         loop = {loop_cpu(graph, permitted) if graph else max(loop_cpus() or permitted)}
         # Where each CPU has a loop, 'rest' is those of other graphs; on a machine with a single CPU, that one.
-        cpus = loop if names == LOOP else permitted - loop_cpus() - loop or permitted - loop or loop
+        rest = permitted - loop_cpus() - loop or permitted - loop or loop
+        cpus = loop if names == LOOP else rest
     else:
-        cpus = {int(cpu) for cpu in names.split(",")}
+        cpus = rest = {int(cpu) for cpu in names.split(",")}
     for thread in map(int, os.listdir(_THREADS)):
         # A thread may have ended.
         with suppress(ProcessLookupError):
-            os.sched_setaffinity(thread, cpus)
+            os.sched_setaffinity(thread, rest if loop_alone and thread != threading.get_native_id() else cpus)
 
 
 def _set_priority(priority: int) -> None:
-    # For the middleware's threads too; not for those that the node itself started, which do not affect its timing.
-    own = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
-    for thread in map(int, os.listdir(_THREADS)):
-        if thread in own:
-            continue
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def _set_priorities(priority: int, others: Set[int]) -> None:
+    cpus = os.sched_getaffinity(0)
+    for thread in others:
         with suppress(FileNotFoundError, ProcessLookupError):
+            # On the loop's CPU, one with a lower priority would be preempted while the loop waits for what it holds.
+            rank = priority if os.sched_getaffinity(thread) == cpus else max(1, priority - 1)
             if Path(_THREADS, str(thread), "comm").read_text().startswith(_POLLING):
-                os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(max(1, priority - 1)))
+                os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(max(1, rank - 1)))
             else:
-                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(rank))
 
 
 def _lock_memory() -> None:

@@ -146,7 +146,7 @@ def test_a_node_started_anew_is_silent_until_its_next_heartbeat():
 def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean_and_the_namespace_is_in_the_name(participant):
     found, node, values = [], Node("reporter", namespace="/line_3"), {SAMPLES: 0, LOST: 0}
     participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda one: found.extend(one.status), 100)
-    diagnostics = Diagnostics(node, lambda: values, "bench 7")
+    diagnostics = Diagnostics(node, lambda: values, hardware_id="bench 7")
 
     def level(error=""):
         values.update({"error": error, SAMPLES: values[SAMPLES] + 2000})
