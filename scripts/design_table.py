@@ -26,8 +26,7 @@ from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.gain_search import search
 from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import Judge
-from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke
+from straightcomp_ros.tuning.design.judged_gains import Judge, prepared_stroke
 
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"

@@ -154,6 +154,7 @@ class Scenario:
         delays: float | NDArray[np.int64] | None = None,
         noise: NDArray[np.float64] | None = None,
         plant: PlantParameters | None = None,
+        offset: float = 0.0,
     ) -> Cycle:
         """The platform during a stroke; it is shorter than the stroke if a current or a position was not finite.
 
@@ -164,6 +165,7 @@ class Scenario:
                 others.
             noise: (n,) added to y before the encoder rounds, m.
             plant: the machine, by default the scenario's.
+            offset: of the platform's first position from that of the parameters, m.
         """
         own = delays if isinstance(delays, float) else self.driver.stage.drive.delay
         late = np.full(stroke.stamps.size, round(own * self.period_ns))
@@ -176,7 +178,7 @@ class Scenario:
             np.zeros(stroke.stamps.size) if noise is None else noise,
             stroke.true_x,
         )
-        initial = PlantState(y=self.driver.simulated.initial_y)
+        initial = PlantState(y=self.driver.simulated.initial_y + offset)
         return run_cycle(law, plant or self.driver.plant, conditions, initial, self.driver.hold)
 
 

@@ -28,6 +28,7 @@ from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, str
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, remarks
+from straightcomp_ros.tuning.frequency_response.measured_response import margin_rows
 from straightcomp_ros.tuning.identification.estimate import DERIVED
 
 _LATER = "In `limits.yaml`, for `straightcomp evaluate --limits`."
@@ -181,10 +182,7 @@ def _checks(work: Work) -> Iterator[Check]:
 def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     """The page with the ``content`` of `certificate.json`, and the PNG files by their captions."""
     steps, sections = content["steps"], list[tuple[str, str]]()
-
-    def figures(step: str) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = steps.get(step, {}).get("figures", {})
-        return found
+    figures: dict[str, Mapping[str, Any]] = {name: one["figures"] for name, one in steps.items()}
 
     def section(title: str, *tables: tuple[Sequence[str], Sequence[Sequence[Any]]], note: str = "") -> None:
         """Headings and rows of each table; one without rows is left out."""
@@ -193,38 +191,34 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
             shown.insert(0, blocks.paragraph(note))
         sections.append((title, Markup("").join(shown)))
 
-    connection, identification, response = map(figures, ("connection", "identification", "frequency_response"))
-    measured = {**connection, **figures("signs_and_scales")}
+    connection, identification = figures["connection"], figures["identification"]
+    measured = {**connection, **figures["signs_and_scales"]}
     section("The machine", (("", " "), _identity(content)))
     section("Summary", (("figure", "value", "allowed"), list(_summary(content))))
     found = [(name.replace("_", " "), blocks.list(_ideas(one["sentence"]))) for name, one in steps.items()]
     section("Findings", (("step", "finding"), found))
     checks = [tuple(one[key] for key in ("name", "value", "allowed", "passed")) for one in content["checks"]]
     section("Figures and their limits", (("figure", "measured", "allowed", ""), checks))
-    if stated := worded(budget_rows(figures("acceptance").get("straightness", []))):
+    if stated := worded(budget_rows(figures["acceptance"].get("straightness", []))):
         table = tuple(stated[0]), [tuple(one.values()) for one in stated]
         section("Straightness (ISO 230-1)", table, note=_STRAIGHTNESS)
     later = [(heading(one["name"]), one["value"], one["limit"]) for one in content["later_limits"]]
     section("Limits for later strokes", (("figure", "this stroke", "later strokes: at most"), later), note=_LATER)
     budget = [
         (one["cause"].replace("as described", "as found"), one["pp_um"], one["rms_um"])
-        for one in figures("design").get("budget", [])
+        for one in figures["design"].get("budget", [])
     ]
     of_map = _BUDGET.format(content["map_noise_um"], content["map_noise_by_runs"])
     note = " ".join([*remarks([BudgetEntry(*one) for one in budget]), of_map])
     section("Where the error comes from", (("machine", "p-p [µm]", "RMS [µm]"), budget), note=note)
-    if timing := figures("acceptance").get("timing"):
+    if timing := figures["acceptance"].get("timing"):
         section("What late commands cost", *_timing(timing, connection.get("latency_histogram", [])))
     signals = [(label, measured[name] * unit) for name, label, unit in _SIGNALS if name in measured]
     section("Samples and readback", (("figure", "measured"), signals))
     section("The machine as found", *_machine(identification.get("parameters", {}), content))
     sections.append(("What the data cannot tell", blocks.list(identification.get("untold", []))))
-    model, margins = response.get("model_margins", {}), response.get("margins", {})
-    rows = [
-        (heading(name), *("beyond the lines" if one is None else f"{one:.4g}" for one in (value, model.get(name))))
-        for name, value in margins.items()
-    ]
-    section("Margins", (("margin", "measured", "model"), rows))
+    margins = (figures["frequency_response"].get(name, {}) for name in ("margins", "model_margins"))
+    section("Margins", (("margin", "measured", "model"), margin_rows(*margins)))
     for caption, path in pictures.items():
         if path.is_file():
             sections.append((caption, blocks.picture(base64.b64encode(path.read_bytes()).decode(), caption)))

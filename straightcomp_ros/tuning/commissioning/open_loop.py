@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.current_path import huber_weights
@@ -63,14 +63,10 @@ TOLERANCE = 1.1
 """Factor beyond its range at which a fact is called wrong."""
 _LONGEST = 8
 """Samples of delay."""
-_DELAYS = (0.1, 0.5, 0.9)
-"""Parts of a sample, where the search begins."""
-_BANDWIDTHS = np.geomspace(0.005, 2.0, 13)
-"""Relative to the sampling rate, likewise."""
-_STARTS = 2
-_EXACT = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
-_LOWEST, _HIGHEST = math.log(1e-4), math.log(100.0)
-"""Logarithms of the amplifier's rate times the period."""
+_RATE_STEP = 0.5
+_LOG_RATES = np.arange(math.log(0.005), math.log(50.0), _RATE_STEP)
+"""Logarithms of the amplifier's rate times the period, where the search begins."""
+_EXACT = 1e-12
 _ROUNDS, _SETTLED = 30, 1e-7
 _LEAST = 1e-4
 """Standard deviation of the residuals relative to that of the current, below which they count as none."""
@@ -183,65 +179,57 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     """The way in ``series``, whose commands must change at random; ``period`` of the samples in s.
 
     The current of each candidate amplifier is computed from the commands alone, so that a readback of few counts does
-    no harm; its gain and offset follow by least squares.
+    no harm. Only its rate is searched: gain, delay within a sample, and offset follow by least squares.
     """
     known = np.isfinite(series.current[: series.left_at])
     asked, current = (column[: series.left_at][known] for column in (series.command, series.current))
     asked = np.array([drive.converted(command) for command in asked.tolist()])
-    scale, trust = max(1e-12, float(current.std())), np.ones(asked.size)
+    scale, root = max(1e-12, float(current.std())), np.ones(asked.size)
 
-    def fitted(numbers: Array) -> tuple[Array, Array]:
-        """(gain, offset), and residuals (n,) in A."""
-        terms = np.stack([_answer(asked, math.exp(numbers[0]), float(numbers[1])), np.ones(asked.size)], axis=1)
-        root = np.sqrt(trust)
+    def fitted(log_rate: float, whole: int) -> tuple[float, float, float, Array]:
+        """Gain, offset in A, delay in samples from ``whole`` to one more, and residuals (n,) in A.
+
+        With ω T = the rate and the delay's fraction p of a period, w being ``whole``,
+        i[k+1] = a i[k] + (b − a) u[k−w−1] + (1 − b) u[k−w], a = exp(−ω T), b = exp(−ω T (1 − p)).
+        """
+        rate = math.exp(log_rate)
+        kept = math.exp(-rate)
+        late = [np.concatenate([np.zeros(age + 1), asked])[: asked.size] for age in (whole, whole + 1)]
+        terms = np.stack([*(lfilter([1.0], [1.0, -kept], one) for one in late), np.ones(asked.size)], axis=1)
         factors, *_ = np.linalg.lstsq(terms * root[:, None], current * root, rcond=None)
-        return np.asarray(factors), np.asarray(current - terms @ factors)
+        if factors[0] * factors[1] < 0.0:
+            # Beyond a whole sample: at the nearer one.
+            used = [int(abs(factors[1]) > abs(factors[0])), 2]
+            factors = np.zeros(3)
+            factors[used], *_ = np.linalg.lstsq(terms[:, used] * root[:, None], current * root, rcond=None)
+        new, total = float(factors[0]), float(factors[0] + factors[1])
+        share = 0.0 if total == 0.0 else new * (1.0 - kept) / total
+        delay = whole + 1.0 + math.log(max(kept, 1.0 - share)) / rate
+        return total / (1.0 - kept), float(factors[2]), delay, np.asarray(current - terms @ factors)
 
-    def residuals(numbers: Array) -> Array:
-        return np.asarray(np.sqrt(trust) * fitted(numbers)[1])
+    def missed(log_rate: float, whole: int) -> float:
+        return float(np.sum((root * fitted(log_rate, whole)[3] / scale) ** 2))
 
-    def best_of(starts: Iterable[tuple[Array, int]]) -> Array:
-        """The best of the searches from each start, whose delay is from the ``whole`` samples there to one more: at a
-        whole one the current is not smooth in the delay, and a search does not pass."""
-        found: list[OptimizeResult] = []
-        for start, whole in starts:
-            bounds = ([_LOWEST, whole], [_HIGHEST, whole + 1.0])
-            begin = np.clip(start, *bounds)
-            found.append(least_squares(lambda numbers: residuals(numbers) / scale, begin, bounds=bounds, **_EXACT))
-        return np.asarray(min(found, key=lambda one: float(one.cost)).x)
+    def refined(whole: int, log_rates: Iterable[float]) -> tuple[float, float, int]:
+        begin = min(log_rates, key=lambda log_rate: missed(log_rate, whole))
+        bounds = (begin - _RATE_STEP, begin + _RATE_STEP)
+        found = minimize_scalar(missed, args=(whole,), bounds=bounds, method="bounded", options={"xatol": _EXACT})
+        return float(found.fun), float(found.x), whole
 
-    first: list[tuple[Array, int]] = []
-    for whole in range(_LONGEST):
-        starts = [np.array([math.log(2.0 * math.pi * band), whole + part]) for band in _BANDWIDTHS for part in _DELAYS]
-        starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
-        first += [(start, whole) for start in starts[:_STARTS]]
-    best = best_of(first)
-    # Late commands have moved it, perhaps beyond a whole sample.
+    _, log_rate, whole = min(refined(whole, _LOG_RATES) for whole in range(_LONGEST))
+    gain, offset, delay, left = fitted(log_rate, whole)
     for _ in range(_ROUNDS):
-        trust, before = huber_weights(fitted(best)[1], _LEAST * scale), best
-        wholes = {min(_LONGEST - 1, max(0, math.floor(before[1] + side))) for side in (-0.5, 0.5)}
-        best = best_of((before, whole) for whole in wholes)
-        if np.abs(best - before).max() < _SETTLED:
+        root, before = np.sqrt(huber_weights(left, _LEAST * scale)), (log_rate, delay)
+        # Late commands have moved it, perhaps beyond a whole sample.
+        wholes = {min(_LONGEST - 1, max(0, math.floor(delay + side))) for side in (-0.5, 0.5)}
+        _, log_rate, whole = min(refined(whole, [log_rate]) for whole in wholes)
+        gain, offset, delay, left = fitted(log_rate, whole)
+        if max(abs(log_rate - before[0]), abs(delay - before[1])) < _SETTLED:
             break
-    (gain, offset), left = fitted(best)
-    missed = float(left.std()) / max(1e-12, float(np.diff(current).std()))
+    unexplained = float(left.std()) / max(1e-12, float(np.diff(current).std()))
     if float(left.std()) > _UNEXPLAINED * scale or gain == 0.0:
-        return CurrentReadback(float(gain), math.nan, math.nan, math.nan, missed)
-    bandwidth = math.exp(best[0]) / (2.0 * math.pi * period)
-    return CurrentReadback(float(gain), float(offset), bandwidth, float(best[1]), missed)
-
-
-def _answer(asked: Array, rate: float, delay: float) -> Array:
-    """The current (n,) at each sample of an amplifier that gets the commands ``asked`` (n,) after ``delay`` samples.
-
-    With ω T = ``rate`` and the delay's fraction p of a period, i[k+1] = a i[k] + (b − a) u[k−w−1] + (1 − b) u[k−w],
-    a = exp(−ω T), b = exp(−ω T (1 − p)).
-    """
-    whole = math.floor(delay)
-    kept, late = math.exp(-rate), math.exp(-rate * (1.0 - (delay - whole)))
-    shifted = np.concatenate([np.zeros(whole + 1), asked])[: asked.size]
-    older = np.concatenate([[0.0], shifted])[: asked.size]
-    return np.asarray(lfilter([1.0], [1.0, -kept], (1.0 - late) * shifted + (late - kept) * older))
+        return CurrentReadback(gain, math.nan, math.nan, math.nan, unexplained)
+    return CurrentReadback(gain, offset, math.exp(log_rate) / (2.0 * math.pi * period), delay, unexplained)
 
 
 def signs_and_scales(work: Work) -> Outcome:

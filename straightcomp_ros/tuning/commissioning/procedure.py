@@ -10,8 +10,7 @@ from typing import Any
 
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, STEP_NAMES, CommissioningError
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.certificate import certificate
 from straightcomp_ros.tuning.commissioning.closed_loop import design, frequency_response, identification, safe_loop
@@ -19,50 +18,30 @@ from straightcomp_ros.tuning.commissioning.machine import Machine
 from straightcomp_ros.tuning.commissioning.open_loop import connection, signs_and_scales
 from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
-STEPS: Mapping[str, Callable[[Work], Outcome]] = {
-    step.__name__: step
-    for step in (
-        connection,
-        signs_and_scales,
-        safe_loop,
-        identification,
-        design,
-        frequency_response,
-        acceptance,
-        certificate,
+STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(
+    zip(
+        STEP_NAMES,
+        (connection, signs_and_scales, safe_loop, identification, design, frequency_response, acceptance, certificate),
+        strict=True,
     )
-}
-"""The steps by name, in their order: that of STEP_NAMES."""
+)
+"""The steps by name, in their order."""
 
 
 class Procedure:
     """Commissioning of one machine in one folder.
 
     ``values`` describe the machine by node and dotted name. The record and all files are in ``folder``; a record of the
-    same description is taken up again. The other arguments are those of :class:`Work`.
+    same description is taken up again. ``choices`` are those of :class:`Work`, by their names there.
 
     Raises:
         CommissioningError: the folder has a record of another description, or one that cannot be read.
         ParameterError: a value is refused.
     """
 
-    def __init__(
-        self,
-        machine: Machine,
-        values: Values,
-        folder: Path,
-        *,
-        evaluations: int,
-        machines: int,
-        learning_strokes: int = 0,
-        check_survey: Survey | None = None,
-        require: float | None = None,
-    ) -> None:
+    def __init__(self, machine: Machine, values: Values, folder: Path, **choices: Any) -> None:
         self._values, self._folder = values, folder
-        description = node_parameters("controller", values).stage
-        self._work = Work(
-            machine, values, description, folder, evaluations, machines, {}, learning_strokes, check_survey, require
-        )
+        self._work = Work(machine, values, node_parameters("controller", values).stage, folder, **choices)
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
 

@@ -36,7 +36,7 @@ class Work:
     folder: Path  # for bags and other files
     evaluations: int  # candidates of the search for gains
     machines: int  # uncertain machines of its verification
-    outcomes: Mapping[str, Outcome]  # of the steps that are done, by name
+    outcomes: Mapping[str, Outcome] = field(default_factory=dict)  # of the steps that are done, by name
     learning_strokes: int = 0  # cycles in which the law's reference is corrected before the acceptance
     check_survey: Survey | None = None  # an independent measurement of the guide, by which the map is checked
     require: float | None = None  # largest straightness after compensation in µm, with its uncertainty

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from straightcomp_ros.control.laws import LAWS, make_law
+from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.doctor.stage_findings import stiction
 from straightcomp_ros.offline.scenario import Scenario
@@ -29,8 +29,7 @@ from straightcomp_ros.tuning.design.error_budget import NOTED, OWN, RIGID, Budge
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import Found, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import UNEVEN, Judge
-from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke
+from straightcomp_ros.tuning.design.judged_gains import UNEVEN, Judge, RunFigures, prepared_stroke
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
 from straightcomp_ros.tuning.sweep.many_trials import LawSummary, summarise, sweep
 
@@ -112,7 +111,6 @@ def design_gains(
     quiet: float = SHIPPED_QUIET,
     evaluations: int = _EVALUATIONS,
     machines: int = _MACHINES,
-    demands: Demands = STANDARD,
     seed: int = 1,
     jobs: int = -1,
     progress: Progress = lambda part, fraction: None,
@@ -128,20 +126,14 @@ def design_gains(
 
     Raises:
         DesignError: no gains hold the demands; the message says what would have to change.
-        ValueError: ``law`` or ``quiet`` is not allowed.
     """
-    if law not in LAWS:
-        raise ValueError(f"law {law!r}; allowed: {', '.join(LAWS)}")
-    if not 0.0 <= quiet <= 1.0:
-        raise ValueError(f"quiet {quiet!r}; allowed: 0 to 1")
     plain, stage = closed_form(scenario, law), scenario.description
-    progress("feasible", 0.0)
-    possible = _possible(scenario, law, plain, demands, seed)
-    if not possible:
-        raise refusal(scenario, law, demands, seed=seed)
-    # The first candidates take as long as many later ones: what goes on now is the search.
-    progress("search", 0.0)
+    # Ways to answer the modes, by a name in words.
+    begins = {name: {**plain, **shape} for name, shape in shapes_for(stage).items()}
     full, base = prepared_stroke(scenario), next(iter(scenario.controls.values()))
+
+    def way(gains: Mapping[str, float]) -> str:
+        return next(name for name, begin in begins.items() if begin.keys() == gains.keys())
 
     def runs(gains: Mapping[str, float]) -> list[RunFigures]:
         made = make_law(with_gains(base, law, gains), stage)
@@ -160,18 +152,25 @@ def design_gains(
         uneven = max(1.0, pp.max / (UNEVEN * pp.median))
         return one.judgement.cost + math.log(uneven * pp.median / one.judgement.pp)
 
-    kept: tuple[LawSummary, Mapping[str, float]] | None = None
-    rounds, held, more = 0, demands, list[dict[str, float]]()
-    for rounds in range(1, _ROUNDS + 1):
-        feasible, judge = FeasibleGains(scenario, law, held, seed), Judge(scenario, law, quiet, held)
-        budget, found = evaluations if rounds == 1 else evaluations // 2, list[Found]()
-        ways = [[*starts(law, start), *more, tighter] for start, tighter in possible.values()]
+    progress("feasible", 0.0)
+    kept: tuple[LawSummary, Mapping[str, float], Demands] | None = None
+    rounds, held, names, more = 0, STANDARD, list(begins), list[dict[str, float]]()
+    while rounds < _ROUNDS:
+        feasible = FeasibleGains(scenario, law, held, seed)
+        near = {name: gains for name in names if (gains := feasible.near(begins[name], _WITH_MODES)) is not None}
+        if not near:
+            break
+        rounds += 1
+        # The first candidates take as long as many later ones: what goes on now is the search.
+        progress("search", 0.0)
+        judge, budget, found = Judge(scenario, law, quiet, held), evaluations // min(rounds, 2), list[Found]()
+        ways = [[*starts(law, begins[name]), *more, tighter] for name, tighter in near.items()]
         while ways:
             share = budget // len(ways) if len(ways) == 1 else budget // (2 * len(ways))
-            for way in ways:
+            for one_way in ways:
                 found += search(
                     judge,
-                    feasible.corrected(way),
+                    feasible.corrected(one_way),
                     evaluations=share,
                     seed=seed + rounds - 1,
                     jobs=jobs,
@@ -179,9 +178,9 @@ def design_gains(
                 )
             found.sort(key=lambda one: one.judgement.cost)
             # Half of the candidates tell which way is the best; the others go on from there.
-            ways = [] if len(ways) == 1 else [[_same_way(possible, found[0].gains)[1][0], dict(found[0].gains)]]
+            ways = [] if len(ways) == 1 else [[begins[way(found[0].gains)], dict(found[0].gains)]]
             budget //= 2
-        first = [one for one in found if any(one.gains == start for start, _ in possible.values())]
+        first = [one for one in found if any(one.gains == begins[name] for name in near)]
         finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
         best = min(finalists, key=cost, default=found[0]).gains
         trials = sweep(
@@ -193,24 +192,20 @@ def design_gains(
         )
         (verification,) = summarise(trials)
         if kept is None or len(verification.not_in_order) < len(kept[0].not_in_order):
-            kept, demands = (verification, best), held
+            kept = verification, best, held
         if not verification.not_in_order:
             break
-        held, more = held.tightened(_TIGHTER), [dict(best)]
-        shape, _ = _same_way(possible, best)
-        again = _possible(scenario, law, plain, held, seed)
-        if shape not in again:
-            break
-        possible = {shape: again[shape]}
-    assert kept is not None  # there is a first round
-    verification, best = kept
-    shape, (start, _) = _same_way(possible, best)
+        held, names, more = held.tightened(_TIGHTER), [way(best)], [dict(best)]
+    if kept is None:
+        raise refusal(scenario, law, seed)
+    verification, best, demands = kept
+    shape = way(best)
     return Design(
         law=law,
         values=best,
         figures=figures(best),
-        start_values=start,
-        start_figures=figures(start),
+        start_values=begins[shape],
+        start_figures=figures(begins[shape]),
         quiet=quiet,
         demands=demands,
         verification=verification,
@@ -220,23 +215,3 @@ def design_gains(
         stiction=stiction(stage, with_gains(base, law, best)),
         rounds=rounds,
     )
-
-
-_Ways = dict[str, tuple[dict[str, float], dict[str, float]]]
-"""Ways to answer the modes, by a name in words: the start of each, and gains near it that hold the demands."""
-
-
-def _same_way(possible: _Ways, gains: Mapping[str, float]) -> tuple[str, tuple[dict[str, float], dict[str, float]]]:
-    """The way that ``gains`` go, with its name."""
-    return next(way for way in possible.items() if way[1][0].keys() == gains.keys())
-
-
-def _possible(scenario: Scenario, law: str, plain: Mapping[str, float], demands: Demands, seed: int) -> _Ways:
-    """The ways with which gains hold the demands."""
-    feasible, found = FeasibleGains(scenario, law, demands, seed), _Ways()
-    for name, shape in shapes_for(scenario.description).items():
-        start = {**plain, **shape}
-        tighter = feasible.near(start, _WITH_MODES)
-        if tighter is not None:
-            found[name] = start, tighter
-    return found

@@ -22,7 +22,7 @@ from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.tuning.design.gains import rule, scaled, scaled_facts, with_gains
-from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
+from straightcomp_ros.tuning.design.judged_gains import PreparedStroke, prepared_stroke
 from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times, streams
 
 _STARTS = 3

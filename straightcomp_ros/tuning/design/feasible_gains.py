@@ -30,7 +30,7 @@ from straightcomp_ros.tuning.design.gains import (
     starts,
     with_gains,
 )
-from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
+from straightcomp_ros.tuning.design.judged_gains import prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corners_of
 
 T = TypeVar("T")
@@ -65,18 +65,14 @@ def _least_change(
     ``possible(share, found)`` returns what was found on the stage with this share of the change, or None. It may begin
     at what was ``found`` with more of it: that is nearly right here.
     """
-    tried = ((share, possible(share, None)) for share in tries)
-    good, found = next(((share, found) for share, found in tried if found is not None), (0.0, None))
+    good, found = next(((share, one) for share in tries if (one := possible(share, None)) is not None), (0.0, None))
     if found is None:
         return None
     bad = 0.0
     for _ in range(halvings):
         middle = 0.5 * (good + bad)
         there = possible(middle, found)
-        if there is None:
-            bad = middle
-        else:
-            good, found = middle, there
+        good, bad, found = (good, middle, found) if there is None else (middle, bad, there)
     return good
 
 
@@ -120,7 +116,7 @@ class FeasibleGains:
         return gains if left == 0.0 else None
 
 
-def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: int = 1) -> DesignError:
+def refusal(scenario: Scenario, law: str, seed: int = 1) -> DesignError:
     """The error for a stage on which no gains near the rule hold the demands: each single change that would help.
 
     Some 20 s of work: each change is bisected with a search at each step.
@@ -150,7 +146,7 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
             share: float, like: _Feasible | None, facts: Sequence[str] = facts, furthest: float = furthest
         ) -> _Feasible | None:
             changed = scaled_facts(stage, facts, furthest**share)
-            feasible = FeasibleGains(scenario.on(changed), law, demands, seed)
+            feasible = FeasibleGains(scenario.on(changed), law, seed=seed)
             lag, gains, evaluations = changed.dead_time, rule(law, changed), _EVALUATIONS
             tries = [one for shape in shapes_for(changed).values() for one in starts(law, {**gains, **shape})]
             if like is not None:
@@ -164,7 +160,7 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
         if share is not None:
             helpful.append(sentence.format(f"{_outward(present * furthest**share, up=furthest > 1.0):g}"))
     control = with_gains(next(iter(scenario.controls.values())), law, rule(law, stage))
-    missed = StabilityCheck(stage, demands).missed(control)
+    missed = StabilityCheck(stage).missed(control)
     advice = f"{', or '.join(helpful)} would do" if helpful else "no single change would do"
     return DesignError(
         f"at {rate:g} Hz with a delay of {delay:g} samples, an amplifier of {amplifier:g} Hz and a bias current of "
@@ -193,9 +189,7 @@ class SafeLaw(NamedTuple):
     pp: float  # largest peak-to-peak error in them, m
 
 
-def safe_law(
-    scenario: Scenario, *, seed: int = 1, progress: Callable[[float], None] = lambda fraction: None
-) -> SafeLaw:
+def safe_law(scenario: Scenario, progress: Callable[[float], None] = lambda fraction: None) -> SafeLaw:
     """The law for the stage of ``scenario`` and its uncertainty; the gains of its controls are not read.
 
     Raises:
@@ -204,13 +198,13 @@ def safe_law(
     """
     stage = scenario.description
     corners = corners_of(stage)
-    gains, growth = _calmest(scenario, corners, _SAFE_EVALUATIONS, seed)
+    gains, growth = _calmest(scenario, corners, _SAFE_EVALUATIONS)
     progress(0.3)
     if growth > _allowed(stage):
-        raise _safe_refusal(scenario, growth, seed)
+        raise _safe_refusal(scenario, growth)
     worst = sorted(zip(growths(scenario, corners, gains), corners, strict=True), key=lambda one: -one[0])
     law = make_law(with_gains(scenario.controls[LAW], LAW, gains), stage)
-    stroke, runs = prepared_stroke(scenario, shortened(scenario, _SHORT)), []
+    stroke, runs = prepared_stroke(shortened(scenario, _SHORT)), []
     ends = (1.0 / stage.uncertainty.friction, stage.uncertainty.friction)
     for (_, corner), friction in itertools.product(worst[:_WORST], ends):
         plant = deviating(corner.plant, Factors(friction=friction))
@@ -244,9 +238,7 @@ def growths(scenario: Scenario, corners: Sequence[Corner], gains: Values) -> lis
     return [math.log(spectral_radius(closed_loop(corner.sampled, law))) for corner in corners]
 
 
-def _calmest(
-    scenario: Scenario, corners: Sequence[Corner], evaluations: int, seed: int
-) -> tuple[dict[str, float], float]:
+def _calmest(scenario: Scenario, corners: Sequence[Corner], evaluations: int) -> tuple[dict[str, float], float]:
     """Gains with the least growth at their worst corner, and this growth."""
 
     def growth(gains: Values) -> float:
@@ -254,7 +246,7 @@ def _calmest(
 
     begin = min(starts(LAW, rule(LAW, scenario.description)), key=growth)
     known = begin, growth(begin)
-    found = cheapest(growth, LAW, begin, evaluations=evaluations, step=_SAFE_STEP, seed=seed)
+    found = cheapest(growth, LAW, begin, evaluations=evaluations, step=_SAFE_STEP, seed=1)
     return min(known, found, key=lambda one: one[1])
 
 
@@ -282,7 +274,7 @@ def _narrowed(ranges: UncertaintyParameters, names: Sequence[str], width: float)
     return dataclasses.replace(ranges, **{name: narrow(name) for name in names})
 
 
-def _safe_refusal(scenario: Scenario, growth: float, seed: int) -> DesignError:
+def _safe_refusal(scenario: Scenario, growth: float) -> DesignError:
     """The error where no law is stable at all corners: which single range, if it were narrower, would allow one."""
     stage, helpful = scenario.description, []
     for words, names in _RANGES.items():
@@ -295,7 +287,7 @@ def _safe_refusal(scenario: Scenario, growth: float, seed: int) -> DesignError:
                 corners = corners_of(changed)
             except ParameterError:
                 return None
-            calmest = _calmest(scenario.on(changed), corners, _SAFE_IN_BISECTION, seed)[1]
+            calmest = _calmest(scenario.on(changed), corners, _SAFE_IN_BISECTION)[1]
             return True if calmest <= _allowed(changed) else None
 
         share = _least_change(possible, halvings=4)

@@ -6,21 +6,34 @@ accuracy is the mean of ln p-p over some starts of the stage as described, with 
 start to start, and a share of ln p-p on the extreme machines. work is the RMS step of the current from sample to
 sample; its scale is the current that carries Coulomb friction, F_C / K̄_i, which the stage needs in any case, and at
 least four steps of the D/A converter, which a count asks for on a stage without friction.
+
+What of a stroke does not depend on the gains is computed once; then each run takes a tenth of a second.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
+from straightcomp_ros.analysis.record import motion_of
+from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.model.motion import Trajectory, forward_and_back, reach
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario, Stroke
+from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import Factors, deviating
+from straightcomp_ros.straightness.feedforward import along
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.tuning.design.gains import with_gains
-from straightcomp_ros.tuning.design.prepared_stroke import RunFigures, prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, StabilityCheck
 
 _STARTS, _MORE_STARTS = 3, 9
@@ -40,6 +53,113 @@ _WORK_WEIGHT = 2.0
 _LEAST_STEPS = 4.0
 _SILENT = 0.02
 """At rest, the RMS step of the current that is taken for silence, in units of the current that carries friction."""
+_PITCH = 1.3
+"""Distance of neighbouring starts in counts of the encoder: not a whole number, so each lies elsewhere in a count."""
+_RESTING = 0.2
+"""s after a stroke from which the command at rest is judged."""
+
+
+class RunFigures(NamedTuple):
+    """One run; all are infinite if it broke off."""
+
+    pp: float  # true compensation error over the motion, m
+    rms: float
+    work: float  # RMS step of the commanded current from sample to sample over the motion, A
+    rest_work: float  # the same between the strokes
+    oscillation: float  # amplitude of the strongest held line in the error, relative to what a verdict tolerates
+    excursion: float  # largest |y|, m
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedStroke:
+    """One motion of the stage of a scenario, ready to run under any law."""
+
+    scenario: Scenario
+    stroke: Stroke
+    target: NDArray[np.float64]  # (n,) r at the true x, m
+    motion: slice  # samples of the motion
+    rest: slice  # samples between the strokes, empty without
+
+    def run(self, law: Law, delay: float, start: int = 0, plant: PlantParameters | None = None) -> RunFigures:
+        """Run the motion once under ``law``, on the scenario's own machine or on ``plant``.
+
+        Each command is ``delay`` s late; ``start`` counts as in :func:`~straightcomp_ros.offline.starts.offset`.
+        """
+        late, count = np.full(self.target.size, round(delay * 1e9)), self.scenario.driver.plant.encoder.y_resolution
+        # The stage's own count, so that an ideal encoder gets the same starts.
+        cycle = self.scenario.cycle(law, self.stroke, late, plant=plant, offset=offset(start, _PITCH * count))
+        if cycle.current.size < late.size:
+            return RunFigures(*(math.inf,) * 6)
+        target, stamps = self.target[self.motion], self.stroke.stamps
+        error = target - cycle.true_y[self.motion]
+        period = float(stamps[-1] - stamps[0]) * 1e-9 / (stamps.size - 1)
+        amplitude = sustained_oscillation(error, target, period).amplitude
+        return RunFigures(
+            pp=peak_to_peak(error),
+            rms=_rms(error),
+            work=_rms(np.diff(cycle.current[self.motion])),
+            rest_work=_rms(np.diff(cycle.current[self.rest])),
+            oscillation=amplitude / tolerated_amplitude(error, count, peak_to_peak(target)),
+            excursion=float(np.abs(cycle.true_y).max()),
+        )
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values * values))) if values.size else 0.0
+
+
+def prepared_stroke(
+    scenario: Scenario,
+    stamps: NDArray[np.int64] | None = None,
+    ideal: bool = False,
+    survey: Survey | None = None,
+) -> PreparedStroke:
+    """The motion of ``scenario``.
+
+    Args:
+        stamps: (n,) of the samples in ns from 0, if they are not on the grid.
+        ideal: the law is given r, ṙ and r̈ of the true motion at each sample, without the encoder of x, the filter and
+            the lead.
+        survey: of the map that the law is given, in place of the scenario's, by which it is judged.
+    """
+    stroke = scenario.stroke(stamps)
+    r, slope, curvature = along(stroke.map, stroke.true_x)
+    time, x = np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x
+    if ideal:
+        x = stroke.true_x
+        speed = np.gradient(x, time)
+        given = np.column_stack([r, slope * speed, curvature * speed * speed + slope * np.gradient(speed, time)])
+        stroke = stroke._replace(given=given)
+    if survey is not None:
+        stroke = stroke._replace(given=scenario.stroke(stamps, survey).given)
+    motion = motion_of(time, x)
+    rest = slice(0, 0)
+    if len(motion.strokes) > 1:
+        begin = motion.strokes[0].stop + math.ceil(_RESTING * 1e9 / scenario.period_ns)
+        rest = slice(begin, max(begin, motion.strokes[1].start))
+    return PreparedStroke(scenario, stroke, r, motion.window, rest)
+
+
+def shortened(scenario: Scenario, duration: float) -> Scenario:
+    """The scenario with a motion of at most about ``duration`` s, if its own is longer: over the steepest part of the
+    map, with the stage's speed if it fits."""
+    full = scenario.description.motion
+    settle, pause = min(full.settle, 0.3), min(max(full.pause, 0.0), 0.5)
+    moving = 0.5 * (duration - 2.0 * settle - pause)
+    ramp = full.speed / full.acceleration
+    length = full.speed * (moving - ramp) if moving > 2.0 * ramp else full.acceleration * (0.5 * moving) ** 2
+    low, high = reach(full)
+    if length >= high - low or scenario.trajectory.end_ns * 1e-9 <= duration:
+        return scenario
+    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
+    x = np.linspace(low, high, 2000)
+    slope, curvature = straightness.evaluate(x)[1:]
+    # Reversals of r make friction turn over, slopes make it large: where there is most of both.
+    wanted = np.abs(slope) / np.abs(slope).max() + np.abs(curvature) / np.abs(curvature).max()
+    count = max(1, round(length / (high - low) * x.size))
+    start = float(x[int(np.convolve(wanted, np.ones(count), mode="valid").argmax())])
+    part = dataclasses.replace(full, start=start, stroke=length, steps=1, file="", settle=settle, pause=pause)
+    return dataclasses.replace(scenario, trajectory=Trajectory(forward_and_back(part)))
 
 
 class Judgement(NamedTuple):
@@ -59,10 +179,11 @@ class Judge:
     def __init__(self, scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD) -> None:
         self.law, self.stage, self._quiet = law, scenario.description, quiet
         self.control = next(iter(scenario.controls.values()))
+        self._stop = scenario.driver.plant.platform.stop
         self.delay = self.stage.drive.delay * self.stage.period
         self._check = StabilityCheck(self.stage, demands)
-        self._stroke = prepared_stroke(scenario, shortened(scenario, _LONGEST))
-        self._short = prepared_stroke(scenario, shortened(scenario, _SHORT))
+        self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
+        self._short = prepared_stroke(shortened(scenario, _SHORT))
         self._extremes = extreme_machines(scenario)
         carried = self.stage.friction.coulomb / self.stage.actuator.current_stiffness
         self._work_scale = max(carried, _LEAST_STEPS * self.stage.drive.current_step)
@@ -108,7 +229,7 @@ class Judge:
     def _penalty(self, runs: list[RunFigures]) -> float:
         """For each oscillation by its size, for each platform that met its stop."""
         lines = sum(0.3 + math.log(run.oscillation) for run in runs if run.oscillation > 1.0)
-        return lines + sum(run.excursion >= self._stroke.plant.platform.stop for run in runs)
+        return lines + sum(run.excursion >= self._stop for run in runs)
 
 
 def extreme_machines(scenario: Scenario) -> list[tuple[PlantParameters, float]]:

@@ -11,6 +11,7 @@ add (R. Pintelon and J. Schoukens, System Identification, 2nd ed., 2012, section
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
+from straightcomp_ros.analysis.figure_words import heading
 from straightcomp_ros.control.excitation import Multisine
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
@@ -140,6 +142,15 @@ class ResponseMargins(NamedTuple):
             "sensitivity_peak": self.peak,
             "sensitivity_peak_Hz": self.peak_frequency,
         }
+
+
+def margin_rows(*margins: Mapping[str, float | None]) -> list[tuple[str, ...]]:
+    """Rows of a table: each margin in words, and its value in each of ``margins`` (`ResponseMargins.to_display`)."""
+
+    def shown(value: float | None) -> str:
+        return "beyond the lines" if value is None else f"{value:.4g}"
+
+    return [(heading(name), *(shown(one.get(name)) for one in margins)) for name in margins[0]]
 
 
 def response_margins(frequencies: Array, open_loop: NDArray[np.complex128]) -> ResponseMargins:

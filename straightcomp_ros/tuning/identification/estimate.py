@@ -194,14 +194,14 @@ def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> 
     total += np.outer(scaled, scaled)
     quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, max(1, blocks - len(free))))
     # (3) at the magnets' constants: μ0 N² A / 4, y0, I0
-    coefficient, gap, bias = searched.constants(found.vector, 1.0)[3:6].tolist()
+    coefficient, gap, bias = searched.constants(found.solution.vector, 1.0)[3:6].tolist()
     current_stiffness = 4.0 * coefficient * bias / gap**2
     stiffness = dict(zip(DERIVED, (current_stiffness, current_stiffness * bias / gap), strict=True))
     estimated = {}
     for name in UNITS:
         powers = _POWERS.get(name, {name: 1.0})
         weights = np.array([powers.get(unknown, 0.0) for unknown in NAMES])
-        value = stiffness.get(name) or float(np.exp(weights @ found.vector))
+        value = stiffness.get(name) or float(np.exp(weights @ found.solution.vector))
         deviation = math.sqrt(max(0.0, float(weights @ total @ weights)))
         factor = math.exp(min(quantile * deviation, math.log(_WIDEST)))
         others = () if name in DERIVED else _alike(name, found.covariance, free)

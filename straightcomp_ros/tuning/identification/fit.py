@@ -167,7 +167,7 @@ class Search:
     def __init__(self, recording: Recording, path: CurrentPath, unknowns: Unknowns, resolution: float) -> None:
         self._unknowns, self._rate = unknowns, path.rate
         samples = (recording.y, recording.current, path.before, path.after, path.switch_ns)
-        self._record = Record(unknowns.bias_current, *samples, recording.period_ns)
+        self._record = Record(unknowns.stage.actuator.bias_current, *samples, recording.period_ns)
         self._noise = resolution / np.sqrt(12.0)
         self._free = list(unknowns.free)
         self._steps = _STEP * np.eye(len(self._free))
@@ -234,13 +234,11 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Solution of the search, in the order of the unknowns' vector."""
+    """What the search found, in the order of the unknowns' vector."""
 
-    vector: Array  # (9,) logarithms
+    solution: Level  # with the least process noise that holds
     covariance: Array  # (free, free) of the free logarithms by the spread of the prediction errors, block by block
     pulls: Array  # (2 or 3, free) moves of the solution to this assumption, what is left of it, and to one that failed
-    missed: float  # that assumption, m/s
-    rms_error: float  # prediction errors in their standard deviations; about 1 if the model explains the record
     rms_error_m: float  # prediction errors in m
 
 
@@ -278,11 +276,9 @@ def fit(
     errors = search.residuals(last.vector) / search.gains[BURN_IN:, 3]
     block = max(1, round(BLOCK / (recording.period_ns * 1e-9)))
     return Fit(
-        vector=last.vector,
+        solution=last,
         covariance=block_covariance(last.jacobian, last.residuals, block, float(PRIOR)),
         pulls=np.array([(last.vector - other)[free] for other in (*neighbours, search.onward(last))]),
-        missed=last.missed,
-        rms_error=last.rms,
         rms_error_m=float(np.sqrt(np.mean(errors**2))),
     )
 

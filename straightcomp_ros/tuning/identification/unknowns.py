@@ -75,16 +75,15 @@ class Unknowns:
     low: Array
     high: Array
     free: tuple[int, ...]  # indices of the unknown elements
-    pole_area: float  # of the magnets, m²; taken as given
-    bias_current: float  # A; likewise
-    flexure: tuple[float, float]  # N/m and N·s/m; likewise
+    stage: StageParameters  # its pole area, bias current and flexure are taken as given
 
     def constants(self, vector: Array, rate: float) -> Array:
         """The plant's constants (43,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
         mass, turns, gap, coulomb, ratio, stribeck, stiffness, damping, viscous = np.exp(vector).tolist()
-        actuator = Actuator(MU_0 * turns * turns * self.pole_area / 4.0, gap, self.bias_current)
+        platform, given = self.stage.platform, self.stage.actuator
+        actuator = Actuator(MU_0 * turns * turns * given.pole_area / 4.0, gap, given.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)
-        return Plant(mass, _STOP * gap, rate, actuator, lugre, *self.flexure).as_array()
+        return Plant(mass, _STOP * gap, rate, actuator, lugre, platform.stiffness, platform.damping).as_array()
 
 
 def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
@@ -102,7 +101,7 @@ def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
             f"known parameters are {', '.join(known) or 'none'}; allowed: with {' or '.join(FORCE_SCALE)} among them, "
             "since position and current determine all forces only up to a common factor"
         )
-    friction, platform, actuator = stage.friction, stage.platform, stage.actuator
+    friction = stage.friction
     ratio_of = friction.static / friction.coulomb if friction.coulomb > 0.0 else 1.0
     values: dict[str, Any] = {**to_mapping(stage), RATIO: ratio_of}
     start = np.log([max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES])
@@ -110,8 +109,7 @@ def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
     ratio = NAMES.index(RATIO)
     low[ratio] = 0.0
     free = tuple(place for place, name in enumerate(NAMES) if name not in known)
-    flexure = platform.stiffness, platform.damping
-    return Unknowns(start, low, high, free, actuator.pole_area, actuator.bias_current, flexure)
+    return Unknowns(start, low, high, free, stage)
 
 
 @dataclass(frozen=True)
@@ -164,13 +162,13 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
         return None
     current_gain, position_gain, coulomb, viscous, _ = found[0].tolist()
     values = dict(zip(NAMES, np.exp(unknowns.start).tolist(), strict=True))
-    free = {NAMES[place] for place in unknowns.free}
+    free, given = {NAMES[place] for place in unknowns.free}, unknowns.stage
     if "actuator.air_gap" in free:
         # K̄_y alone, without the flexure.
-        position_gain += unknowns.flexure[0] / values["platform.mass"]
-        values["actuator.air_gap"] = unknowns.bias_current * current_gain / position_gain
+        position_gain += given.platform.stiffness / values["platform.mass"]
+        values["actuator.air_gap"] = given.actuator.bias_current * current_gain / position_gain
     # K̄_i / N², from (3)
-    per_turns = MU_0 * unknowns.pole_area * unknowns.bias_current / values["actuator.air_gap"] ** 2
+    per_turns = MU_0 * given.actuator.pole_area * given.actuator.bias_current / values["actuator.air_gap"] ** 2
     if "platform.mass" in free:
         values["platform.mass"] = per_turns * values["actuator.turns"] ** 2 / current_gain
     if "actuator.turns" in free:

@@ -70,19 +70,9 @@ def released(machine: Machine, a: float) -> Response:
     return release(machine, a * machine.gap, np.zeros(machine.samples(_DURATION)))
 
 
-def returns(machine: Machine, a: float) -> bool:
-    """Whether the platform, released at y/y0 = a, is back at the centre at the end."""
-    return bool(abs(released(machine, a).y[-1]) < _RETURNED * machine.gap)
-
-
 def unclamped(machine: Machine) -> Machine:
     """The idealised machine under (9), without a limit of the current."""
     return machine.idealised().with_law("smc")
-
-
-def largest_release(machine: Machine) -> float:
-    """Largest y/y0 from which the platform returns, by bisection from 0.1 to 0.6; to 0.4 % of y0."""
-    return largest(lambda a: returns(machine, a), 0.1, FAR, steps=7)
 
 
 def far_release(machine: Machine) -> PaperFigure:
@@ -92,7 +82,8 @@ def far_release(machine: Machine) -> PaperFigure:
     """
     free, gap, bias = unclamped(machine), machine.gap, machine.bias
     unlimited, limited = (released(one, FAR) for one in (free, free.with_limit(bias)))
-    returns_from = largest_release(free)
+    # From where the platform is back at the centre at the end; to 0.4 % of y0.
+    returns_from = largest(lambda a: bool(abs(released(free, a).y[-1]) < _RETURNED * gap), 0.1, FAR, steps=7)
 
     figure, axes = sheet("Fig. 4: release from 0.6 $y_0$", "ab;cd", size=(9.0, 6.5))
     curves = (

@@ -24,7 +24,7 @@ from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, labe
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
 from straightcomp_ros.tuning.paper.machine import Machine, largest
 
-PUBLISHED = "law (9), unclamped"
+PUBLISHED, FULL_CURRENT = "law (9), unclamped", "full current"
 POINTS = 51
 """Of the grid, each way."""
 _SHOWN_MS = 80.0
@@ -62,42 +62,40 @@ def least_peak(machine: Machine, y: float, velocity: float) -> float:
 
     The first command acts late by the delay, and the current rises from zero. No law of this machine can do better: at
     any time no current leaves the platform further from a stop than full current away from it. The
-    mechanical stop is out of the way, as in :func:`peak`.
+    mechanical stop is out of the way, as in :func:`response`.
     """
-    return max(_under_full_current(machine, y, velocity), _under_full_current(machine, -y, -velocity))
+    period_ns, plant = machine.stage.period_ns, _beyond_its_stop(machine)
+    delay_ns, constants, peaks = round(machine.stage.drive.delay * period_ns), plant.constants(), []
+    for side in (1.0, -1.0):
+        state = np.array(PlantState(y=side * y, velocity=side * velocity, bias=machine.bias))
+        peak, asked = side * y, 0.0
+        for _ in range(machine.samples(_FULL_CURRENT_FOR)):
+            # Until the platform is at the other stop or beyond this one.
+            if not -machine.stop < state[0] < plant.platform.stop:
+                break
+            advance(constants, state, machine.bias, asked, delay_ns, -machine.bias, period_ns - delay_ns)
+            peak, asked = max(peak, float(state[0])), -machine.bias
+        peaks.append(peak)
+    return max(peaks)
 
 
-def _under_full_current(machine: Machine, y: float, velocity: float) -> float:
-    """Largest y in m under i_c = −I0, until the platform is at the other stop or beyond this one."""
-    period_ns = machine.stage.period_ns
-    delay_ns = round(machine.stage.drive.delay * period_ns)
-    plant = _beyond_its_stop(machine)
-    constants = plant.constants()
-    state = np.array(PlantState(y=y, velocity=velocity, bias=machine.bias))
-    largest, asked = y, 0.0
-    for _ in range(machine.samples(_FULL_CURRENT_FOR)):
-        if not -machine.stop < state[0] < plant.platform.stop:
-            break
-        advance(constants, state, machine.bias, asked, delay_ns, -machine.bias, period_ns - delay_ns)
-        asked = -machine.bias
-        largest = max(largest, float(state[0]))
-    return largest
+def _beyond_its_stop(machine: Machine) -> PlantParameters:
+    platform = replace(machine.plant.platform, stop=max(machine.stop, _MOVED_STOP * machine.gap))
+    return replace(machine.plant, platform=platform)
 
 
-def peak(machine: Machine, y: float, velocity: float = 0.0) -> float:
-    """Largest |y| in m on the way to rest at the centre; infinite if the law does not bring the platform there.
+def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.float64]:
+    """True y (n,) in m at the samples after a start at ``y`` in m with ``velocity`` in m/s, the stop out of the way:
+    the platform recovers if it does not come to where the stop is.
 
-    The start at ``y`` in m with ``velocity`` in m/s is a blow: at the first sample the law knows of a platform at rest,
-    and learns its velocity from the readings that follow. The bias current is on, the control current zero. The
-    mechanical stop is out of the way: the platform recovers if it does not come to where the stop is.
+    The start is a blow: at the first sample the law knows of a platform at rest, and learns its velocity from the
+    readings that follow. The bias current is on, the control current zero. Shorter if the law's current is not finite.
     """
-    true_y = response(machine, y, velocity)
-    return float(np.abs(true_y).max()) if settling_time(machine, true_y) < math.inf else math.inf
-
-
-def recovers(machine: Machine, y: float) -> bool:
-    """Whether the law brings a platform at rest at ``y`` in m to rest at the centre, without its touching a stop."""
-    return peak(machine, y) < machine.stop
+    count, period_ns = machine.samples(_DURATION), machine.stage.period_ns
+    delays = np.full(count, round(machine.stage.drive.delay * period_ns))
+    conditions = Conditions(np.arange(count) * period_ns, delays, np.zeros((count, 3)), np.zeros(count))
+    initial = PlantState(y=y, velocity=velocity, bias=machine.bias)
+    return run_cycle(make_law(machine.control, machine.stage), _beyond_its_stop(machine), conditions, initial).true_y
 
 
 def settling_time(machine: Machine, true_y: NDArray[np.float64]) -> float:
@@ -109,26 +107,15 @@ def settling_time(machine: Machine, true_y: NDArray[np.float64]) -> float:
     return settled if settled <= _DURATION - _HELD else math.inf
 
 
-def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.float64]:
-    """True y (n,) in m at the samples after a start at ``y`` in m with ``velocity`` in m/s, the stop out of the way.
-
-    Shorter than the others if the law's current is not finite.
-    """
-    count, period_ns = machine.samples(_DURATION), machine.stage.period_ns
-    delays = np.full(count, round(machine.stage.drive.delay * period_ns))
-    conditions = Conditions(np.arange(count) * period_ns, delays, np.zeros((count, 3)), np.zeros(count))
-    initial = PlantState(y=y, velocity=velocity, bias=machine.bias)
-    return run_cycle(make_law(machine.control, machine.stage), _beyond_its_stop(machine), conditions, initial).true_y
+def peak(machine: Machine, y: float, velocity: float = 0.0) -> float:
+    """Largest |y| in m on the way to rest at the centre; infinite if the law does not bring the platform there."""
+    true_y = response(machine, y, velocity)
+    return float(np.abs(true_y).max()) if settling_time(machine, true_y) < math.inf else math.inf
 
 
-def largest_release(machine: Machine) -> float:
-    """Largest y in m from which a platform at rest recovers, by bisection between the centre and the stop."""
-    return largest(lambda y: recovers(machine, y), 0.0, machine.stop, steps=8)
-
-
-def _beyond_its_stop(machine: Machine) -> PlantParameters:
-    platform = replace(machine.plant.platform, stop=max(machine.stop, _MOVED_STOP * machine.gap))
-    return replace(machine.plant, platform=platform)
+def recovers(machine: Machine, y: float) -> bool:
+    """Whether the law brings a platform at rest at ``y`` in m to rest at the centre, without its touching a stop."""
+    return peak(machine, y) < machine.stop
 
 
 class Regions(NamedTuple):
@@ -137,18 +124,18 @@ class Regions(NamedTuple):
     machine: Machine  # as shipped, with |i_c| <= I0
     positions: NDArray[np.float64]  # of the starts, (p,) in m, symmetric about zero and odd in number
     velocities: NDArray[np.float64]  # the same, (v,) in m/s
-    # By law, PUBLISHED first: largest |y| in m on the way back, (v, p); infinite where it does not come back.
-    peaks: Mapping[str, NDArray[np.float64]]
     possible: NDArray[np.bool_]  # whether any current within ±I0 could, (v, p)
-    least_peaks: NDArray[np.float64]  # what full current makes of the peaks, through amplifier and delay, (v, p), m
+    # Largest |y| in m on the way back, (v, p), infinite where it does not come back: by law, PUBLISHED first, and at
+    # last what FULL_CURRENT, through amplifier and delay, makes of it.
+    peaks: Mapping[str, NDArray[np.float64]]
 
-    def within_stops(self, peaks: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def back(self, law: str) -> NDArray[np.bool_]:
         """Whether the platform comes back, (v, p)."""
-        return peaks < self.machine.stop
+        return self.peaks[law] < self.machine.stop
 
-    def share(self, peaks: NDArray[np.float64]) -> float:
+    def share(self, law: str) -> float:
         """Part of the physical limit's area from which it comes back; what lies outside of it does not count."""
-        return float(np.count_nonzero(self.within_stops(peaks) & self.possible) / np.count_nonzero(self.possible))
+        return float(np.count_nonzero(self.back(law) & self.possible) / np.count_nonzero(self.possible))
 
 
 def machines_of(machine: Machine) -> dict[str, Machine]:
@@ -175,14 +162,9 @@ def regions(machine: Machine, points: int = POINTS) -> Regions:
         free = law == PUBLISHED
         return over_grid(lambda y, v: peak(one, y, v) if free or possible(one, y, v) else np.inf)
 
-    return Regions(
-        limited,
-        positions,
-        velocities,
-        peaks={law: peaks(law, one) for law, one in machines_of(machine).items()},
-        possible=over_grid(lambda y, v: possible(limited, y, v)) > 0.0,
-        least_peaks=over_grid(lambda y, v: least_peak(limited, y, v)),
-    )
+    found = {law: peaks(law, one) for law, one in machines_of(machine).items()}
+    found[FULL_CURRENT] = over_grid(lambda y, v: least_peak(limited, y, v))
+    return Regions(limited, positions, velocities, over_grid(lambda y, v: possible(limited, y, v)) > 0.0, found)
 
 
 def recovery(machine: Machine) -> PaperFigure:
@@ -191,17 +173,17 @@ def recovery(machine: Machine) -> PaperFigure:
     releases = {law: response(one, FAR * machine.gap) for law, one in machines.items()}
 
     title = "Beyond Fig. 4: where each law brings the platform back from, |$i_c$| ≤ $I_0$"
-    figure, axes = sheet(title, "abc;dee", size=(12.0, 8.0))
-    for place, law in zip(axes, data.peaks, strict=False):
-        _plane(place, data, law)
+    figure, (*planes, over_time) = sheet(title, "abc;dee", size=(12.0, 8.0))
+    for axes, law in zip(planes, machines, strict=True):
+        _plane(axes, data, law)
     stop = data.machine.stop / data.machine.gap
-    axes[-1].axhline(stop, color=BLACK, linewidth=0.8, linestyle=":", label=f"stop, {stop:g} $y_0$")
+    over_time.axhline(stop, color=BLACK, linewidth=0.8, linestyle=":", label=f"stop, {stop:g} $y_0$")
     for law, y in releases.items():
-        _over_time(axes[-1], machines[law], law, y)
-    axes[-1].set_xlim(-1.0, _SHOWN_MS)
-    axes[-1].set_ylim(-0.1, 1.0)
-    label(axes[-1], "Released at rest at 0.6 $y_0$", "time / ms", "position y/$y_0$ / 1")
-    axes[-1].legend(loc="upper right", fontsize=SMALL)
+        _over_time(over_time, machines[law], law, y)
+    over_time.set_xlim(-1.0, _SHOWN_MS)
+    over_time.set_ylim(-0.1, 1.0)
+    label(over_time, "Released at rest at 0.6 $y_0$", "time / ms", "position y/$y_0$ / 1")
+    over_time.legend(loc="upper right", fontsize=SMALL)
     handles = [
         Patch(color=PALE_BLUE, label="comes back"),
         Patch(color=PALE_VERMILION, label="lost, though some current within ±$I_0$ would bring it back"),
@@ -217,16 +199,16 @@ def recovery(machine: Machine) -> PaperFigure:
         settled = settling_time(one, releases[law]) * 1e3
         diverges = "it diverges (Fig. 4)"
         note = diverges if law == PUBLISHED else f"the paper: {diverges}; here within 1 % of y0 after {settled:.0f} ms"
-        reach = f"at rest it recovers up to {largest_release(one) / one.gap:.2f} y0; the stop is at {stop:g} y0"
+        farthest = largest(lambda y, one=one: recovers(one, y), 0.0, one.stop, steps=8)  # type: ignore[misc]
+        reach = f"at rest it recovers up to {farthest / one.gap:.2f} y0; the stop is at {stop:g} y0"
         paper, back = 0.0 if law == PUBLISHED else None, float(recovers(one, FAR * one.gap))
-        share = data.share(data.peaks[law])
         claims += [
             Claim(f"beyond Fig. 4: {name} from 0.6 y0 (1 yes, 0 no)", back, "", note, paper),
-            Claim(f"beyond Fig. 4: region of recovery, {law}, part of the physical limit", share, "", reach),
+            Claim(f"beyond Fig. 4: region of recovery, {law}, part of the physical limit", data.share(law), "", reach),
         ]
     name = "beyond Fig. 4: region that the amplifier and the delay leave, part of the physical limit"
     late = "full current, but through the amplifier's lag and half a sample late: no law here can reach further"
-    claims.append(Claim(name, data.share(data.least_peaks), "", late))
+    claims.append(Claim(name, data.share(FULL_CURRENT), "", late))
     return PaperFigure(claims, figure)
 
 
@@ -242,16 +224,11 @@ def _plane(axes: Axes, data: Regions, law: str) -> None:
     axes.contour(a, speed, beyond, [stop], colors=BLUE, linewidths=0.8)
     for border in (limit, -limit[::-1]):
         axes.plot(fine / gap, border, color=BLACK, linewidth=1.2)
-    axes.contour(a, speed, data.least_peaks, [stop], colors=BLACK, linewidths=1.0, linestyles="--")
+    axes.contour(a, speed, data.peaks[FULL_CURRENT], [stop], colors=BLACK, linewidths=1.0, linestyles="--")
     axes.plot(FAR, 0.0, "o", color=VERMILION, markersize=6)
     if law == PUBLISHED:
         axes.text(-0.76, -420.0, "beyond the limit it\nasks for more than $I_0$", fontsize=SMALL)
-    label(
-        axes,
-        f"{law}: {data.share(data.peaks[law]):.0%} of the limit",
-        "position y(0)/$y_0$ / 1",
-        "velocity ẏ(0) / mm/s",
-    )
+    label(axes, f"{law}: {data.share(law):.0%} of the limit", "position y(0)/$y_0$ / 1", "velocity ẏ(0) / mm/s")
     axes.set_xlim(-stop / gap, stop / gap)
     axes.set_ylim(1.02 * speed[0], 1.02 * speed[-1])
 

@@ -12,7 +12,7 @@ from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_pol
 from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
-from straightcomp_ros.tuning.paper.machine import Machine, Response, release
+from straightcomp_ros.tuning.paper.machine import Machine, release
 
 NEAR = 0.2
 """y/y0 of the release."""
@@ -34,11 +34,6 @@ def pole_claims(machine: Machine) -> list[Claim]:
     note = "eigenvalues of A − B K; K from the design, M and the magnets cancel"
     found = zip(names, (pair.real, pair.imag, single.real), PAPER_POLES, strict=True)
     return [Claim(name, float(ours), "rad/s", note, paper, tolerance=0.1) for name, ours, paper in found]
-
-
-def sliding_variable_at_rest(design: SlidingDesign, y: float) -> float:
-    """σ in m/s by (8) at rest at ``y`` in m with nothing integrated: 2ζωn y."""
-    return 2.0 * design.zeta * design.omega_n * y
 
 
 def reaching_time(phi: float, rho: float, sigma_0: float) -> float:
@@ -111,23 +106,17 @@ def lag(design: SlidingDesign) -> float:
     return 2.0 * design.zeta / design.omega_n
 
 
-def sliding_release(machine: Machine) -> tuple[Response, int]:
-    """The release of the idealised machine under (9), and the index of the first sample on or beyond the surface.
-
-    The simulated plant has what the closed form of σ leaves out: the magnets' m_i and m_y, and friction.
-    """
-    ideal = machine.idealised().with_law("smc")
-    response = release(ideal, NEAR * machine.gap, np.zeros(ideal.samples(_DURATION)))
-    return response, int(np.argmax(response.sigma <= 0.0))
-
-
 def near_release(machine: Machine) -> PaperFigure:
-    """Fig. 5: σ and y of the release with their closed forms; below, what the paper's time says of φ and ρ.
+    """Fig. 5: σ and y of the release of the idealised machine under (9), with their closed forms; below, what the
+    paper's time says of φ and ρ.
 
-    On the surface (12) holds with what the closed form of σ leaves out.
+    The simulated plant has what the closed form of σ leaves out: the magnets' m_i and m_y, and friction. On the surface
+    (12) holds with them.
     """
-    design, (response, reached) = machine.control.smc, sliding_release(machine)
-    sigma_0 = sliding_variable_at_rest(design, float(response.y[0]))
+    design, ideal = machine.control.smc, machine.idealised().with_law("smc")
+    response = release(ideal, NEAR * machine.gap, np.zeros(ideal.samples(_DURATION)))
+    # The first sample on or beyond the surface; before, σ by (8) at rest with nothing integrated.
+    reached, sigma_0 = int(np.argmax(response.sigma <= 0.0)), 2.0 * design.zeta * design.omega_n * float(response.y[0])
     time = response.time - response.time[reached]
     closed_y = free_motion(time[reached:], design, float(response.y[reached]), float(response.velocity[reached]))
 

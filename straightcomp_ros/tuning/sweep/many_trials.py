@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.judgement import IN_ORDER, Verdict
+from straightcomp_ros.analysis.style import BLUE, GREEN, GREY, VERMILION
 from straightcomp_ros.offline.scenario import Scenario, laws_of
 from straightcomp_ros.offline.workers import spread
 from straightcomp_ros.tuning.sweep.trial import TrialResult, run_trial
@@ -21,9 +22,6 @@ _LARGEST_BATCH = 10
 """Trials in a batch: two seconds of work, for frequent progress at little cost of sending."""
 PERCENTILES = {"p5": 5.0, "p50": 50.0, "p95": 95.0, "max": 100.0}
 """Percentiles of a distribution, by name. Each is the value of a trial: nothing is interpolated."""
-# Okabe and Ito's palette without its yellow; styles distinguish the curves on a black-and-white print.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#000000")
-_STYLES = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
 _WIDE = 8.0
 """Ratio of largest to smallest error from which the axis is logarithmic."""
 OUTLIER = 2.0
@@ -159,7 +157,8 @@ def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     known = []
-    for summary, colour, style in zip(summaries, cycle(_COLOURS), cycle(_STYLES), strict=False):
+    looks = cycle(zip((BLUE, VERMILION, GREEN, GREY), ("-", "--", "-.", ":"), strict=True))
+    for summary, (colour, style) in zip(summaries, looks, strict=False):
         errors_um = np.sort([one.pp * 1e6 for one in summary.results if math.isfinite(one.pp)])
         known += errors_um.tolist()
         # A step curve that starts at its foot, on the first value.

@@ -28,21 +28,17 @@ from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.tuning.frequency_response.measured_response import WITHIN_DB, WITHIN_DEG, ComparedResponse
+from straightcomp_ros.tuning.frequency_response.measured_response import (
+    WITHIN_DB,
+    WITHIN_DEG,
+    ComparedResponse,
+    margin_rows,
+)
 from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.verbs.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"
 PURPOSE = "tune"
-_WORDS = {
-    "gain_low": "least gain",
-    "gain_high": "most gain",
-    "phase_deg": "phase margin [°]",
-    "crossover_Hz": "gain crossover [Hz]",
-    "delay_us": "delay margin [µs]",
-    "sensitivity_peak": "peak of |S|",
-    "sensitivity_peak_Hz": "at [Hz]",
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -139,11 +135,7 @@ def _curve(values: Any) -> dict[str, list[float]]:
 
 
 def _print(found: ComparedResponse, name: str) -> None:
-    margins = [one.to_display() for one in found.margins]
-    rows = (
-        (words, *("beyond the lines" if one[key] is None else f"{one[key]:.3g}" for one in margins))
-        for key, words in _WORDS.items()
-    )
+    rows = margin_rows(*(one.to_display() for one in found.margins))
     title = f"Loop of stage '{name}' under law '{found.law}'"
     console.print(titled_table(title, "margin", "measured", "description", rows=rows))
     if found.explained:

@@ -92,7 +92,7 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
         "samples_in_bag": estimate.recording.total,
         "duration_s": estimate.recording.duration,
         "prediction_error_um": estimate.fit.rms_error_m * 1e6,
-        "prediction_error_ratio": estimate.fit.rms_error,
+        "prediction_error_ratio": estimate.fit.solution.rms,
         "amplifier_bandwidth_Hz": estimate.path.rate / (2.0 * math.pi) if estimate.path.rate_found else None,
         **estimate.to_display(),
         "parameters": {

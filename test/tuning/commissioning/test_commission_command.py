@@ -9,7 +9,7 @@ from roughly_known import ROUGH
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.commissioning import RECORD, STEP_NAMES
+from straightcomp_ros.tuning.commissioning import RECORD
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
 from straightcomp_ros.tuning.commissioning.step import Outcome
@@ -66,10 +66,6 @@ def done_before(folder, outcomes):
     procedure.outcomes.update(outcomes)
     with making(folder, [RECORD], anew=False):
         procedure._write()
-
-
-def test_the_choices_of_only_are_the_steps():
-    assert tuple(STEPS) == STEP_NAMES
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import read_recording
 from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.identification.unknowns import unknowns
@@ -60,13 +59,3 @@ def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
         unknowns(StageParameters(), ["friction.coulomb"])
     with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
         unknowns(StageParameters(), ["weight"])
-
-
-def test_the_command_refuses_in_one_sentence(tmp_path, capsys):
-    bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
-    for options, code, words in (
-        ([str(bag)], 1, "straightcomp friction: bag "),
-        ([], 2, "either a BAG or --excitation"),
-    ):
-        assert main(["friction", *options]) == code
-        assert words in capsys.readouterr().err

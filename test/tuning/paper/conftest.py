@@ -8,7 +8,6 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper import all_figures
 from straightcomp_ros.tuning.paper.machine import DELAY, Machine, machine_from
 from straightcomp_ros.tuning.verbs import reproduce
 
@@ -23,22 +22,21 @@ def machine() -> Machine:
     return machine_from(values)
 
 
-def reproduced(folder, names) -> dict:
-    """What `straightcomp reproduce --json` prints of these figures."""
+def reproduced(folder, slow: tuple[str, ...]) -> dict:
+    """What `straightcomp reproduce --json` prints without the figures ``slow``."""
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        for module in (all_figures, reproduce):
-            patch.setattr(module, "FIGURES", {name: all_figures.FIGURES[name] for name in names})
+        chosen = {name: compute for name, compute in reproduce.FIGURES.items() if name not in slow}
+        patch.setattr(reproduce, "FIGURES", chosen)
         assert main(["reproduce", "--json", "-o", str(folder / "new")]) == 0
     return json.loads(printed.getvalue(), parse_constant=pytest.fail)
 
 
 @pytest.fixture(scope="session")
 def quick(tmp_path_factory) -> dict:
-    names = [name for name in all_figures.FIGURES if name not in SLOW]
-    return reproduced(tmp_path_factory.mktemp("quick"), names)
+    return reproduced(tmp_path_factory.mktemp("quick"), SLOW)
 
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory) -> dict:
-    return reproduced(tmp_path_factory.mktemp("whole"), list(all_figures.FIGURES))
+    return reproduced(tmp_path_factory.mktemp("whole"), ())

@@ -44,25 +44,6 @@ def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_
     assert re.search(r"times its median: machine [01] \(", printed)
 
 
-@pytest.mark.parametrize(
-    "arguments, message",
-    [
-        ("--set stage.uncertainty.mess=0.1", "mess' is unknown; did you mean 'stage.uncertainty.mass'"),
-        ("--set stage.uncertainty.mass=heavy", "uncertainty.mass': 'heavy' is not a number"),
-        ("--set stage.motion.stroke=0.0", "parameter 'stage.motion.stroke': 0.0 m"),
-        ("--trials 0", "0"),
-        ("--seed -1", "-1"),
-        ("--law magic", "magic"),
-    ],
-)
-def test_wrong_parameters_and_options_are_named(capsys, arguments, message):
-    try:
-        code = main(["robustness", "--trials", "1", *arguments.split()])
-    except SystemExit as refused:
-        code = refused.code
-    assert code == 2 and message in capsys.readouterr().err
-
-
 def summary_of(errors, *words):
     """The only summary of machines with these errors in µm, and these words of verdicts, in order by default."""
     (summary,) = summarise(result(trial, 1e-6 * pp, *words[trial : trial + 1]) for trial, pp in enumerate(errors))
