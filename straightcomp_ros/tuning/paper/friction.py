@@ -10,6 +10,7 @@ of the same time, without lag. A window of 20 ms makes an encoder quantum of 0.1
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
+from scipy.stats import binned_statistic
 
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
@@ -114,14 +115,9 @@ def estimate_friction(
 def hysteresis(velocity: NDArray[np.float64], friction: NDArray[np.float64], rising: NDArray[np.bool_]) -> float:
     """Largest difference in N between the falling and the rising branch, means over 10 µm/s of velocity."""
     edges = np.arange(-200e-6, 201e-6, 10e-6)
-    means = []
-    for branch in (rising, ~rising):
-        bins = np.digitize(velocity[branch], edges)
-        count = np.bincount(bins, minlength=edges.size + 1)
-        total = np.bincount(bins, friction[branch], minlength=edges.size + 1)
-        # A bin that one branch passes over has no mean.
-        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan)[1:-1])
-    return float(np.nanmax(np.abs(means[1] - means[0])))
+    # A bin that one branch passes over has no mean: NaN.
+    up, down = (binned_statistic(velocity[one], friction[one], "mean", edges).statistic for one in (rising, ~rising))
+    return float(np.nanmax(np.abs(down - up)))
 
 
 def friction_curve(machine: Machine) -> PaperFigure:

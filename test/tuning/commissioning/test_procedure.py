@@ -95,12 +95,6 @@ def test_a_step_that_finds_something_else_voids_the_later_ones_and_a_failure_lea
     assert begun(tmp_path).remaining() == list(STEPS)
 
 
-def test_no_step_is_done_before_those_that_it_rests_on(done, tmp_path):
-    with pytest.raises(CommissioningError, match="step 'design' rests on 'connection', which has not passed"):
-        begun(tmp_path).run("design")
-    assert done == []
-
-
 def test_an_interrupt_leaves_the_record_of_plain_json_as_it_was(done, tmp_path, monkeypatch):
     one = begun(tmp_path)
     one.run("connection")

@@ -1,25 +1,18 @@
+import dataclasses
+
 import pytest
-from motions import moving
 
 from scripts.stage_files import stage_scenario
-from straightcomp_ros.model.motion import MotionParameters
-
-
-def short(scenario, stroke=0.06):
-    """The stage with a stroke of a second and a half."""
-    return moving(scenario, MotionParameters(stroke=stroke, speed=0.2, acceleration=1.0, settle=0.3, pause=0.5))
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 
 
 @pytest.fixture(scope="session")
 def shipped():
-    """The shipped stage, short."""
-    return short(stage_scenario("shipped"))
-
-
-@pytest.fixture(scope="session")
-def fine():
-    """The stage with an encoder of 5 nm, short."""
-    return short(stage_scenario("fine_encoder"))
+    """The shipped stage with a stroke of a second and a half."""
+    scenario = stage_scenario("shipped")
+    motion = MotionParameters(stroke=0.06, speed=0.2, acceleration=1.0, settle=0.3, pause=0.5)
+    stage = dataclasses.replace(scenario.description, motion=motion)
+    return dataclasses.replace(scenario.on(stage), trajectory=Trajectory(forward_and_back(motion)))
 
 
 @pytest.fixture(scope="session")

@@ -5,13 +5,12 @@ import math
 from types import SimpleNamespace
 
 import pytest
-from motions import moving
 from tiers import nightly
 
+from scripts.stage_files import stage_scenario
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.doctor import Finding
-from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.error_budget import OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.gain_search import search
@@ -151,8 +150,8 @@ def test_gains_whose_error_depends_on_the_start_are_judged_from_more_starts(ship
     assert one._stroke.asked == starts and found.pp == pytest.approx(1e-7 * (2.0 + worst) / 3.0)
 
 
-def test_a_shortened_motion_lies_inside_the_stroke_and_is_as_short_as_was_asked_for(shipped):
-    long = moving(shipped, MotionParameters(stroke=1.76, speed=0.3, acceleration=0.2))
+def test_a_shortened_motion_lies_inside_the_stroke_and_is_as_short_as_was_asked_for():
+    long = stage_scenario("shipped")
     part = shortened(long, 6.0).trajectory
     places = [part.position(time) for time in range(0, part.end_ns, 10_000_000)]
     assert min(places) >= 0.0 and max(places) <= 1.76

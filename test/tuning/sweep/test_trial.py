@@ -10,11 +10,10 @@ from numpy.random import SeedSequence, default_rng
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
-from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters, deviating
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.sweep.many_trials import run_trials
@@ -50,15 +49,6 @@ def test_every_machine_lies_within_the_ranges(seed, trial):
     for name, low, high in (("mass", 0.8, 1.2), ("force", 0.8, 1.2), ("air_gap", 0.9, 1.1), ("friction", 0.5, 2.0)):
         assert low <= getattr(factors, name) <= high
     assert 0.0 <= sensor_noise <= 0.05e-6 and 0.2 <= delay <= 1.5
-
-
-def test_without_uncertainty_machine_clock_and_survey_are_nominal():
-    random = streams(1, 1)
-    factors, sensor_noise, delay = draw(EXACT_STAGE, random.machine)
-    assert deviating(PlantParameters(), factors) == PlantParameters() and (sensor_noise, delay) == (0.0, 1.0)
-    assert sample_times(EXACT.jitter, 500_000, 4, random.clock).tolist() == [0, 500_000, 1_000_000, 1_500_000]
-    for run, same in zip(SURVEY.runs, mismeasured(SURVEY, EXACT.map_noise, random.survey).runs, strict=True):
-        np.testing.assert_array_equal(run.deviation, same.deviation)
 
 
 def test_another_range_of_one_quantity_leaves_the_others_as_they_were():
