@@ -105,6 +105,7 @@ class DriverComponent:
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
         self._reported_stage: StageState | None = None
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
+        node.create_timer(_SLOW_WATCH_S, self._look_for_others)
         self._answer_within_ns = _ANSWER_SAMPLES * period_ns
         self._queue = streams.queue(COMMAND)
         self.loop: Loop
@@ -264,8 +265,6 @@ class DriverComponent:
         self._clock_watch.follow()
         if self._safety.condition is Condition.ON:
             self._sample_watch.hold()
-            if self._node.streams.others_publish(COMMAND):
-                self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
         if self._lockstep and self._newest is not None:
             # Its samples end with the motion, and who follows the stage must see the end.
             self._publish_position(*self._newest[:3])
@@ -276,6 +275,10 @@ class DriverComponent:
         self._report_stage()
         if self._action.active and self._newest is not None:
             self._follow_goal(self._action.active, self._newest)
+
+    def _look_for_others(self) -> None:
+        if self._safety.condition is Condition.ON and self._node.streams.others_publish(COMMAND):
+            self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
 
     def _report_stage(self) -> None:
         """Publish the state of the stage's motion if it has changed."""

@@ -167,6 +167,11 @@ class ManagedNode(GuardedNode, LifecycleNode):
             self._changes.prepare = component.prepare
 
         with at_normal_priority():
+            if gc.get_freeze_count():
+                # A former component, which activation has excluded from garbage collection. A process that ends need
+                # not collect it.
+                gc.unfreeze()
+                gc.collect()
             code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
         if self._component is None:
             self._destroy_entities()
@@ -225,9 +230,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
                     component.close()
             finally:
                 self._destroy_entities()
-                # Include what activation excluded from garbage collection.
-                gc.unfreeze()
-                gc.collect()
 
     def _destroy_entities(self) -> None:
         self.streams.close()
