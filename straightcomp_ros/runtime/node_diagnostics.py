@@ -30,7 +30,7 @@ from straightcomp_ros.timing.node_timing import (
 )
 from straightcomp_ros.timing.realtime import realtime_limit
 
-_TICK_S, _TICKS = 0.05, 20
+_TICK_S, TICKS = 0.05, 20
 """A report takes a tick for each of its steps, and the next one begins after all ticks."""
 _AT_ONCE, _TIMES = 10, 5
 """Values in a step, and number of such steps: the last takes what is left."""
@@ -82,10 +82,11 @@ class Diagnostics:
         self._cpu_wait = CpuWait()
         self._cpu_wait.take_us()
         node.create_timer(_LOOK_S, self._cpu_wait.look)
-        node.create_timer(_TICK_S, self._tick)
+        node.create_timer(_TICK_S, self.tick)
 
-    def _tick(self) -> None:
-        step, self._step = self._step, (self._step + 1) % _TICKS
+    def tick(self) -> None:
+        """Do the next step of a report."""
+        step, self._step = self._step, (self._step + 1) % TICKS
         if step < len(self._steps):
             self._steps[step]()
 

@@ -17,7 +17,7 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.commissioning_client import CommissioningSign
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
-from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import Fault
@@ -151,8 +151,8 @@ def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean_and_the
     def level(error=""):
         values.update({"error": error, SAMPLES: values[SAMPLES] + 2000})
         before = len(found)
-        diagnostics._collect()
-        diagnostics._publish()
+        for _ in range(TICKS):
+            diagnostics.tick()
         participant.until(lambda: len(found) > before)
         return found[-1].level, found[-1].message
 
