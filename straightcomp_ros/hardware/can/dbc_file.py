@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 EXTENDED_ID = 1 << 31
 """Set in an identifier of 29 bits, as in DBC files and in Linux's frames."""
 _LARGEST = {False: 0x7FF, True: 0x1FFFFFFF}
-FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes of a frame of CAN FD."""
 FLOATS = {32: "f", 64: "d"}
 """struct's letters by the bits of a float."""
@@ -117,7 +117,7 @@ class Dbc:
         except (cantools.Error, ValueError, LookupError, TypeError, ArithmeticError, AssertionError) as error:
             reason = " ".join(str(error).split())
             raise DbcError(f"message '{name}' of {self.file} cannot be read: {reason}") from None
-        sizes = FD_SIZES if is_fd(message) else FD_SIZES[:9]
+        sizes = _FD_SIZES if is_fd(message) else _FD_SIZES[:9]
         if message.length not in sizes:
             raise DbcError(
                 f"message '{name}' of {self.file} has {message.length} bytes; allowed: {', '.join(map(str, sizes))}"

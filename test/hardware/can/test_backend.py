@@ -178,13 +178,6 @@ def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):
     assert world.samples[-1].x > 1e-4
 
 
-def test_the_servo_holds_the_platform_through_the_frames(running):
-    running.servo(1.0, (8e-6, 0.0, 0.0))
-    errors = [8e-6 - sample.y for sample in running.samples[-1000:]]
-    assert running.host.state is State.ON and running.host.lost_samples == 0
-    assert max(map(abs, errors)) < 1e-6
-
-
 def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(running):
     running.board = None
     # The last frame came 0.1 ms after its sample: 5 ms of silence are complete in the eleventh period.
