@@ -72,7 +72,7 @@ class FaultyDriver(DriverComponent):
 def main() -> int:
     """Run the node."""
     driver = ("driver", DriverNodeParameters, FaultyDriver)
-    return servo_node.main(driver) if "servo" in sys.argv[1:2] else run_managed(*driver)
+    return servo_node.main(driver) if "servo" in sys.argv[1:2] else run_managed([driver])
 
 
 if __name__ == "__main__":

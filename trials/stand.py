@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -138,7 +139,7 @@ class Stand:
             self._bags += 1
             parameters["output"] = str(self.bag)
         for node in self.nodes_of(name):
-            self.heartbeats.forget(node)
+            self.heartbeats.ages[node] = math.inf
         self.started[name] = time.monotonic()
         self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
 
@@ -253,7 +254,7 @@ class Stand:
         refusals = 0
         while time.monotonic() < deadline:
             self.inject("")
-            if not self.until(lambda: self.heartbeats.in_state("active"), _ANSWER_S):
+            if not self.until(self._all_active, _ANSWER_S):
                 self._graph.check(self.names)
                 continue
             self.spin(0.03)
@@ -277,6 +278,9 @@ class Stand:
             f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
             f"fault {self.fault} (logs in {self._folder})"
         )
+
+    def _all_active(self) -> bool:
+        return not self.heartbeats.silent() and set(self.heartbeats.states.values()) == {"active"}
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of a node; returns its answer, or None without one, at once from a node that has ended."""

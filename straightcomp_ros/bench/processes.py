@@ -41,11 +41,7 @@ def cores(begin: Usage, end: Usage) -> dict[str, float]:
 
 def growth_mb_per_hour(looks: Sequence[Usage]) -> dict[str, float]:
     """Slope of each process's memory over all looks (least squares), MB/h; NaN with fewer than two."""
-    hours = np.array([look.time_ns - looks[0].time_ns for look in looks]) / 3.6e12
-    hours -= hours.mean()
-    return {
-        name: float(hours @ np.array([look.rss_mb[name] for look in looks]) / (hours @ hours))
-        if len(looks) > 1
-        else float("nan")
-        for name in looks[0].rss_mb
-    }
+    if len(looks) < 2:
+        return dict.fromkeys(looks[0].rss_mb, float("nan"))
+    hours = [(look.time_ns - looks[0].time_ns) / 3.6e12 for look in looks]
+    return {name: float(np.polyfit(hours, [look.rss_mb[name] for look in looks], 1)[0]) for name in looks[0].rss_mb}

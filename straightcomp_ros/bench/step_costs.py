@@ -1,7 +1,7 @@
 """Measures the functions that are called once in each cycle: laws, messages, and a cycle of the simulation."""
 
 import statistics
-import time
+import timeit
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,16 +23,10 @@ def _cost(times: Sequence[float]) -> Cost:
     return {"median_us": statistics.median(times), "min_us": min(times), "max_us": max(times)}
 
 
-def _timed(work: Callable[[], object], calls: int) -> float:
-    begin = time.perf_counter_ns()
-    work()
-    return (time.perf_counter_ns() - begin) * 1e-3 / calls
-
-
 def cost(work: Callable[[], object], calls: int, repeats: int) -> Cost:
     """Time ``work``, which makes ``calls`` calls, ``repeats`` times after one call to warm up."""
     work()
-    return _cost([_timed(work, calls) for _ in range(repeats)])
+    return _cost([seconds * 1e6 / calls for seconds in timeit.repeat(work, number=1, repeat=repeats)])
 
 
 def law_costs(parameters: ControlParameters, stage: StageParameters, repeats: int) -> dict[str, Cost]:
@@ -83,5 +77,5 @@ def simulation_cost(values: Mapping[str, Mapping[str, Any]], repeats: int) -> tu
     # Exclude what is made once, before the first sample.
     simulations = [Simulation(values) for _ in range(repeats + 1)]
     samples = len(simulations.pop().run().time)
-    found = _cost([_timed(simulation.run, samples) for simulation in simulations])
+    found = _cost([timeit.timeit(one.run, number=1) * 1e6 / samples for one in simulations])
     return found, 1e6 / (found["median_us"] * rate)

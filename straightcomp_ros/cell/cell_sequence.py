@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import Protocol
 
 from straightcomp_ros.cell.observation import Observation
@@ -45,20 +46,12 @@ Answer = Callable[[str], None]
 class Machine(Protocol):
     """What the sequence requests from the graph. No call waits; the next observations show the effect."""
 
-    refusal: str  # why the last switch_on was refused; empty before the answer, and after success
     obstacle: str  # why the stage cannot be moved; empty if it can
 
     def activate(self) -> None: ...
-    def switch_on(self) -> None: ...
-    def switch_off(self) -> None: ...
-    def reset_faults(self) -> None: ...
     def move(self, waypoints: Sequence[Waypoint]) -> None: ...
-    def hold(self, on: bool) -> None: ...
-    def end_motion(self) -> None: ...
-    def home(self) -> None: ...
     def override(self, fraction: float, then: Answer) -> None: ...
-    def reload_map(self, then: Answer) -> None: ...
-    def center(self, middle: bool, then: Answer) -> None: ...
+    def request(self, service: str, on: bool | None = None, then: Answer = ...) -> None: ...
 
 
 class WorkFailed(Exception):
@@ -209,7 +202,7 @@ class CellSequence:
             then(refusal)
 
         if order is Order.RELOAD_MAP:
-            self.machine.reload_map(answered)
+            self.machine.request("feedforward/reload_map", then=answered)
         elif order is Order.OVERRIDE:
             self.machine.override(argument * 1e-2, answered)
         elif order is Order.JOG:
@@ -218,7 +211,7 @@ class CellSequence:
         else:
             # No stroke may begin before the answer.
             self.centred = before or middle
-            self.machine.center(middle, answered)
+            self.machine.request("feedforward/center", middle, answered)
 
     def _order_refusal(self, order: Order, argument: int) -> str:
         strokes = self.state is State.EXECUTE and self.movements.strokes
@@ -268,7 +261,7 @@ class CellSequence:
         # A state without work of its own waits for a command.
         self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
         if state is State.ABORTING:
-            self.machine.switch_off()
+            self.machine.request("driver/enable", False)
 
     def _trouble(self, seen: Observation) -> str:
         # In Stopped another client may use the graph: its faults are only shown as alarms.
@@ -296,7 +289,7 @@ class CellSequence:
             if not obstacle and self.seen.unreferenced:
                 obstacle = f"x is not referenced: {self.seen.unreferenced}"
                 if self._due():
-                    self.machine.home()
+                    self.machine.request("driver/home")
             if self.seen.occupied:
                 raise WorkFailed(self.seen.occupied)
             if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
@@ -310,9 +303,9 @@ class CellSequence:
                     self.machine.activate()
             elif self._due():
                 # Another client may have left the reference in the middle. Retried if refused during another change.
-                self.machine.center(False, self._back_on_the_map)
+                self.machine.request("feedforward/center", False, self._back_on_the_map)
                 # And a motion held, which would go on when the stage is released.
-                self.machine.end_motion()
+                self.machine.request("driver/end_motion")
             if self.now - ready_since >= _SETTLE_S:
                 return
             yield
@@ -325,7 +318,7 @@ class CellSequence:
         # In lockstep no time passes before the motion, so the platform cannot be homed.
         for middle in (True, False) if self.home and self.seen.stamp_ns else ():
             answers: list[str] = []
-            self.machine.center(middle, answers.append)
+            self.machine.request("feedforward/center", middle, answers.append)
             asked = self.now
             while not answers or self.now - asked < _HOME_S:
                 if any(answers) or self.now - asked > self.start_timeout:
@@ -348,12 +341,12 @@ class CellSequence:
         # A machine that takes no such order is waited for, until its movement ends.
         while not (self._overdue(_RECEIVED_S) and self.seen.stands):
             if self._due():
-                self.machine.hold(True)
+                self.machine.request("driver/hold", True)
             yield
 
     def _unholding(self) -> Iterator[None]:
         yield from self._asking(
-            lambda: self.machine.hold(False),
+            lambda: self.machine.request("driver/hold", False),
             lambda: self.seen.stage not in ("stopping", "held") and self._overdue(_RECEIVED_S),
             lambda: "the stage remains held",
         )
@@ -369,7 +362,7 @@ class CellSequence:
         # Without samples it cannot be seen that the stage stands.
         while self.seen.fresh and not (self._overdue(_RECEIVED_S) and self.seen.stage == "rest" and self.seen.still):
             if self._due():
-                self.machine.end_motion()
+                self.machine.request("driver/end_motion")
             yield
         yield from self._switching_off()
 
@@ -383,22 +376,23 @@ class CellSequence:
 
     def _clearing(self, least: float = _REPORTED_WITHIN_S) -> Iterator[None]:
         yield from self._asking(
-            self.machine.reset_faults,
+            partial(self.machine.request, "driver/reset_fault"),
             lambda: not self.seen.faults and self._overdue(least),
             lambda: f"the fault remains: {self.seen.fault}",
         )
 
     def _switching_on(self) -> Iterator[None]:
+        answers = [""]
         yield from self._asking(
-            self.machine.switch_on,
+            lambda: self.machine.request("driver/enable", True, answers.append),
             lambda: self.seen.amplifier_on,
-            lambda: f"the driver refuses to enable: {self.machine.refusal or 'no answer'}",
+            lambda: f"the driver refuses to enable: {answers[-1] or 'no answer'}",
         )
 
     def _switching_off(self) -> Iterator[None]:
         while self.seen.amplifier_on:
             if self._due():
-                self.machine.switch_off()
+                self.machine.request("driver/enable", False)
             yield
 
     def _asking(self, ask: Callable[[], None], done: Callable[[], bool], why: Callable[[], str]) -> Iterator[None]:

@@ -97,28 +97,19 @@ class Demonstration:
         return bool(loop) and all(timing.held_up.scheduling not in ("", NORMAL, REFUSED) for timing in loop)
 
 
-def demonstrate(
-    values: Values,
-    output: Path,
-    progress: Callable[[float], None] = lambda fraction: None,
-    opcua_strokes: int = 0,
-    namespace: str = "",
-    *,
-    environment: Mapping[str, str] | None = None,
-    composed: bool = False,
-) -> Demonstration:
-    """Run the graph for one cycle and evaluate the bag: :func:`recorded`, then :func:`judged`."""
-    unclean = recorded(values, output, progress, opcua_strokes, namespace, environment=environment, composed=composed)
+def demonstrate(values: Values, output: Path, *, opcua_strokes: int = 0, **running: Any) -> Demonstration:
+    """Run the graph for one cycle, as of :func:`recorded`, and evaluate the bag: :func:`judged`."""
+    unclean = recorded(values, output, opcua_strokes=opcua_strokes, **running)
     return judged(values, output, opcua_strokes, unclean)
 
 
 def recorded(
     values: Values,
     output: Path,
+    *,
     progress: Callable[[float], None] = lambda fraction: None,
     opcua_strokes: int = 0,
     namespace: str = "",
-    *,
     environment: Mapping[str, str] | None = None,
     composed: bool = False,
 ) -> list[str]:

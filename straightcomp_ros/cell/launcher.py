@@ -194,7 +194,6 @@ def run_cycle(
     progress: Callable[[float], object],
     *,
     started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
-    commands: Mapping[str, Sequence[str]] | None = None,
     programs: Mapping[str, Sequence[str]] | None = None,
     in_place_of_cell: Sequence[str] | None = None,
     namespace: str = "",
@@ -207,7 +206,6 @@ def run_cycle(
         logs: folder for the output of the nodes.
         progress: called about 20 times a second with the finished fraction of the cycle; True ends the cycle now.
         started: called once with the id of each process, by the name of its node or of :data:`COMPOSED`.
-        commands: by node, a command to start instead of the node's executable.
         programs: commands by name, to start before the nodes, which need them: a bus, an emulated board.
         in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
         environment: of the processes; by default an :func:`isolated_environment`.
@@ -219,7 +217,7 @@ def run_cycle(
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
     """
-    commands, programs = commands or {}, programs or {}
+    programs = programs or {}
     processes = (COMPOSED, "logger") if composed else RECORDED
     with Graph(logs, environment, namespace) as graph:
         for name, command in programs.items():
@@ -227,12 +225,11 @@ def run_cycle(
         ids = {}
         for name in processes:
             extra = {"output": str(bag)} if name == "logger" else {}
-            ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
+            ids[name] = graph.start(name, extra, parameter_file).pid
         if in_place_of_cell:
             cell = graph.start_program("cell", in_place_of_cell, read_output=True)
         else:
-            command = commands.get("cell")
-            cell = graph.start("cell", {"progress": True}, parameter_file, command=command, read_output=True)
+            cell = graph.start("cell", {"progress": True}, parameter_file, read_output=True)
         started(ids)
         deadline, finished = time.monotonic() + duration + _SLACK_S, False
         while not finished and cell.poll() is None:

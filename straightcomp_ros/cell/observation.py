@@ -97,7 +97,6 @@ class StrokeErrors:
     def __init__(self) -> None:
         self.still = True  # the stage is at rest
         self.last_pp = math.nan  # error over the last finished movement, m
-        self.finished = 0  # movements so far
         self._positions: deque[tuple[int, float]] = deque()
         self._low, self._high = math.inf, -math.inf
 
@@ -112,7 +111,6 @@ class StrokeErrors:
             positions.popleft()
         still = abs(x - positions[0][1]) < _STILL_M
         if still and not self.still:
-            self.finished += 1
             self.last_pp = self._high - self._low if self._high >= self._low else math.nan
             self._low, self._high = math.inf, -math.inf
         self.still = still

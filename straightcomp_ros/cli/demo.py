@@ -100,9 +100,9 @@ def run(options: argparse.Namespace) -> None:
             demonstrate,
             values,
             place,
-            advance,
-            opcua_strokes,
-            options.namespace,
+            progress=advance,
+            opcua_strokes=opcua_strokes,
+            namespace=options.namespace,
             environment=environment,
             composed=options.composed,
         )

@@ -5,7 +5,7 @@ It activates the nodes, switches the amplifier on, homes, runs the strokes, reac
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 from rclpy.task import Future
@@ -38,7 +38,7 @@ class CycleFailed(Exception):
 class CellNode(Runnable):
     """Lets the sequencer run one cycle; in :meth:`_cycle` each ``yield`` waits for the next tick."""
 
-    def __init__(self, node: GuardedNode, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
+    def __init__(self, node: GuardedNode) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         self._graph = GraphClient(
@@ -51,7 +51,7 @@ class CellNode(Runnable):
             silent_after=parameters.heartbeat_timeout,
         )
         self._seen = Observation()
-        self._sequence = make_sequence(
+        self._sequence = CellSequence(
             self._graph,
             parameters.stage.motion,
             parameters.start_timeout,

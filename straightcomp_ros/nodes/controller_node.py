@@ -282,7 +282,7 @@ class ExcitationService:
 
 CONTROLLER = "controller", ControllerNodeParameters, ControllerComponent
 """Name, parameters and component of the node."""
-main = partial(run_managed, *CONTROLLER)
+main = partial(run_managed, [CONTROLLER])
 """Entry point of `ros2 run straightcomp_ros controller_node`."""
 
 

@@ -273,8 +273,8 @@ class DriverComponent:
             if finding is not None:
                 self._trip(*finding)
         self._report_stage()
-        if self._action.active and self._newest is not None:
-            self._follow_goal(self._action.active, self._newest)
+        if self._action.goal and self._newest is not None:
+            self._follow_goal(self._action.goal, self._newest)
 
     def _look_for_others(self) -> None:
         if self._safety.condition is Condition.ON and self._node.streams.others_publish(COMMAND):
@@ -409,7 +409,7 @@ def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
 
 DRIVER = "driver", DriverNodeParameters, DriverComponent
 """Name, parameters and component of the node."""
-main = partial(run_managed, *DRIVER)
+main = partial(run_managed, [DRIVER])
 """Entry point of `ros2 run straightcomp_ros driver_node`."""
 
 

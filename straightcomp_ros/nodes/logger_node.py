@@ -229,7 +229,9 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
         raise ParameterError(f"parameter '{name}': {text!r}: {error}; allowed: a regular expression") from error
 
 
-main = partial(run_managed, "logger", LoggerNodeParameters, LoggerComponent)
+LOGGER = "logger", LoggerNodeParameters, LoggerComponent
+"""Name, parameters and component of the node."""
+main = partial(run_managed, [LOGGER])
 """Entry point of `ros2 run straightcomp_ros logger_node`."""
 
 

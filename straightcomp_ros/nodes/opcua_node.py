@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -68,8 +67,9 @@ class OpcuaNode(Runnable):
             self.node.get_logger().info(state)
         alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._advice.due().text)
         moves = sequence.movements
-        shown = Snapshot(sequence.state, sequence.message, moves.strokes, moves.strokes_done, sequence.centred)
-        self._server.show(replace(shown, seen=seen, alarms=alarms, limits=self._limits()))
+        strokes = moves.strokes, moves.strokes_done
+        shown = Snapshot(sequence.state, sequence.message, *strokes, sequence.centred, seen, alarms, self._limits())
+        self._server.show(shown)
         # Answer last: a client that reads the state after its call must see the call's effect.
         answers, self._answers = self._answers, []
         for request, refusal in answers:

@@ -11,12 +11,12 @@ from straightcomp_ros.nodes.controller_node import CONTROLLER
 from straightcomp_ros.nodes.driver_node import DRIVER
 from straightcomp_ros.nodes.feedforward_node import FEEDFORWARD
 from straightcomp_ros.runtime.intra_process import IntraProcess
-from straightcomp_ros.runtime.runner import Managed, run_composed
+from straightcomp_ros.runtime.runner import Managed, run_managed
 
 
 def main(driver: Managed = DRIVER) -> int:
     """Entry point of `ros2 run straightcomp_ros servo_node`."""
-    return run_composed("servo", (driver, FEEDFORWARD, CONTROLLER), IntraProcess((ENCODER, REFERENCE, COMMAND)))
+    return run_managed((driver, FEEDFORWARD, CONTROLLER), IntraProcess((ENCODER, REFERENCE, COMMAND)), "servo")
 
 
 if __name__ == "__main__":

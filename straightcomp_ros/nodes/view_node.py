@@ -76,9 +76,9 @@ class ViewNode(Runnable):
         self._fetches = 0
         self._wanted: list[Callable[[], None]] = []
         buttons = {
-            "enable": partial(self._ask, self._switch_on, "amplifier on"),
-            "disable": partial(self._ask, self._graph.switch_off, "amplifier off"),
-            "reset": partial(self._ask, self._graph.reset_faults, "faults reset"),
+            "enable": partial(self._ask, "driver/enable", True, "amplifier on"),
+            "disable": partial(self._ask, "driver/enable", False, "amplifier off"),
+            "reset": partial(self._ask, "driver/reset_fault", None, "faults reset"),
         }
         self._own, self._on = False, False
         """Whether a page switched the amplifier on, and whether it was seen on since."""
@@ -139,17 +139,16 @@ class ViewNode(Runnable):
             }
         )
 
-    def _switch_on(self, then: Callable[[str], None]) -> None:
-        def answered(refusal: str) -> None:
-            self._own, self._on = self._own or not refusal, False
-            then(refusal)
-
-        self._graph.switch_on(answered)
-
-    def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
+    def _ask(self, service: str, on: bool | None, done: str) -> str:
         """Called by a thread of the page: let the main thread call a service, and wait for its answer."""
         refusals: queue.Queue[str] = queue.Queue()
-        self._wanted.append(lambda: service(refusals.put))
+
+        def answered(refusal: str) -> None:
+            if on:
+                self._own, self._on = self._own or not refusal, False
+            refusals.put(refusal)
+
+        self._wanted.append(partial(self._graph.request, service, on, answered))
         try:
             refusal = refusals.get(timeout=_ANSWER_WITHIN_S)
         except queue.Empty:

@@ -71,6 +71,13 @@ _PARAMETERS_EVERY_S = 0.25
 _AGAIN_AFTER = 8
 """Looks until a node is asked again: a response is lost if the node receives the request before it knows the client."""
 _DRIVER = "driver"
+_ENABLE = "driver/enable"
+_SERVICES = {
+    SetBool: (_ENABLE, "driver/hold", "feedforward/center"),
+    Trigger: ("driver/reset_fault", "driver/end_motion", "driver/home", "feedforward/reload_map"),
+}
+"""What is asked of the nodes. Their clients are made at the start: a response is lost if a node receives the request
+before it knows the client."""
 _ERROR = CONTROLLER_STATE.layout.columns.index("error")
 _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 Messages = Sequence[tuple[int, Sequence[float], int]]
@@ -85,12 +92,13 @@ class Heartbeats:
     """Which nodes are alive. A node is silent until its first heartbeat, and again ``timeout`` s after its last one.
 
     Attributes:
+        ages: time in s since each node's last heartbeat; from the timeout on it is silent.
         states: lifecycle state of each node by its last heartbeat; empty before the first.
     """
 
     def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
         self._timeout = timeout
-        self._ages = dict.fromkeys(names, timeout)
+        self.ages = dict.fromkeys(names, timeout)
         self.states = dict.fromkeys(names, "")
         self._ticked = time.monotonic()
         node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
@@ -99,26 +107,18 @@ class Heartbeats:
     def silent(self, seconds: float | None = None) -> list[str]:
         """Nodes without a heartbeat within the timeout, or within ``seconds``."""
         limit = self._timeout if seconds is None else seconds
-        return [name for name, age in self._ages.items() if age >= limit]
-
-    def forget(self, name: str) -> None:
-        """Count a node that is started again as silent until its next heartbeat."""
-        self._ages[name] = self._timeout
-
-    def in_state(self, state: str) -> bool:
-        """Whether all nodes are alive and in this lifecycle state."""
-        return not self.silent() and set(self.states.values()) == {state}
+        return [name for name, age in self.ages.items() if age >= limit]
 
     def _tick(self) -> None:
         # A process that was suspended must not mistake its own pause for silence of the nodes.
         now = time.monotonic()
         passed, self._ticked = min(now - self._ticked, 2.0 * _TICK_S), now
-        for name in self._ages:
-            self._ages[name] += passed
+        for name in self.ages:
+            self.ages[name] += passed
 
     def _on_heartbeat(self, message: DiagnosticStatus) -> None:
-        if message.name in self._ages:
-            self._ages[message.name] = 0.0
+        if message.name in self.ages:
+            self.ages[message.name] = 0.0
             self.states[message.name] = message.message
 
 
@@ -135,7 +135,6 @@ class GraphClient:
         silent_after: time in s after its last heartbeat from which a node counts as silent.
 
     Attributes:
-        refusal: why the amplifier was not switched on by the last request; empty if it was.
         commissioning: what another client that commissions the machine is doing.
         safety: the driver's newest safety state.
     """
@@ -153,15 +152,11 @@ class GraphClient:
     ) -> None:
         self.node, self._fresh = node, fresh
         self._own = {node.get_name(): description} if description else {}
-        self.refusal, self.safety = "", SafetyState()
+        self.safety = SafetyState()
         self._clients: dict[str, ServiceClient] = {}
-        self._enable = self.service(SetBool, "driver/enable")
-        self._reset = self.service(Trigger, "driver/reset_fault")
-        self._reload_map = self.service(Trigger, "feedforward/reload_map")
-        self._center = self.service(SetBool, "feedforward/center")
-        self._hold = self.service(SetBool, "driver/hold")
-        self._end_motion = self.service(Trigger, "driver/end_motion")
-        self._home = self.service(Trigger, "driver/home")
+        for kind, names_of_kind in _SERVICES.items():
+            for name in names_of_kind:
+                self.service(kind, name)
         self._set_driver = self.service(SetParameters, "driver/set_parameters")
         self.stage = StageState()
         self._change_state = {name: self.service(ChangeState, f"{name}/change_state") for name in names}
@@ -209,7 +204,7 @@ class GraphClient:
         """Why the stage cannot be moved or the amplifier cannot be switched; empty if both can."""
         if not self.stage_listens:
             return "no node subscribes to the stage's trajectory"
-        return "" if self._enable.ready else "the driver's service 'enable' is not available"
+        return "" if self._clients[_ENABLE].ready else "the driver's service 'enable' is not available"
 
     def activate(self) -> None:
         """Request one transition towards active of each node that is unconfigured or inactive."""
@@ -223,45 +218,19 @@ class GraphClient:
             words = f"{name} did not leave the state '{state}'; its log says why"
             self.node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
 
-    def switch_on(self, then: Answer = _ignored) -> None:
-        self.refusal = ""
-
-        def answered(refusal: str) -> None:
-            self.refusal = refusal
-            then(refusal)
-
-        self._enable.ask(SetBool.Request(data=True), answered)
-
-    def switch_off(self, then: Answer = _ignored) -> None:
-        self._enable.ask(SetBool.Request(data=False), then)
+    def request(self, service: str, on: bool | None = None, then: Answer = _ignored) -> None:
+        """Call one of :data:`_SERVICES`, with the data ``on`` if it is a SetBool."""
+        self._clients[service].ask(Trigger.Request() if on is None else SetBool.Request(data=on), then)
 
     def leave(self) -> Future:
         """Switch off at the end of the client; the future's result is the reason for a refusal, or an empty text."""
         left = Future()
-        self.switch_off(left.set_result)
+        self.request(_ENABLE, False, left.set_result)
         return left
-
-    def reset_faults(self, then: Answer = _ignored) -> None:
-        self._reset.ask(Trigger.Request(), then)
-
-    def reload_map(self, then: Answer) -> None:
-        self._reload_map.ask(Trigger.Request(), then)
-
-    def center(self, middle: bool, then: Answer) -> None:
-        self._center.ask(SetBool.Request(data=middle), then)
 
     def move(self, waypoints: Sequence[Waypoint]) -> None:
         """Move the stage along ``waypoints``, from now."""
         self._trajectory.publish(message_from_waypoints(waypoints))
-
-    def hold(self, on: bool, then: Answer = _ignored) -> None:
-        self._hold.ask(SetBool.Request(data=on), then)
-
-    def home(self, then: Answer = _ignored) -> None:
-        self._home.ask(Trigger.Request(), then)
-
-    def end_motion(self, then: Answer = _ignored) -> None:
-        self._end_motion.ask(Trigger.Request(), then)
 
     def override(self, fraction: float, then: Answer = _ignored) -> None:
         if not self._set_driver.ready:

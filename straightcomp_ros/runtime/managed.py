@@ -92,7 +92,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
         place: int = 0,
     ) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        self.node = self
         self.done, self.turn = Future(), Future()
         self.streams = Streams(self, shared, place)
         self.loop_of_process: Callable[[], Loop | None] = lambda: self.loop
@@ -145,9 +144,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
             self.done.set_result(EXIT_FAILURE)
         elif self.active:
             self.trigger_deactivate()
-
-    def leave(self) -> None:
-        """Leave nothing to switch off: see `Runnable`."""
 
     def close(self) -> None:
         """Stop and release the component, if there is one."""

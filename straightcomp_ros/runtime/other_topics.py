@@ -3,8 +3,10 @@
 import re
 import time
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Any
 
+from ament_index_python import get_package_share_directory
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -16,11 +18,6 @@ Add = Callable[[str, bytes, int, int], None]
 _LOOK_EVERY_S = 0.5
 _UNBOUNDED_DEPTH = 1000
 """Depth for a publisher that keeps all messages, or does not report how many it keeps."""
-_RULE = "=" * 80
-_PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
-_SEQUENCE = re.compile(r"sequence<(?P<of>.+?)(?:, (?P<bound>\d+))?>")
-_ARRAY = re.compile(r"(?P<of>.+)\[(?P<size>\d+)\]")
-_BOUNDED_TEXT = re.compile(r"(?P<of>w?string)<(?P<bound>\d+)>")
 
 
 class OtherTopics:
@@ -70,13 +67,20 @@ class OtherTopics:
                     self._subscribe(name, sorted(types), [publisher.qos_profile for publisher in publishers])
 
     def _subscribe(self, name: str, types: list[str], profiles: list[QoSProfile]) -> None:
-        kind = message_class(types[0])
-        if len(types) > 1 or kind is None:
-            reason = f"has the types {', '.join(types)}" if len(types) > 1 else f"is of unknown type {types[0]}"
+        kind, reason, described = message_class(types[0]), "", None
+        if len(types) > 1:
+            reason = f"has the types {', '.join(types)}"
+        elif kind is None:
+            reason = f"is of unknown type {types[0]}"
+        elif types[0] not in typestore().fielddefs:
+            try:
+                described = definition_by_files(types[0])
+            except (LookupError, OSError) as error:
+                reason = f"is of type {types[0]}, whose definition is not installed: {error}"
+        if reason:
             self._node.get_logger().warning(f"topic '{name}' is not recorded: it {reason}")
             return
         qos = offered(profiles)
-        described = None if types[0] in typestore().fielddefs else definition_of_class(kind)
         self._announce(Topic(name, types[0], stored(profiles), described))
         self._queues[name] = self._streams.raw(kind, name, qos)
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -113,54 +117,24 @@ def stored(profiles: Collection[QoSProfile]) -> TopicQos:
     )
 
 
-def definition_of_class(kind: Any) -> Definition:
-    """Definition of a message class: text in encoding ``ros2msg``, and type hash.
+def definition_by_files(type_name: str) -> Definition:
+    """Definition of a message type of another package than ROS 2's own, by the .msg files that its package and those
+    that it needs have installed: a bag stores it with the messages.
 
-    A bag stores a definition with the messages, also of a type that ROS 2's own packages do not have. The class knows
-    names and types of all fields, but not the constants, defaults and comments of the .msg file, which no reader of
-    messages needs.
+    Raises:
+        LookupError, OSError: a package or a file is not installed.
     """
     from rosbags.typesys import get_types_from_msg, get_typestore
     from rosbags.typesys.stores import Stores
 
-    texts: dict[str, str] = {}
-    _collect(kind, texts)
-    name = _name(kind)
-    others = (f"{_RULE}\nMSG: {one.replace('/msg/', '/')}\n{text}" for one, text in texts.items() if one != name)
-    text = "\n".join([texts[name], *others])
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, name))
-    return Definition(text, store.hash_rihs01(name))
-
-
-def _collect(kind: Any, texts: dict[str, str]) -> None:
-    """Add the text of a message class, and of those that it contains, to ``texts``."""
-    if _name(kind) in texts:
-        return
-    lines: list[str] = []
-    texts[_name(kind)] = ""
-    for name, described in kind.get_fields_and_field_types().items():
-        text, nested = _field_type(described)
-        lines.append(f"{text} {name}")
-        if nested:
-            _collect(message_class(nested), texts)
-    texts[_name(kind)] = "\n".join(lines) + "\n"
-
-
-def _field_type(text: str) -> tuple[str, str]:
-    """A field's type as in a .msg file, and the message type that it contains, if any."""
-    if match := _SEQUENCE.fullmatch(text):
-        inner, nested = _field_type(match["of"])
-        return f"{inner}[{'<=' + match['bound'] if match['bound'] else ''}]", nested
-    if match := _ARRAY.fullmatch(text):
-        inner, nested = _field_type(match["of"])
-        return f"{inner}[{match['size']}]", nested
-    if match := _BOUNDED_TEXT.fullmatch(text):
-        return f"{match['of']}<={match['bound']}", ""
-    if "/" in text:
-        return text, text.replace("/", "/msg/", 1)
-    return _PRIMITIVES.get(text, text), ""
-
-
-def _name(kind: Any) -> str:
-    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+    store, found, waiting = get_typestore(Stores.ROS2_JAZZY), dict[str, Any](), [type_name]
+    while waiting:
+        name = waiting.pop()
+        if name not in store.fielddefs and name not in found:
+            package, _, kind = name.partition("/msg/")
+            file = Path(get_package_share_directory(package), "msg", f"{kind}.msg")
+            found |= get_types_from_msg(file.read_text(encoding="utf-8"), name)
+            waiting += re.findall(r"\w+/msg/\w+", str(found[name]))
+    store.register(found)
+    text, _ = store.generate_msgdef(type_name, ros_version=2)
+    return Definition(text, store.hash_rihs01(type_name))

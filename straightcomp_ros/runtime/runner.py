@@ -116,28 +116,26 @@ def run(
         rclpy.try_shutdown()
 
 
-def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
-    """Like :func:`run`, for a lifecycle node, whose configuration makes its component; see :mod:`~.managed`."""
-    return run(name, ManagedNode.begun, arguments, lambda: (ManagedNode(name, parameter_set, make),))
-
-
 Managed = tuple[str, type, MakeComponent]
 """A lifecycle node: name, parameter set and component."""
 
 
-def run_composed(
-    name: str,
+def run_managed(
     parts: Sequence[Managed],
-    shared: IntraProcess,
+    shared: IntraProcess | None = None,
+    name: str = "",
     arguments: Sequence[str] | None = None,
 ) -> int:
-    """Like :func:`run_managed`, for several nodes in a process called ``name``, with the loop of the first one. Streams
-    of ``shared`` are handed over in memory."""
+    """Like :func:`run`, for lifecycle nodes, whose configuration makes their components; see :mod:`~.managed`.
+
+    They are in one process, called ``name`` or like the first one, with the loop of the first one. Streams of
+    ``shared`` are handed over in memory.
+    """
 
     def made() -> Sequence[ManagedNode]:
         return [ManagedNode(*part, shared, place) for place, part in enumerate(parts)]
 
-    return run(name, lambda *nodes: Composition(nodes).begun(), arguments, made)
+    return run(name or parts[0][0], lambda *nodes: Composition(nodes).begun(), arguments, made)
 
 
 def _complete(future: Future, result: int) -> None:

@@ -38,6 +38,9 @@ class TrajectoryAction:
 
     ``begin`` starts a trajectory with its tolerances and returns what is followed; ValueError or HardwareError if it is
     refused. ``end`` lets the stage come to rest within its limits.
+
+    Attributes:
+        goal: the one that is followed now.
     """
 
     def __init__(
@@ -48,7 +51,7 @@ class TrajectoryAction:
         end: Callable[[], object],
     ) -> None:
         self._node, self._joint, self._begin, self._end = node, joint, begin, end
-        self._goal: TrajectoryGoal | None = None
+        self.goal: TrajectoryGoal | None = None
         self._handle: Any = None
         self._server: Any = None
         if FollowJointTrajectory is not None:
@@ -60,11 +63,6 @@ class TrajectoryAction:
                 handle_accepted_callback=self._take,
                 cancel_callback=self._cancel,
             )
-
-    @property
-    def active(self) -> TrajectoryGoal | None:
-        """The goal that is followed now."""
-        return self._goal
 
     def _unused(self, handle: Any) -> Any:
         raise NotImplementedError
@@ -82,12 +80,12 @@ class TrajectoryAction:
             self._finish(handle, Outcome("abort", getattr(error, "code", INVALID_GOAL), f"refused: {error}"))
             return
         self.abandon("another goal has taken its place")
-        self._goal, self._handle = goal, handle
+        self.goal, self._handle = goal, handle
 
     def _cancel(self, handle: Any) -> CancelResponse:
-        if self._goal is None or handle != self._handle:
+        if self.goal is None or handle != self._handle:
             return CancelResponse.REJECT
-        self._goal.canceled = True
+        self.goal.canceled = True
         self._end()
         return CancelResponse.ACCEPT
 
@@ -101,15 +99,15 @@ class TrajectoryAction:
         handle.publish_feedback(feedback)
         if outcome is None:
             return
-        self._goal = self._handle = None
+        self.goal = self._handle = None
         if outcome.how == "abort":
             self._end()
         self._finish(handle, outcome)
 
     def abandon(self, reason: str) -> None:
         """Abort the goal that is followed, if any; the stage is left as it is."""
-        if self._goal is not None:
-            handle, self._goal, self._handle = self._handle, None, None
+        if self.goal is not None:
+            handle, self.goal, self._handle = self._handle, None, None
             self._finish(handle, Outcome("abort", INVALID_GOAL, reason))
 
     def close(self) -> None:

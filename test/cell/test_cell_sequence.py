@@ -22,7 +22,7 @@ class Bench:
     """A graph that carries out requests at once, unless ``obeys`` is False, and a clock that ticks by hand."""
 
     def __init__(self, **options) -> None:
-        self.now, self.refusal, self.obstacle = 100.0, "", ""
+        self.now, self.obstacle = 100.0, ""
         self.obeys, self.active = True, False
         self.moves, self.requests = [], []
         self.answers, self.centred, self.centerings = [], True, []
@@ -36,38 +36,34 @@ class Bench:
     def activate(self):
         self.see(nodes={"driver": "active"})
 
-    def switch_on(self):
-        self.requests.append("on")
-        self.refusal = "" if self.obeys else "not today"
-        self.see(amplifier_on=self.seen.amplifier_on or self.obeys)
-
-    def switch_off(self):
-        self.requests.append("off")
-        self.see(amplifier_on=False)
-
-    def reset_faults(self):
-        self.see(faults={} if self.obeys else self.seen.faults)
+    def request(self, service, on=None, then=lambda refusal: None):
+        refusal = ""
+        if service == "driver/enable":
+            self.requests.append("on" if on else "off")
+            refusal = "" if self.obeys or not on else "not today"
+            self.see(amplifier_on=bool(on) and (self.seen.amplifier_on or self.obeys))
+        elif service == "driver/reset_fault":
+            self.see(faults={} if self.obeys else self.seen.faults)
+        elif service == "driver/home":
+            self.see(unreferenced="")
+        elif service == "driver/hold":
+            self.motion.ask(self.motion.pace._replace(hold=on))
+        elif service == "driver/end_motion":
+            self.motion.ask(self.motion.pace._replace(end=True))
+        elif service == "feedforward/center":
+            return self.center(on, then)
+        else:
+            return self.answers.append(then)
+        return then(refusal)
 
     def move(self, waypoints):
         assert waypoints[0].position == self.seen.x
         self.moves.append((self.now + waypoints[-1].time_ns * 1e-9, waypoints[-1].position))
         self.motion.begin(Trajectory(waypoints), round(self.now * 1e9))
 
-    def hold(self, on):
-        self.motion.ask(self.motion.pace._replace(hold=on))
-
-    def home(self):
-        self.see(unreferenced="")
-
-    def end_motion(self):
-        self.motion.ask(self.motion.pace._replace(end=True))
-
     def override(self, fraction, then):
         self.motion.ask(self.motion.pace._replace(override=fraction))
         then("")
-
-    def reload_map(self, then):
-        self.answers.append(then)
 
     def center(self, middle, then):
         self.centerings.append(middle)

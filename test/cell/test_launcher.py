@@ -1,9 +1,12 @@
 """Where the launcher finds the executables, and what becomes of the processes it starts."""
 
+import subprocess
 import sys
 import sysconfig
 
+import psutil
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command
 
@@ -40,12 +43,30 @@ def test_a_checkout_runs_its_own_modules_and_the_scripts_of_its_environment(tmp_
     assert executable_command("other_node") == [other]
 
 
-def test_a_program_that_ends_is_reported_with_its_last_line_and_the_others_are_interrupted(tmp_path):
+def test_a_program_that_ends_is_reported_with_its_last_line_and_appends_to_its_log_when_started_again(tmp_path):
     with Graph(tmp_path) as graph:
         graph.start_program("short", [sys.executable, "-c", "print('first'); print('last'); raise SystemExit(3)"])
         graph.start_program("cell", ["sleep", "60"], read_output=True)
         graph._processes["short"].wait()
         with pytest.raises(LaunchError, match="node 'short' ended with exit code 3: last"):
             graph.check(["cell", "short"])
+        graph.start_program("short", ["sh", "-c", "echo again; kill -KILL $$"]).wait()
+        with pytest.raises(LaunchError, match="node 'short' ended with signal SIGKILL: again"):
+            graph.check(["short"])
+        assert graph.log("short").read_text().split() == ["first", "last", "again"]
         assert graph.exit_code("cell") is None
         assert graph.stop(["cell"]) == {"cell": -2}
+
+
+def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):
+    code = (
+        "import pathlib, time\n"
+        "from straightcomp_ros.cell.launcher import Graph\n"
+        f"graph = Graph(pathlib.Path({str(tmp_path)!r}))\n"
+        "print(graph.start_program('node', ['sleep', '60']).pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as launcher:
+        child = int(launcher.stdout.readline())
+        launcher.kill()
+    assert comes_true(lambda: not psutil.pid_exists(child), 10.0)

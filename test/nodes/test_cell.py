@@ -116,13 +116,14 @@ def test_a_graph_whose_nodes_have_different_stages_does_not_move(loop):
     assert "descriptions of the stage differ (cell synthetic" in log and "stage moves" not in log
 
 
-# The nightly ones differ in the node alone, and in that the cell is stopped too.
+# What is known of a silent node is asked for in test_cell_sequence.py and test_graph_client.py.
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("node", "recoveries", "number", "words"),
     [
         ("controller", 3, 0, "controller (silent)"),
-        *(pytest.param(node, 0, 0, f"{node} (silent)", marks=pytest.mark.nightly) for node in LOOP),
-        pytest.param("driver", 0, signal.SIGTERM, "could not be switched off", marks=pytest.mark.nightly),
+        *((node, 0, 0, f"{node} (silent)") for node in LOOP),
+        ("driver", 0, signal.SIGTERM, "could not be switched off"),
     ],
 )
 def test_a_cell_names_the_node_that_died_and_not_only_what_followed(graph, node, recoveries, number, words):

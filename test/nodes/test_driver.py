@@ -1,6 +1,10 @@
 """The driver as others see it: over its topics and services. One driver serves all tests."""
 
+import json
 import math
+import time
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -9,6 +13,7 @@ from participant import Participant
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
+from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_STATE, STAGE_TRAJECTORY
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, jog
@@ -160,3 +165,45 @@ def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_comman
     peer.until(lambda: len(peer.states) > 20)
     # The first batch may have begun with the amplifier on.
     assert {state[_APPLIED] for state in peer.states if not state[_ENABLED]} == {0.0}
+
+
+@pytest.fixture
+def page(shared_graph, peer, tmp_path):
+    """The address of the live view of this driver, and the token of its buttons."""
+    advice, limits = tmp_path / "gantry.json", tmp_path / "limits.yaml"
+    advice.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
+    limits.write_text("encoder_pp_um: 0.6\ncontrol_rms_step_A: 0.1\n")
+    command = verb_command("view", "--port", "0", "--maintenance", str(advice), "--limits", str(limits))
+    view = shared_graph.start_program("view", command, read_output=True)
+    yield view.stdout.readline().strip().split("#")
+    shared_graph.stop(["view"])
+
+
+def test_the_live_view_shows_the_driver_and_its_buttons_reach_it(page):
+    address, token = page
+
+    def press(action):
+        headers = {"X-Token": token, "Content-Type": "application/json"}
+        request = Request(f"{address}action", json.dumps({"action": action}).encode(), headers)
+        with urlopen(request, timeout=30) as answer:
+            return json.load(answer)["message"]
+
+    slots, state, end = [], {}, time.monotonic() + 90
+    with urlopen(f"{address}news", timeout=30) as news:
+        while time.monotonic() < end and not (len(slots) > 5 and state["nodes"]["driver"]["rate_hz"]):
+            line = news.readline()
+            if line.startswith(b"data: "):
+                shown = json.loads(line[6:])
+                state = shown["state"]
+                slots += shown["series"]["x"]
+    assert state["fresh"] and not state["amplifier_on"]
+    assert state["limit"] == {"um": 0.6, "source": "limits.yaml"} and state["faults"] == []
+    assert state["maintenance"] == "as of 2026-05-01: worn; mend"
+    assert state["nodes"]["driver"]["state"] != "absent" and state["nodes"]["logger"]["state"] == "absent"
+    assert float(state["nodes"]["driver"]["rate_hz"]) > 0
+    assert [slot[0] for slot in slots] == sorted({slot[0] for slot in slots})
+    # No controller runs.
+    with pytest.raises(HTTPError) as refused:
+        press("enable")
+    assert refused.value.code == 409
+    assert (press("reset"), press("disable")) == ("faults reset", "amplifier off")

@@ -1,6 +1,7 @@
 """What nodes report of themselves, what their clients see of it, and that one client commissions at a time."""
 
 import time
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -22,7 +23,7 @@ from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safet
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched
-from straightcomp_ros.timing.node_timing import LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import SAMPLES
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.graph.waiting_client import WaitingClient
 
@@ -130,41 +131,35 @@ def test_a_counter_of_a_status_that_is_no_number_counts_as_absent(seen):
         assert until(lambda seen, lost=lost: seen.lost_samples == lost).samples == 0
 
 
-def test_a_node_started_anew_is_silent_until_its_next_heartbeat():
-    node = Mock()
-    heartbeats, beat = Heartbeats(node, ["logger"]), DiagnosticStatus(name="logger", message="active")
-    receive = node.create_subscription.call_args.args[2]
-    receive(beat)
-    assert heartbeats.in_state("active")
-    heartbeats.forget("logger")
+def test_a_node_is_silent_before_its_first_heartbeat_and_a_second_after_its_last_which_no_pause_of_the_observer_is(
+    monkeypatch,
+):
+    now, node = [0.0], Mock()
+    monkeypatch.setattr(graph_client, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    heartbeats = Heartbeats(node, ["logger"], timeout=1.0)
+    receive, tick = node.create_subscription.call_args.args[2], node.create_timer.call_args.args[1]
     assert heartbeats.silent() == ["logger"]
-    receive(beat)
-    assert heartbeats.in_state("active")
+    receive(DiagnosticStatus(name="logger", message="active"))
+    silent = []
+    for _ in range(12):
+        now[0] += 60.0
+        tick()
+        silent.append(bool(heartbeats.silent()))
+    assert silent.index(True) in (9, 10) and heartbeats.states == {"logger": "active"}
 
 
 @pytest.mark.live
-def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean_and_the_namespace_is_in_the_name(participant):
-    found, node, values = [], Node("reporter", namespace="/line_3"), {SAMPLES: 0, LOST: 0}
+def test_a_status_has_the_level_of_its_values_the_hardware_and_the_namespace_in_its_name(participant):
+    found, node, values = [], Node("reporter", namespace="/line_3"), {SAMPLES: 0, "error": "coil burnt"}
     participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda one: found.extend(one.status), 100)
     diagnostics = Diagnostics(node, lambda: values, hardware_id="bench 7")
-
-    def level(error=""):
-        values.update({"error": error, SAMPLES: values[SAMPLES] + 2000})
-        before = len(found)
-        for _ in range(TICKS):
-            diagnostics.tick()
-        participant.until(lambda: len(found) > before)
-        return found[-1].level, found[-1].message
-
-    participant.until(
-        lambda: node.count_subscribers("/diagnostics") and participant.node.count_publishers("/diagnostics")
-    )
-    assert level() == (DiagnosticStatus.OK, "running")
-    assert level("coil burnt") == (DiagnosticStatus.ERROR, "coil burnt")
-    assert [level()[0] for _ in range(5)] == [*[DiagnosticStatus.WARN] * 4, DiagnosticStatus.OK]
-    values[LOST] += 3
-    assert level() == (DiagnosticStatus.WARN, "3 samples lost in the last second")
-    assert {(status.name, status.hardware_id) for status in found} == {("line_3/reporter", "bench 7")}
+    participant.until(lambda: node.count_subscribers(DIAGNOSTICS) and participant.node.count_publishers(DIAGNOSTICS))
+    for _ in range(TICKS):
+        diagnostics.tick()
+    participant.until(lambda: found)
+    (status,) = found
+    assert (status.level, status.message) == (DiagnosticStatus.ERROR, "coil burnt")
+    assert (status.name, status.hardware_id) == ("line_3/reporter", "bench 7")
     node.destroy_node()
 
 

@@ -18,17 +18,8 @@ NODES = ("driver", "feedforward", "controller", "logger")
 
 @pytest.mark.live
 def test_two_values_of_a_parameter_are_measured_in_turns_and_only_json_is_printed(capfd, tmp_path):
-    arguments = [
-        "--rate",
-        "100",
-        "--soak",
-        "0.07",
-        "--against",
-        "controller.trigger=timer",
-        "--json",
-        "--output",
-        str(tmp_path),
-    ]
+    arguments = ["--rate", "100", "--soak", "0.07", "--against", "controller.trigger=timer", "--json"]
+    arguments += ["--output", str(tmp_path)]
     assert main(["bench", "graph", *arguments]) == 0
     figures = json.loads(capfd.readouterr().out)
     timer = figures["against"]

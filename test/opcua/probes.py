@@ -212,6 +212,7 @@ async def orders(url, map_file):
     Path(map_file).write_text("no map")
     await tried("reload of a spoilt file", Order.RELOAD_MAP)
     results["state"] = await cell.read("Status.StateName")
+    results["due"] = await cell.read("Alarms.MaintenanceDue")
     await made.disconnect()
     return results
 
@@ -281,8 +282,8 @@ async def storm(url, count):
     await asyncio.gather(*(ask() for _ in range(int(count))), guess(), report())
 
 
-async def subscribed(url):
-    """A client, and what it is sent: values of the heartbeat, and events as [text, severity]."""
+async def watch(url, seconds):
+    """Counts the changes of the heartbeat for a while, and the events as [text, severity]."""
     seen, events = [], []
 
     class Handler:
@@ -296,41 +297,14 @@ async def subscribed(url):
     subscription = await made.create_subscription(100, Handler())
     await subscription.subscribe_data_change(made.get_node(path("Status.Heartbeat")))
     await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
-    return made, seen, events
-
-
-async def watch(url, seconds):
-    """Counts the changes of the heartbeat for a while, and the events."""
-    made, seen, events = await subscribed(url)
     print("ready", flush=True)
     end = time.monotonic() + float(seconds)
-    while time.monotonic() < end and not (len(seen) > 5 and events):
+    while time.monotonic() < end and not (len(seen) > 5 and len(events) > 1):
         await asyncio.sleep(0.05)
     live = await made.get_node(path("Live.X")).read_data_value(raise_on_bad_status=False)
     fault = await made.get_node(path("Status.FaultCode")).read_value()
     await made.disconnect()
     return {"heartbeats": len(seen), "events": events, "x": live.Value.Value, "fault": fault}
-
-
-async def maintenance(url, file):
-    """What the alarm MaintenanceDue does while a file of advice appears, and then holds no advice any more."""
-    made, _, events = await subscribed(url)
-    alarm = made.get_node(path("Alarms.MaintenanceDue"))
-
-    async def after(advice, wanted):
-        part = Path(file + ".part")
-        part.write_text(json.dumps({"stage": "gantry", "as_of": "2026-05-01", "advice": advice}))
-        part.replace(file)
-        end = time.monotonic() + 60.0
-        while time.monotonic() < end and not any(wanted in text for text, _ in events):
-            await asyncio.sleep(0.05)
-        return await alarm.read_value()
-
-    values = [await alarm.read_value()]
-    values.append(await after([{"text": "the guide moved", "remedy": "survey it"}], "MaintenanceDue: as of"))
-    values.append(await after([], "MaintenanceDue: over"))
-    await made.disconnect()
-    return {"values": values, "events": [event for event in events if "MaintenanceDue" in event[0]]}
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ NOT_NEEDED = {"mcap_ros2", "pandas"}
 """What a bench measures next to our reader where it is installed; pandas also reads a store in a test."""
 NO_WHEELS = {"control_msgs", "launch", "launch_ros"}
 """Components of ROS that PyPI has not: the launch files and an action need an installed Jazzy."""
-WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}
+WITH_RCLPY = {"ament_index_python", "builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}
 """What rclpy's wheel brings along."""
 ONLY_ON_ROS = {"ros2launch"}
 """`ros2 launch` itself: nothing imports it."""
