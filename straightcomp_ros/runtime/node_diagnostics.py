@@ -30,9 +30,9 @@ from straightcomp_ros.timing.node_timing import (
 )
 from straightcomp_ros.timing.realtime import realtime_limit
 
-_TICK_S, TICKS = 0.05, 20
+_TICK_S, TICKS = 0.1, 10
 """A report takes a tick for each of its steps, and the next one begins after all ticks."""
-_AT_ONCE, _TIMES = 10, 5
+_AT_ONCE, _TIMES = 20, 3
 """Values in a step, and number of such steps: the last takes what is left."""
 _LOOK_S = 0.05
 """Interval at which the threads' waiting times for a CPU are read."""
@@ -78,6 +78,7 @@ class Diagnostics:
             self._serialise,
             lambda: self._publisher.publish(self._message),
         ]
+        assert len(self._steps) <= TICKS
         self._step = 0
         self._cpu_wait = CpuWait()
         self._cpu_wait.take_us()

@@ -121,7 +121,7 @@ def test_a_locked_loop_has_one_cycle_for_each_message_and_says_how_steadily_they
     # Without messages it goes on with its idle work.
     stream = Stream(monkeypatch, [])
     stream.run(50)
-    assert set(stream.cycles) == {0} and stream.idle == 50
+    assert set(stream.cycles) == {0} and stream.idle >= 50
     assert stream.loop.report()["overruns"] == 0
 
 
@@ -179,11 +179,11 @@ def test_the_loop_goes_on_while_it_waits_for_a_result_and_gets_what_the_job_rais
     assert threading.active_count() == before
 
 
-def test_requests_have_every_other_turn_of_idle_work_even_where_timers_are_always_due():
+def test_requests_have_a_turn_of_idle_work_after_three_timers_even_where_these_are_always_due():
     turns = []
-    timers = iter([True, True, False, True, True])
+    timers = iter([True, True, True, True, False, True])
     idle = idle_turns(lambda: bool(turns.append("timer")) or next(timers), lambda: turns.append("request"))
     for _ in range(7):
         idle()
-    # In the fifth turn no timer was due.
-    assert turns == ["timer", "request"] * 4
+    # In the sixth turn no timer was due.
+    assert turns == ["timer"] * 3 + ["request", "timer", "timer", "request", "timer"]
