@@ -154,7 +154,7 @@ def _foreign(clock: bool, offset_ns: int) -> Callable[[Stand], int]:
 def _foreign_ended(stand: Stand) -> None:
     """The platform may not have come to its stop, nor come there later."""
     stand.spin(_DRIFT_S)
-    sent = stand.foreign("")
+    sent = stand.foreign()
     if stand.fault is None:
         stand.failures.append(f"{sent} foreign commands were not found")
     if stand.farthest >= stand.hard_stop:

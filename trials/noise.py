@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import straightness_over
-from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
@@ -146,17 +145,7 @@ def residuals(kind: Kind, spacing_mm: float, noise_um: float) -> dict[str, float
         for offset in offsets():
             simulated = replace(one.driver.simulated, initial_y=offset)
             cycle = replace(one, driver=replace(one.driver, simulated=simulated)).cycle(laws_of(one)[law], stroke)
-            record = StrokeRecord(
-                time=stroke.stamps * 1e-9,
-                x=stroke.x,
-                y=cycle.y,
-                r=stroke.references[:, 0].copy(),
-                current=cycle.current,
-                law=law,
-                true_x=stroke.true_x,
-                true_y=cycle.true_y,
-                guide=deviation,
-            )
+            record = stroke.record(stroke.stamps * 1e-9, cycle, deviation, law)
             pp.append(np.ptp(straightness_over(record, stroke.map)[2]))
         found[name] = float(np.median(pp)) * 1e6
     return found

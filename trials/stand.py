@@ -209,22 +209,19 @@ class Stand:
             for publisher in [one for one in self.node.publishers if one.topic_name == topic]:
                 self.node.destroy_publisher(publisher)
 
-    def foreign(self, words: str) -> int:
+    def foreign(self, words: str = "") -> int:
         """Let a process of its own publish commands as ``words`` say, see :mod:`trials.foreign_publisher`; returns when
-        the first was sent, ns since the epoch. Without words end them; returns their number."""
-        if self._foreign is None:
-            command, pipe = [sys.executable, "-m", "trials.foreign_publisher"], subprocess.PIPE
-            self._foreign = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
+        the first was sent, ns since the epoch. Without words end it; returns their number."""
         if words:
+            command, pipe = [sys.executable, "-m", "trials.foreign_publisher", *words.split()], subprocess.PIPE
+            self._foreign = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
             self.farthest = 0.0
-        assert self._foreign.stdin is not None and self._foreign.stdout is not None
-        print(words, file=self._foreign.stdin, flush=True)
-        answer = int(self._foreign.stdout.readline())
-        if not words and COMPOSED in self.names:
-            # There another publisher is a second controller, whatever it sends.
-            self._foreign.communicate()
-            self._foreign = None
-        return answer
+            assert self._foreign.stdout is not None
+            return int(self._foreign.stdout.readline())
+        assert self._foreign is not None
+        answer, _ = self._foreign.communicate()
+        self._foreign = None
+        return int(answer)
 
     def inject(self, kind: str) -> None:
         """Request a fault from the driver; an empty text ends it."""

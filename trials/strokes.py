@@ -54,19 +54,6 @@ class Condition(NamedTuple):
     stages: tuple[str, ...]
 
 
-class Stroke(NamedTuple):
-    """One stroke; in µm, mA and µs."""
-
-    pp_um: float
-    step_mA: float
-    latency_p50_us: float
-    latency_p99_us: float
-    lost_samples: int
-    verdict: str
-    reason: str
-    held_up: str
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
@@ -96,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
             options.loads, options.priorities, options.graphs, moving
         )
     ]
-    strokes: dict[tuple[Condition, str], list[Stroke]] = {}
+    strokes: dict[tuple[Condition, str], list[Mapping[str, Any]]] = {}
     failures: list[str] = []
     with output(options) as folder, progress() as advance:
         for number, (turn, condition) in enumerate(itertools.product(range(options.runs), conditions)):
@@ -115,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
     return int(not good)
 
 
-def run_together(condition: Condition, stages: Mapping[str, Values], folder: Path) -> dict[str, Stroke]:
+def run_together(condition: Condition, stages: Mapping[str, Values], folder: Path) -> dict[str, dict[str, Any]]:
     """One stroke of each stage of ``condition``, all at once; they are evaluated when all have ended.
 
     Raises:
@@ -147,16 +134,13 @@ def at_priority(values: Values, priority: int) -> dict[str, dict[str, Any]]:
     return chosen
 
 
-def stroke_of(values: Values, folder: Path) -> Stroke:
-    """The figures of a recorded stroke."""
+def stroke_of(values: Values, folder: Path) -> dict[str, Any]:
+    """The figures of a recorded stroke; in µm, mA and µs."""
     found = judged(values, folder)
     figures = found.figures()
-    return Stroke(
-        figures["true_pp_um"],
-        figures["control_rms_step_A"] * 1e3,
-        *(figures[name] for name in ("latency_p50_us", "latency_p99_us", "lost_samples", "verdict", "reason")),
-        found.held_up,
-    )
+    names = ("latency_p50_us", "latency_p99_us", "lost_samples", "verdict", "reason")
+    stroke = {name: figures[name] for name in names} | {"held_up": found.held_up}
+    return stroke | {"pp_um": figures["true_pp_um"], "step_mA": figures["control_rms_step_A"] * 1e3}
 
 
 @contextmanager
@@ -172,18 +156,18 @@ def loaded(busy: bool, folder: Path) -> Iterator[None]:
     (folder / "written").unlink(missing_ok=True)
 
 
-def row(condition: Condition, stage: str, strokes: Sequence[Stroke]) -> dict[str, Any]:
+def row(condition: Condition, stage: str, strokes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the strokes of one stage under one condition left; the reasons are those of strokes not in order."""
     return {
         **condition._asdict(),
         "stages": list(condition.stages),
         "stage": stage,
         "strokes": len(strokes),
-        **{name: spread(getattr(one, name) for one in strokes)._asdict() for name in ("pp_um", "step_mA")},
-        **{name: statistics.median(getattr(one, name) for one in strokes) for name in Stroke._fields[2:4]},
-        "lost_samples": sum(one.lost_samples for one in strokes),
-        "not_in_order": [f"{one.verdict}: {one.reason}" for one in strokes if one.verdict != "in_order"],
-        "held_up": [one.held_up for one in strokes if one.held_up],
+        **{name: spread(one[name] for one in strokes)._asdict() for name in ("pp_um", "step_mA")},
+        **{name: statistics.median(one[name] for one in strokes) for name in ("latency_p50_us", "latency_p99_us")},
+        "lost_samples": sum(one["lost_samples"] for one in strokes),
+        "not_in_order": [f"{one['verdict']}: {one['reason']}" for one in strokes if one["verdict"] != "in_order"],
+        "held_up": [one["held_up"] for one in strokes if one["held_up"]],
     }
 
 

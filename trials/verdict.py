@@ -137,18 +137,8 @@ def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
     cycle = scenario.cycle(law, stroke, delays, noise * random.standard_normal(stamps.size))
     if cycle.y.size < stamps.size:
         raise ValueError("the platform is lost")
-    record = StrokeRecord(
-        time=stamps * 1e-9,
-        x=stroke.x,
-        y=cycle.y,
-        r=stroke.references[:, 0].copy(),
-        current=cycle.current,
-        true_x=stroke.true_x,
-        true_y=cycle.true_y,
-        guide=scenario.driver.guide().deviations(stroke.true_x),
-        law="smc_observer",
-    )
-    return record, stroke.map
+    guide = scenario.driver.guide().deviations(stroke.true_x)
+    return stroke.record(stamps * 1e-9, cycle, guide, "smc_observer"), stroke.map
 
 
 def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:

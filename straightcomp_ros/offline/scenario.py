@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.pairing import extrapolated
@@ -89,6 +90,20 @@ class Stroke(NamedTuple):
     map: StraightnessMap
     references: NDArray[np.float64]
     given: NDArray[np.float64]
+
+    def record(self, time: NDArray[np.float64], cycle: Cycle, guide: NDArray[np.float64], law: str) -> StrokeRecord:
+        """The record of a cycle along it under the law of this name; times (n,) in s, and the true guide (n,) in m."""
+        return StrokeRecord(
+            time=time,
+            x=self.x,
+            y=cycle.y,
+            r=self.references[:, 0].copy(),
+            current=cycle.current,
+            law=law,
+            true_x=self.true_x,
+            true_y=cycle.true_y,
+            guide=guide,
+        )
 
 
 @dataclass(frozen=True, eq=False)

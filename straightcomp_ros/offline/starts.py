@@ -109,18 +109,8 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
     if cycle.y.size < count:
         raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
     guide = scenario.driver.guide()
-    record = StrokeRecord(
-        time=np.arange(count) * (scenario.period_ns * 1e-9),
-        x=stroke.x,
-        y=cycle.y,
-        r=stroke.references[:, 0].copy(),
-        current=cycle.current,
-        true_x=stroke.true_x,
-        true_y=cycle.true_y,
-        guide=guide.offset - along(guide, stroke.true_x)[0],
-        law=law,
-    )
-    return record, stroke.map
+    time = np.arange(count) * (scenario.period_ns * 1e-9)
+    return stroke.record(time, cycle, guide.offset - along(guide, stroke.true_x)[0], law), stroke.map
 
 
 def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:

@@ -25,7 +25,9 @@ def rig(monkeypatch, capsys):
             if beside is None and len(condition.stages) > 1:
                 raise DemonstrationFailed("the driver died")
             pp = 0.1 if len(condition.stages) == 1 else beside
-            return {stage: strokes.Stroke(pp, 3.0, 20.0, 75.0, 0, "in_order", "", "") for stage in condition.stages}
+            words = {"verdict": "in_order", "reason": "", "held_up": ""}
+            numbers = {"step_mA": 3.0, "latency_p50_us": 20.0, "latency_p99_us": 75.0, "lost_samples": 0}
+            return {stage: {"pp_um": pp, **numbers, **words} for stage in condition.stages}
 
         monkeypatch.setattr(strokes, "run_together", made)
         code = run(PAIR)
