@@ -1,28 +1,40 @@
 """Random motions of the stage: strokes that are held, slowed down, reversed, ended and gone on with, and jogs between,
 with faults that switch the amplifier off on the way; and a step and scan of many positions. Each runs in the simulation
-that computes what the graph computes in lockstep.
+that computes what the graph computes in lockstep; with --live the sequences run in one running graph, one after the
+other, after nine whole strokes.
 
-A sequence passes if each stop ends within v/a + 50 ms, the true error p-p is within 1.1 of the largest of a whole
-stroke over nine starts, the platform stays off its stop, and the true r̈ has no step beyond what three times the jerk of
+A sequence passes if each stop ends within v/a + 50 ms, the true error p-p is within 1.1 of the largest of
+a hundred whole strokes from as many starts, the platform stays off its stop, and the true r̈ has no step beyond what three times the jerk of
 the strokes makes of it in a sample. It begins with a short move forth and back that is not judged: when the amplifier
 has just been switched on the law knows no friction, and leaves more error where the platform first leaves rest.
 """
 
 import argparse
 import random
-from typing import Any
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import SETTLED, standstill_figures
+from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.cli.options import add_json, add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.output import print_json
+from straightcomp_ros.cli.output import print_json, require_ros
+from straightcomp_ros.contract import STAGE_STATE, TRUTH
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, goals, move
+from straightcomp_ros.model.motion import Trajectory, Waypoint, cycles, goals, move
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import runs_of_starts
+from straightcomp_ros.offline.starts import STARTS, runs_of_starts
 from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import peak_to_peak
 
 SUMMARY = "random stops, overrides, jogs and reversals, and a step and scan of many positions"
@@ -36,8 +48,15 @@ _FIRST = 0.01
 """m, of the first move forth and back."""
 _RECOVERY = 0.3
 """s after the amplifier was switched on again, until the platform follows."""
+_STROKES = 100
+"""Whole strokes: as the p-p of a sequence that of a stroke is a draw, of which nine do not show the largest."""
 _STILL = 1e-6
 """m/s below which the stage stands."""
+_LATE = 100
+"""Samples in which a live motion has begun."""
+_TO_START_NS = 8_000_000_000
+_PATIENCE_S = 400.0
+Array = NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,17 +64,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sequences", type=int, default=1000, metavar="N", help="random sequences (default: 1000)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the first sequence (default: 1)")
     parser.add_argument("--positions", type=int, default=100, metavar="N", help="of the step and scan (default: 100)")
+    parser.add_argument("--live", metavar="DIR", help="run the sequences in a running graph; bag and logs go here")
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
-    stage = values.setdefault("stage", {})
-    acceleration = node_parameters("cell", values).stage.motion.acceleration
+    motion = node_parameters("cell", values).stage.motion
     # Trapezoids have steps of their own.
-    stage["motion.jerk"] = stage.get("motion.jerk") or acceleration / 0.01
-    normal = whole_strokes(values)
-    found = [sequence(values, seed, max(normal)) for seed in range(options.seed, options.seed + options.sequences)]
+    values.setdefault("stage", {})["motion.jerk"] = motion.jerk or motion.acceleration / 0.01
+    seeds = range(options.seed, options.seed + options.sequences)
+    if options.live:
+        normal, found = live(values, seeds, Path(options.live).absolute())
+    else:
+        normal = whole_strokes(values)
+        plans = (planned(values, seed) for seed in seeds)
+        found = [judged(values, plan, *in_lockstep(values, plan)) for plan in plans]
+    largest = max(normal)
+    for seed, one in zip(seeds, found, strict=True):
+        one["seed"] = seed
+        if one["pp_um"] > _ERROR * largest * 1e6:
+            one["failed"].append("error")
     shown: dict[str, Any] = {"normal_pp_um": [pp * 1e6 for pp in sorted(normal)], "sequences": len(found)}
     if found:
         pp = np.array([one["pp_um"] for one in found])
@@ -73,13 +102,27 @@ def run(options: argparse.Namespace) -> None:
 
 def whole_strokes(values: Any) -> list[float]:
     """True error p-p in m of the stage's own stroke, forward and back, while it moves, over its starts."""
-    runs = ((record, record.true_error(reference)) for record, reference in runs_of_starts(values))
+    runs = ((record, record.true_error(reference)) for record, reference in runs_of_starts(values, _STROKES))
     return [peak_to_peak(error[record.motion.window]) for record, error in runs if error is not None]
 
 
-def drawn(motion: MotionParameters, draw: random.Random) -> tuple[Trajectory, int]:
+class Plan(NamedTuple):
+    """A sequence: its motion, the sample from which it is judged, paces by sample, and the samples at which the
+    amplifier goes off and on again and at which the stage turns back; −1: it does not."""
+
+    trajectory: Trajectory
+    begun: int
+    paces: Mapping[int, Pace]
+    off: int
+    on: int
+    back: int
+
+
+def planned(values: Any, seed: int) -> Plan:
     """Three moves between places of the stroke, some of them jogs, with rests between, after a first move forth and
-    back; and when they begin, in ns."""
+    back; and what happens on the way."""
+    draw, stage = random.Random(seed), node_parameters("driver", values).stage
+    motion = stage.motion
     low, high = sorted((motion.start, motion.start + motion.stroke))
     points = [Waypoint(0, draw.uniform(low, high), 0.0)]
     aside = points[0].position + (_FIRST if points[0].position < 0.5 * (low + high) else -_FIRST)
@@ -90,24 +133,13 @@ def drawn(motion: MotionParameters, draw: random.Random) -> tuple[Trajectory, in
 
     add(_SETTLE_NS, aside, motion.speed)
     add(100_000_000, points[0].position, motion.speed)
-    begin_ns = points[-1].time_ns
+    at = begun = points[-1].time_ns // stage.period_ns
     for _ in range(3):
         here = points[-1].position
         jogged = here + draw.choice([-1.0, 1.0]) * draw.choice([1e-4, 1e-3, 1e-2])
         goal = min(max(jogged if draw.random() < 0.4 else draw.uniform(low, high), low), high)
         add(draw.randrange(1, 400) * 1_000_000, goal, motion.speed * draw.choice([1.0, 1.0, 0.3]))
     points.append(points[-1]._replace(time_ns=points[-1].time_ns + 400_000_000))
-    return Trajectory(points), begin_ns
-
-
-def sequence(values: Any, seed: int, normal: float) -> dict[str, Any]:
-    """One sequence: what it did and how it failed; ``failed`` is empty if it did not."""
-    draw = random.Random(seed)
-    nodes = node_parameters("driver", values)
-    motion, stop = nodes.stage.motion, nodes.stage.platform.stop
-    trajectory, begin_ns = drawn(motion, draw)
-    period, period_ns = nodes.stage.period, nodes.stage.period_ns
-    at = begun = begin_ns // period_ns
     paces = dict[int, Pace]()
     for _ in range(draw.randrange(1, 7)):
         at += draw.randrange(20, 2500)
@@ -118,76 +150,175 @@ def sequence(values: Any, seed: int, normal: float) -> dict[str, Any]:
     off = begun + draw.randrange(20, at - begun + 4000) if draw.random() < 0.3 else -1
     on = off + draw.randrange(20, 1000)
     back = begun + draw.randrange(20, at - begun + 4000) if draw.random() < 0.3 else -1
-    machines, reversals = list[SimulatedHardware](), list[int]()
+    return Plan(Trajectory(points), begun, paces, off, on, back)
+
+
+def in_lockstep(values: Any, plan: Plan) -> tuple[StraightnessMap, Array, Array, list[tuple[int, Trajectory]]]:
+    """The map, true x and y (n,) in m, and when the stage turned back, with its trajectory."""
+    machines, turns = list[SimulatedHardware](), list[tuple[int, Trajectory]]()
+    stage = node_parameters("driver", values).stage
 
     def wiring(machine: SimulatedHardware) -> SimulatedHardware:
         machines.append(machine)
         return machine
 
     def observe(sample: Any, *_: Any) -> None:
-        machine, number = machines[0], sample.stamp_ns // period_ns
-        if number == off:
+        machine, number = machines[0], sample.stamp_ns // stage.period_ns
+        if number == plan.off:
             machine.disable()
-        elif number == on:
+        elif number == plan.on:
             machine.enable()
-        elif number == back and machine.motion.moving:
+        elif number == plan.back and machine.motion.moving:
             # Back to where it came from, within the acceleration of strokes.
-            goal, seconds = trajectory.positions[0], 1.0
+            goal, seconds = plan.trajectory.positions[0], 1.0
             there = Trajectory([Waypoint(round(seconds * 1e9), goal, 0.0)])
-            while machine.motion.joined(there, sample.stamp_ns).largest_acceleration > motion.acceleration:
+            while machine.motion.joined(there, sample.stamp_ns).largest_acceleration > stage.motion.acceleration:
                 seconds *= 1.1
                 there = Trajectory([Waypoint(round(seconds * 1e9), goal, 0.0)])
             machine.move(there, sample.stamp_ns)
-            reversals.append(number)
+            turns.append((number, there))
 
-    simulation = Simulation(values, motion=(trajectory, 0), wiring=wiring)
-    record = simulation.run(observe=observe, paces=paces)
-    error, x, y = record.true_error(simulation.map), record.true_x, record.true_y
-    assert error is not None and x is not None and y is not None
+    simulation = Simulation(values, motion=(plan.trajectory, 0), wiring=wiring)
+    record = simulation.run(observe=observe, paces=plan.paces)
+    assert record.true_x is not None and record.true_y is not None
+    return simulation.map, record.true_x, record.true_y, turns
+
+
+def judged(
+    values: Any, plan: Plan, straightness: StraightnessMap, x: Array, y: Array, turns: list[tuple[int, Trajectory]]
+) -> dict[str, Any]:
+    """What a sequence did, and how it failed apart from its error; ``failed`` is empty if it did not."""
+    stage = node_parameters("driver", values).stage
+    motion, period = stage.motion, stage.period
+    error = straightness.evaluate(x)[0] - y
     v = np.diff(x) / period
     a = np.diff(v) / period
-    _, slope, curvature = simulation.map.evaluate(x[1:-1])
+    _, slope, curvature = straightness.evaluate(x[1:-1])
     mean = 0.5 * (v[1:] + v[:-1])
     steps = np.abs(np.diff(curvature * mean**2 + slope * a))
-    if reversals:
-        # The cubic back has an acceleration of its own at both ends.
-        steps[max(0, reversals[0] - 3) :] = 0.0
     # What the guide and three times the jerk make of it, both at their largest.
     jerk = _JERKS * motion.jerk * period * np.abs(slope).max()
     carried = np.abs(np.diff(curvature)) * mean[1:] ** 2 + 3.0 * np.abs(curvature[1:]) * motion.speed * (
         motion.acceleration * period
     )
-    late, stops = 0.0, 0
-    for begin, pace in paces.items():
+    late, stops, others = 0.0, 0, [*plan.paces, *(number for number, _ in turns)]
+    for begin, pace in plan.paces.items():
         allowed = round((abs(v[min(begin, v.size - 1)]) / motion.acceleration + _STOP_S) / period)
-        until = min([other for other in (*paces, *reversals) if other > begin], default=v.size)
+        until = min([other for other in others if other > begin], default=v.size)
         if (pace.hold or pace.end) and begin + allowed < min(until, v.size):
             moving = np.flatnonzero(np.abs(v[begin:until]) > _STILL)
             late = max(late, float(moving[-1] + 1 - allowed) * period + _STOP_S if moving.size else 0.0)
             stops += 1
-    judged = np.ones(error.size, bool)
-    judged[:begun] = False
-    if off > 0:
-        judged[off : on + round(_RECOVERY / period)] = False
-    pp = peak_to_peak(error[judged])
+    counted = np.ones(error.size, bool)
+    counted[: plan.begun] = False
+    if plan.off > 0:
+        counted[plan.off : plan.on + round(_RECOVERY / period)] = False
     failed = {
         "stop": late > _STOP_S,
-        "error": pp > _ERROR * normal,
         "step": bool((steps > jerk + carried).any()),
-        "at_stop": bool(np.abs(y).max() >= stop),
+        "at_stop": bool(np.abs(y).max() >= stage.platform.stop),
     }
     return {
-        "seed": seed,
         "stops": stops,
-        "reversals": len(reversals),
-        "faults": int(0 < off < error.size),
+        "reversals": len(turns),
+        "faults": int(0 < plan.off < error.size),
         "latest_stop_beyond_v_over_a_ms": late * 1e3,
-        "pp_um": pp * 1e6,
-        "first_move_pp_um": peak_to_peak(error[_SETTLE_NS // period_ns : begun]) * 1e6,
+        "pp_um": peak_to_peak(error[counted]) * 1e6,
+        "first_move_pp_um": peak_to_peak(error[_SETTLE_NS // stage.period_ns : plan.begun]) * 1e6,
         "largest_step_of_acceleration": float(steps.max()),
         "largest_acceleration_relative": float(np.abs(a).max() / motion.acceleration),
         "failed": [name for name, one in failed.items() if one],
     }
+
+
+def live(values: Any, seeds: Sequence[int], folder: Path) -> tuple[list[float], list[dict[str, Any]]]:
+    """As :func:`whole_strokes` and :func:`judged`, but of one running graph."""
+    require_ros()
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from rcl_interfaces.srv import SetParametersAtomically
+    from std_srvs.srv import SetBool, Trigger
+
+    from straightcomp_ros.cell.launcher import LaunchError
+    from straightcomp_ros.runtime.graph_client import message_from_waypoints
+    from straightcomp_ros.runtime.safety_panel import LATCHED, tripper
+    from straightcomp_ros.runtime.stage_state import StageState
+    from trials.stand import Stand, request_of
+
+    values = {**values, "driver": {**values["driver"], "blend": True}}
+    stage = node_parameters("driver", values).stage
+    motion, period_ns, states, runs = stage.motion, stage.period_ns, [StageState()], list[tuple[list[int], list[int]]]()
+    plans = [planned(values, seed) for seed in seeds]
+    turns = [in_lockstep(values, plan)[3] for plan in plans]
+    with Stand(folder, values, composed=True) as stand:
+        stand.node.create_subscription(
+            DiagnosticStatus, STAGE_STATE, lambda message: states.append(StageState.of(message)), LATCHED
+        )
+        trip = tripper(stand.node)
+
+        def wait(condition: Callable[[], bool]) -> None:
+            if not stand.until(condition, _PATIENCE_S):
+                raise LaunchError(f"the graph does not go on (logs in {folder})")
+
+        def enable() -> None:
+            stand.call(Trigger, "driver/reset_fault", Trigger.Request())
+            wait(stand.enable)
+
+        def ask(pace: Pace) -> None:
+            if pace.end:
+                stand.call(Trigger, "driver/end_motion", Trigger.Request())
+                return
+            if not pace.hold:
+                override = request_of({"override": pace.override})
+                stand.call(SetParametersAtomically, "driver/set_parameters_atomically", override)
+            stand.call(SetBool, "driver/hold", SetBool.Request(data=pace.hold))
+
+        def follow(trajectory: Trajectory, acts: Sequence[tuple[int, Callable[[], object]]] = ()) -> list[int]:
+            """Run a motion, with acts so many samples after its begin; the stamps of begin, acts and end in ns."""
+            number, begin_ns, stamps = states[-1].number, time.time_ns(), list[int]()
+            stand.move(message_from_waypoints(trajectory.waypoints))
+            for at, act in acts:
+                stand.spin((begin_ns + at * period_ns - time.time_ns()) * 1e-9)
+                stamps.append(time.time_ns())
+                act()
+            wait(lambda: states[-1].number > number and states[-1].condition == "rest")
+            ask(Pace())
+            return [begin_ns, *stamps, time.time_ns()]
+
+        def acts_of(plan: Plan, turn: Sequence[tuple[int, Trajectory]]) -> list[tuple[int, Callable[[], object]]]:
+            acts: list[tuple[int, Callable[[], object]]] = [(at, partial(ask, pace)) for at, pace in plan.paces.items()]
+            if plan.off > 0:
+                acts += [(plan.off, partial(trip, Fault.FOLLOWING_ERROR, "asked for")), (plan.on, enable)]
+            acts += [(at, partial(stand.move, message_from_waypoints(there.waypoints))) for at, there in turn]
+            return sorted(acts, key=itemgetter(0))
+
+        wait(lambda: stand.heartbeats.in_state("active") and len(states) > 1)
+        enable()
+        for plan, turn in [(None, []), *zip(plans, turns, strict=True)]:
+            trajectory = plan.trajectory if plan else Trajectory(cycles(motion, STARTS))
+            follow(Trajectory([Waypoint(_TO_START_NS, trajectory.positions[0], 0.0)]))
+            acts = acts_of(plan, turn) if plan else []
+            runs.append(([at for at, _ in acts], follow(trajectory, acts)))
+        stand.stop()
+        truth = read_streams(stand.bag, {TRUTH.topic: TRUTH.layout})[TRUTH.topic]
+    straightness = load_map(node_parameters("feedforward", values).stage.guide)
+    found = list[dict[str, Any]]()
+    for plan, turn, (asked, at) in zip([None, *plans], [[], *turns], runs, strict=True):
+        stamps = np.arange(truth.stamp[np.searchsorted(truth.stamp, at[0])], at[-1], period_ns)
+        x, y = (np.interp(stamps, truth.stamp, truth.columns[name]) for name in ("true_x", "true_y"))
+        if plan is None:
+            error = straightness.evaluate(x)[0] - y
+            settle, once = round(motion.settle * stage.rate), cycles(motion, 1)[-1].time_ns // period_ns
+            normal = [peak_to_peak(error[k * once + settle : (k + 1) * once - settle]) for k in range(STARTS)]
+            continue
+        index = {sample: round((one - at[0]) / period_ns) for sample, one in zip(asked, at[1:], strict=False)}
+        paces = {index[sample]: pace for sample, pace in plan.paces.items()}
+        happened = plan._replace(
+            begun=plan.begun + _LATE, paces=paces, off=index.get(plan.off, -1), on=index.get(plan.on, -1)
+        )
+        one = judged(values, happened, straightness, x, y, [(index[sample], there) for sample, there in turn])
+        lost = stamps.size - int(np.isin(stamps, truth.stamp).sum())
+        found.append(one | {"lost_samples": lost})
+    return normal, found
 
 
 def step_and_scan(values: Any, positions: int) -> dict[str, Any]:

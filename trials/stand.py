@@ -237,9 +237,9 @@ class Stand:
         if self.enable():
             self.failures.append("the fault was not latched: the amplifier could be switched on")
 
-    def move(self) -> None:
-        """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
-        self._trajectory.publish(_MOTION)
+    def move(self, motion: JointTrajectory | None = None) -> None:
+        """Start a motion, by default the forth and back. The driver refuses one that does not begin where the stage is."""
+        self._trajectory.publish(motion or _MOTION)
 
     def switch_on(self) -> None:
         """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.

@@ -38,6 +38,8 @@ _FREE_ALLOWANCE = 1.7
 """Gain allowance up to which these gains leave the loop enough gain; with more they grow in proportion."""
 _BENDING = 2.0
 """Counts of the encoder."""
+_STILL = 0.1
+"""Counts by which a reference at rest may move: a hold costs no more than that, and rounding costs 0.29, RMS."""
 _DITHER = 0.54
 """Frequency of the dither times the dead time: well beyond the loop's bandwidth, a quarter of the shipped rate."""
 
@@ -193,6 +195,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         # Friction holds the platform a count beside the balance, with half a step of the converter too much.
         holding=(quantum - 0.5 * converter) / coulomb,
         speed=design.rest_speed,
+        still=_STILL * stage.encoder.y_resolution,
         # The mains push at rest too: a command that is held would not answer them.
         band=-1.0 if any(filters.hum_1) else band,
         wait=design.rest_wait,

@@ -144,6 +144,7 @@ class Gains(NamedTuple):
         counting: s from which friction counts: below it the law goes over to ``free``.
         holding: s from which friction holds the platform where it rests.
         speed: largest |ṙ| in m/s of a reference at rest, at which the fit is paused.
+        still: m, by which it may move there.
         band: largest |y − r| of the reading at rest, m.
         wait: time at rest until the command is held, s.
         weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
@@ -165,6 +166,7 @@ class Gains(NamedTuple):
     counting: float
     holding: float
     speed: float
+    still: float
     band: float
     wait: float
     weight: float
@@ -175,9 +177,10 @@ class Gains(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """Time within the band in s, mean command in A, what is added to the computed command in A, and for how much longer
-    the command was free than held since the reference came to rest, s."""
+    """Where the reference came to rest in m, time within the band in s, mean command in A, what is added to the computed
+    command in A, and for how much longer the command was free than held since the reference came to rest, s."""
 
+    place: float
     time: float
     mean: float
     offset: float
@@ -204,7 +207,7 @@ def fit_at_start(size: float) -> Fit:
 
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
-    prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(0.0, 0.0, 0.0, 0.0)
+    prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(y, 0.0, 0.0, 0.0, 0.0)
     return State(prior, 0.0, 0.0, fit_at_start(size), rest, Dither(1.0, 0.0), EMPTY)
 
 
@@ -330,10 +333,16 @@ def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
 @compilable
 def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
     """The command for the one that the law asks for, A, and the rest with this sample, with ``size`` of friction."""
-    resting, miss = abs(r_dot) <= g.speed, abs(y - r)
+    resting, miss = abs(r_dot) <= g.speed and abs(r - rest.place) <= g.still, abs(y - r)
+    place = rest.place if resting else r
     # Stiction may let the platform toggle across the band for ever: the band grows until the toggling is within.
     band = g.band * (1.0 + max(0.0, rest.restless / g.wait - _PATIENCE))
-    time = rest.time + g.loop.period if resting and miss <= band and size >= g.holding else 0.0
+    time = 0.0
+    if resting and miss <= band and size >= g.holding:
+        # A platform that has slipped as the command was held, or creeps, is not left there: the hold has to be made anew.
+        beside = rest.time > g.wait and miss > 0.5 * band
+        time = rest.time - g.loop.period if beside else min(rest.time + g.loop.period, 2.0 * g.wait)
+        time = 0.0 if beside and time <= g.wait else time
     held = time > g.wait
     restless = rest.restless + g.loop.period
     if held:
@@ -342,10 +351,11 @@ def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r
         restless = 0.0
     if held:
         # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.
-        return rest.mean, Rest(time, rest.mean, rest.offset + g.weight * (rest.mean - asked - rest.offset), restless)
+        offset = rest.offset + g.weight * (rest.mean - asked - rest.offset)
+        return rest.mean, Rest(place, time, rest.mean, offset, restless)
     offset = (1.0 - g.weight) * rest.offset
     mean = rest.mean + g.weight * (limited(g.loop, asked + offset) - rest.mean)
-    return asked + offset, Rest(time, mean, offset, restless)
+    return asked + offset, Rest(place, time, mean, offset, restless)
 
 
 @compilable

@@ -26,6 +26,8 @@ _LEAST_SPEED = 1e-9
 """m/s, in place of zero as a divisor."""
 _SAME_SPEED = 1e-6
 """Difference in m/s that no step of the acceleration shows: of 2 mm/s² within a sample."""
+_KNOTS = 32
+"""Of the way to a trajectory that begins later: between them the quintic is followed by cubics."""
 _RESERVE = 0.5
 """Share of the jerk by which u is foreseen to brake: x' may grow meanwhile."""
 
@@ -63,14 +65,21 @@ class PacedMotion:
         self.cut = False
 
     def joined(self, trajectory: Trajectory, start_ns: int, zero: float = 0.0) -> Trajectory:
-        """A trajectory from ``start_ns`` on; if its first point comes later, with what the stage does then in front of
-        it, as joint trajectory controllers take it. Its positions are from ``zero`` (m) on."""
+        """A trajectory from ``start_ns`` on; if its first point comes later, with the way of the stage to that in front of
+        it: from rest a cubic, in motion a quintic, which begins with the stage's acceleration and ends with that of the
+        trajectory. Its positions are from ``zero`` (m) on."""
         if trajectory.times[0] <= 0:
             return trajectory
-        here = self.position(start_ns) - zero
-        now = 0, here, self._velocity
-        columns = zip(now, (trajectory.times, trajectory.positions, trajectory.velocities), strict=True)
-        return Trajectory.from_columns(*(np.insert(rest, 0, first) for first, rest in columns))
+        from scipy.interpolate import BPoly
+
+        end_ns, here = int(trajectory.times[0]), self.position(start_ns) - zero
+        now = here, self._velocity, self._trajectory.rates(self._path_ns)[1]
+        then = trajectory.positions[0], trajectory.velocities[0], trajectory.rates(end_ns)[1]
+        way = BPoly.from_derivatives([0.0, end_ns * 1e-9], [now, then])
+        times = np.linspace(0, end_ns, min(_KNOTS, end_ns) if self._velocity else 1, endpoint=False, dtype=np.int64)
+        in_front = times, way(times * 1e-9), way(times * 1e-9, 1)
+        columns = zip(in_front, (trajectory.times, trajectory.positions, trajectory.velocities), strict=True)
+        return Trajectory.from_columns(*map(np.concatenate, columns))
 
     def begin(self, trajectory: Trajectory, start_ns: int) -> None:
         """Take a trajectory that starts at ``start_ns``, :meth:`joined` to the motion that there is, with its pace.

@@ -43,7 +43,7 @@ from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.runtime.trajectory_action import TrajectoryAction
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
-from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
+from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch, ZeroWatch
 from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, SAMPLES, UNREFERENCED
 
 _ANSWER_LOOK_NS = 100_000
@@ -88,6 +88,7 @@ class DriverComponent:
         limit = parameters.stage.actuator.current_limit
         self._commands = CommandIntake(self._hardware, self._command_timeout_ns, period_ns, limit, self._trip)
         self._sample_watch = SampleWatch(parameters.watch, parameters.stage)
+        self._zero_watch = ZeroWatch(parameters.stage)
         self._panel = SafetyPanel(
             node, self._safety, self._enable_refusal, self._begin_anew, lambda: not self._unreferenced
         )
@@ -185,7 +186,7 @@ class DriverComponent:
         self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
         if self._unreferenced or self._hardware.unreferenced:
-            self._look_at_reference()
+            self._look_at_reference([sample for sample, _ in samples])
         latenesses = [self._hand_out(sample) for sample, _ in samples]
         # The controller's answer comes before the records, and a board must not wait for it until the next cycle.
         if samples and self._node.streams.let_readers_run():
@@ -198,10 +199,15 @@ class DriverComponent:
             self._trip(self._hardware.fault_kind, self._hardware.fault)
         return len(samples)
 
-    def _look_at_reference(self) -> None:
+    def _look_at_reference(self, samples: list[Sample]) -> None:
         unreferenced = self._hardware.unreferenced
         if unreferenced and self._safety.condition is Condition.ON:
             self._trip(Fault.NOT_REFERENCED, f"x is not referenced: {unreferenced}")
+        if not samples:
+            return  # what another reference makes of x is seen in the next one
+        if not self._unreferenced and self._newest is not None:
+            self._zero_watch.look([self._newest], referenced=True)
+        self._zero_watch.look(samples, referenced=not unreferenced)
         if bool(unreferenced) != bool(self._unreferenced):
             # x has another zero from now on.
             self._sample_watch.restart()
@@ -322,8 +328,8 @@ class DriverComponent:
         """Why the amplifier may not be switched on now, apart from faults; empty if it may."""
         if not self._node.active:
             return "the driver is not active"
-        if self._hardware.unreferenced:
-            return f"x is not referenced: {self._hardware.unreferenced}"
+        if unreferenced := self._hardware.unreferenced or self._zero_watch.finding:
+            return f"x is not referenced: {unreferenced}"
         if self._lockstep:
             return ""
         if self._node.streams.others_publish(COMMAND):
@@ -376,7 +382,7 @@ class DriverComponent:
             LOST: self._hardware.lost_samples,
             "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
-            UNREFERENCED: self._hardware.unreferenced,
+            UNREFERENCED: self._hardware.unreferenced or self._zero_watch.finding,
         }
         if self._safety.fault is not None:
             counters["error"] = self._safety.reason

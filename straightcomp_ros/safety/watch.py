@@ -2,10 +2,12 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.model.motion import StageLimits
 from straightcomp_ros.model.paced_motion import PacedMotion
 from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.safety.faults import Fault, Finding
@@ -14,6 +16,10 @@ from straightcomp_ros.stage.description import StageParameters
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
 _BEYOND = 1.2
+_ZERO_COUNTS = 4.0
+"""Noise of an extrapolation from two readings, each half a count off and one more by noise."""
+_GAP_NS = 20_000_000
+"""Longest gap between samples of one run, as of the pairing."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,49 @@ class StageWatch:
             return None
         self._moved = False
         return Fault.X_FROZEN, f"x stays at {x * 1e3:.4f} mm; the stage was to move by {way * 1e3:+.1f} mm meanwhile"
+
+
+class ZeroWatch:
+    """Whether x that is referenced anew is counted from where it was before.
+
+    That can be said where the encoder has counted on meanwhile. After a loss of counts or of samples any reference is
+    believed: nothing tells where the stage is.
+
+    Attributes:
+        finding: what is wrong with the zero of x; empty if nothing is known to be.
+    """
+
+    def __init__(self, stage: StageParameters) -> None:
+        self._bend = StageLimits.of(stage.motion, 0.0, 0.0).acceleration * 1e-18
+        self._noise, self._fastest = _ZERO_COUNTS * stage.encoder.x_resolution, stage.motion.highest_speed * 1e-9
+        self._samples = deque[Sample](maxlen=2)
+        self._referenced = self._counted = False
+        self._shift, self.finding = 0.0, ""
+
+    def look(self, samples: Sequence[Sample], referenced: bool) -> None:
+        """Take all samples while x is not referenced, the last one before and the first ones after that."""
+        jump = sum(map(self._jump, samples))
+        known = self._counted and not math.isnan(jump)
+        if referenced and not self._referenced and known:
+            self._shift += jump
+            moved = f"the zero of x has moved by {self._shift * 1e3:+.4f} mm since it was referenced before"
+            remedy = "home again, or align the map (straightcomp map align) and start the driver anew"
+            self.finding = f"{moved}; {remedy}" if abs(self._shift) > self._noise else ""
+        self._counted = referenced or (known and jump == 0.0)
+        self._referenced = referenced
+
+    def _jump(self, sample: Sample) -> float:
+        """Change of x in m that is no motion of the stage; NaN where that is not known."""
+        first, last = (self._samples[0], self._samples[-1]) if self._samples else (sample, sample)
+        before_ns, after_ns = last.stamp_ns - first.stamp_ns, sample.stamp_ns - last.stamp_ns
+        if after_ns > _GAP_NS:
+            self._samples.clear()
+        self._samples.append(sample)
+        if not 0 < after_ns <= _GAP_NS:
+            return math.nan
+        jump = sample.x - last.x - ((last.x - first.x) / before_ns * after_ns if before_ns else 0.0)
+        moved = self._bend * after_ns * (after_ns + before_ns) if before_ns else self._fastest * after_ns
+        return jump if abs(jump) > self._noise + moved else 0.0
 
 
 class ClockWatch:

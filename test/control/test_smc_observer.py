@@ -112,6 +112,19 @@ def test_a_reading_outside_the_band_and_a_moving_reference_end_the_hold(reading,
     assert step and (not reading or math.copysign(1.0, step) == -math.copysign(1.0, reading))
 
 
+def test_a_reference_that_creeps_ends_the_hold_when_it_has_moved_by_a_tenth_of_a_count():
+    servo, commands = held()
+    crept = [servo.step(1e-7 * (k % 2), 5e-8 * T * k, 5e-8, 0.0).current for k in range(600)]
+    # After 0.2 s; the next hold comes 0.1 s later.
+    assert crept[:390] == [commands[-1]] * 390 and len(set(crept[410:])) > 100
+
+
+def test_a_platform_that_has_slipped_by_more_than_a_count_beside_the_reference_is_not_left_there():
+    servo, commands = held()
+    slipped = [servo.step(0.15e-6, 0.0, 0.0, 0.0).current for _ in range(300)]
+    assert slipped[:190] == [commands[-1]] * 190 and commands[-1] not in slipped[210:]
+
+
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
     one = law(first_size=1.0, velocity_share=0.25)
     state = one.start(0.0)

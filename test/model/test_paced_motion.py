@@ -107,6 +107,18 @@ def test_a_trajectory_whose_first_point_comes_later_goes_on_at_the_speed_and_pac
     assert np.abs(a).max() < 1.05 * max(parameters.acceleration, joined.largest_acceleration)
 
 
+@pytest.mark.parametrize("at", [500, 1800])
+def test_a_goal_that_takes_the_place_of_a_motion_joins_its_acceleration(at):
+    parameters = MotionParameters(stroke=0.3, settle=0.05, jerk=20.0)
+    motion = begun(parameters)
+    x = positions(motion, {}, at)
+    assert abs(x[-1] - 2.0 * x[-2] + x[-3]) > 0.9 * 0.2 * (T_NS * 1e-9) ** 2
+    motion.begin(Trajectory([Waypoint(4 * 10**9, 0.02, 0.0)]), at * T_NS)
+    x = np.concatenate([x, [motion.position(k * T_NS) for k in range(at, at + 9000)]])
+    a = np.diff(x, 2) / (T_NS * 1e-9) ** 2
+    assert x[-1] == 0.02 and np.abs(np.diff(a)).max() < 1.1 * parameters.jerk * T_NS * 1e-9
+
+
 def test_a_trajectory_is_joined_where_x_reads_from_another_zero():
     motion = begun(MotionParameters(stroke=0.3))
     here = motion.position(2 * 10**9)

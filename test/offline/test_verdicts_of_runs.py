@@ -74,6 +74,11 @@ def test_what_works_is_in_order(law, changes):
     assert found.in_order, found
 
 
+def test_a_jog_at_a_millimetre_a_second_is_followed_though_its_reference_is_slower_than_rest_speed():
+    found = verdict(**{"stage.motion.stroke": 0.01, "stage.motion.speed": 0.001})
+    assert found.in_order, found
+
+
 @pytest.mark.parametrize("height, count", [(1e-6, 1e-8), (40e-6, 1e-6)])
 def test_the_height_of_the_guide_does_not_matter(tmp_path, height, count):
     file = survey(tmp_path / "guide.csv", lambda x: height * np.sin(2.0 * np.pi * x / 0.5))

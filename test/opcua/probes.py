@@ -218,14 +218,17 @@ async def orders(url, map_file):
 
 
 async def holds(url, _):
-    """Runs a stroke at 10 % that it holds in mid-movement, and lets go on at 30 % to its end; what it saw."""
-    made, cell = await connected(url, *OPERATOR)
-    seen = []
+    """A client that knows no more than node ids and names of methods: it runs a stroke at 10 % that it holds in mid-movement,
+    and lets go on at 30 % to its end; what it saw."""
+    made, seen = await connect(url, OPERATOR), []
+
+    async def read(name):
+        return (await made.get_node(path(name)).read_data_value(raise_on_bad_status=False)).Value.Value
 
     async def until(state, *, x=None):
         for _ in range(3000):
-            row = [await cell.read(f"Status.{name}") for name in ("StateName", "StageState", "Override", "AmplifierOn")]
-            row.append(await cell.read("Live.X"))
+            row = [await read(f"Status.{name}") for name in ("StateName", "StageState", "Override", "AmplifierOn")]
+            row.append(await read("Live.X"))
             if row != (seen or [None])[-1]:
                 seen.append(row)
             if row[0] == state and (x is None or row[4] > x):
@@ -234,15 +237,15 @@ async def holds(url, _):
         raise CycleFailed(f"{state} never came: {seen[-1]}")
 
     await until("Idle")
-    await cell.command(Order.OVERRIDE, 10)
-    await cell.command(Command.START, 1)
+    await give(made, "Override", ua.Variant(10, ua.VariantType.UInt32))
+    await give(made, "Start", ua.Variant(1, ua.VariantType.UInt32))
     await until("Execute", x=0.004)
-    await cell.command(Command.HOLD)
+    await give(made, "Hold")
     await until("Held")
     await asyncio.sleep(0.5)
     held = await until("Held")
-    await cell.command(Order.OVERRIDE, 30)
-    await cell.command(Command.UNHOLD)
+    await give(made, "Override", ua.Variant(30, ua.VariantType.UInt32))
+    await give(made, "Unhold")
     await until("Complete")
     await made.disconnect()
     return {"held": held, "states": list(dict.fromkeys(row[0] for row in seen)), "end": seen[-1]}

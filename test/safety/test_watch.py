@@ -16,6 +16,7 @@ from straightcomp_ros.safety.watch import (
     SampleWatch,
     StageWatch,
     WatchParameters,
+    ZeroWatch,
     current_against_friction,
 )
 from straightcomp_ros.stage.description import StageParameters
@@ -260,3 +261,23 @@ def test_a_following_error_is_a_fault_once_after_it_was_within_its_limit_with_th
     findings = [following.check(error, amplifier_on=on) for error, on, _ in samples]
     assert [bool(finding) for finding in findings] == [found for _, _, found in samples]
     assert findings[2][0] is Fault.FOLLOWING_ERROR and "-20.0 µm" in findings[2][1]
+
+
+@pytest.mark.parametrize("shift", [0.0, 5e-6, -0.3])
+@pytest.mark.parametrize("event", ["", "lost samples", "lost counts"])
+def test_a_zero_that_has_moved_is_found_where_the_encoder_has_counted_on_and_believed_after_a_loss(shift, event):
+    def homed(watch, begin, zero, before):
+        for k in range(begin, begin + 40):
+            x = 0.05 * k * T * 1e-9 - (zero if k >= begin + 30 else before)
+            x += 0.1 if event == "lost counts" and begin + 15 <= k < begin + 30 else 0.0
+            late = 200 if event == "lost samples" and k >= begin + 15 else 0
+            watch.look([Sample((k + late) * T, round(x / COUNT) * COUNT, 0.0, 0.0)], not begin + 10 <= k < begin + 30)
+        return watch.finding
+
+    found = ZeroWatch(STAGE)
+    assert homed(found, 0, 0.2, 0.2) == ""
+    finding = homed(found, 300, 0.2 + shift, 0.2)
+    assert (f"moved by {-shift * 1e3:+.4f} mm" in finding) == bool(shift and not event)
+    if not event:
+        # Where the first one is found again all is well.
+        assert homed(found, 600, 0.2, 0.2 + shift) == ""

@@ -17,6 +17,7 @@ from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import Truth
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.safety.watch import ZeroWatch
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import COUNTED
 from trials.can_faults import run_trial
@@ -324,6 +325,7 @@ class WrappedMachine:
         self.travel = round(stage.motion.stroke / COUNT)
         self.at = self.draw.randrange(self.travel)
         self.zero, self.referenced, self.wrong, self.used = 0, True, 0, 0
+        self.watch, self.shift = ZeroWatch(stage), 0
 
     def samples(self, count, speed=0):
         for _ in range(count):
@@ -331,23 +333,38 @@ class WrappedMachine:
             self.move(speed)
             x = self.frames.wrapped((self.at - self.zero) * COUNT)
             report = Report(self.number % 15, self.number, x, 0.0, 0.0, Amplifier.ON, 0, True, self.referenced)
-            delivered = len(self.receiver.samples)
+            self.receiver.samples.clear()
             arrival_ns = START + self.periods * PERIOD
             self.receiver.receive(self.frames.identifier, self.frames.pack(report), arrival_ns)
-            receiver = self.receiver
-            if len(receiver.samples) > delivered and receiver.referenced and not receiver.ambiguous:
-                self.used += 1
-                self.wrong += abs(receiver.samples[-1][1].x - self.at * COUNT) > 1.5 * COUNT
-        self.receiver.samples.clear()
+            for _, sample, _ in self.receiver.samples:
+                self.watch.look([sample], self.known)
+                if self.known and not self.watch.finding:
+                    self.used += 1
+                    self.wrong += abs(sample.x - self.at * COUNT) > 1.5 * COUNT
+
+    @property
+    def known(self):
+        return bool(self.receiver.referenced and not self.receiver.ambiguous)
 
     def move(self, counts):
         self.at = min(max(0, self.at + counts), self.travel)
 
     def home(self):
-        """While it is homed a machine has no reference; homing ends at its mark."""
+        """While it is homed a machine has no reference, and here samples are lost; homing ends at its mark."""
         self.referenced = False
         self.samples(3)
-        self.referenced, self.zero, self.at = True, 0, self.draw.randrange(0, 1000)
+        self.number, self.periods = self.number + 200, self.periods + 200
+        self.referenced, self.zero, self.at = True, self.shift, self.draw.randrange(0, 1000)
+
+    def move_index(self):
+        """The index is found elsewhere, or where it was at first, by an encoder that has counted on."""
+        if self.known and self.referenced and self.at < TURN // 4:
+            self.samples(3)
+            self.referenced = False
+            self.samples(3)
+            self.referenced, self.shift = True, self.draw.choice((0, 0, self.draw.randrange(-20_000, 20_000)))
+            self.zero = self.shift
+            self.samples(1)
 
     def lose(self):
         """The encoder counts from where the stage stands."""
@@ -371,8 +388,9 @@ def test_no_wrong_x_is_used_whatever_happens_to_the_reference_and_the_counter(na
     stage = replace(SLOW_STAGE, motion=replace(SLOW_STAGE.motion, stroke=1.76))
     machine = WrappedMachine(narrow, events, stage)
     machine.samples(BLOCK)
+    kinds = machine.home, machine.home, machine.lose, machine.restart, machine.pause, machine.move_index
     for _ in range(events):
-        machine.draw.choice((machine.home, machine.home, machine.lose, machine.restart, machine.pause))()
+        machine.draw.choice(kinds)()
         machine.samples(BLOCK + 30, machine.draw.randrange(-900, 900))
     assert machine.wrong == 0 and machine.used > 5 * events
 
