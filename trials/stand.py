@@ -238,7 +238,7 @@ class Stand:
             self.failures.append("the fault was not latched: the amplifier could be switched on")
 
     def move(self, motion: JointTrajectory | None = None) -> None:
-        """Start a motion, by default the forth and back. The driver refuses one that does not begin where the stage is."""
+        """Start a motion, by default the forth and back. The driver refuses one that begins where the stage is not."""
         self._trajectory.publish(motion or _MOTION)
 
     def switch_on(self) -> None:

@@ -177,8 +177,8 @@ class Gains(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """Where the reference came to rest in m, time within the band in s, mean command in A, what is added to the computed
-    command in A, and for how much longer the command was free than held since the reference came to rest, s."""
+    """Where the reference came to rest in m, time within the band in s, mean command in A, what is added to the
+    computed command in A, and for how much longer the command was free than held since the reference came to rest, s."""
 
     place: float
     time: float
@@ -339,7 +339,7 @@ def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r
     band = g.band * (1.0 + max(0.0, rest.restless / g.wait - _PATIENCE))
     time = 0.0
     if resting and miss <= band and size >= g.holding:
-        # A platform that has slipped as the command was held, or creeps, is not left there: the hold has to be made anew.
+        # A platform that slipped as the command was held, or creeps, is not left there: the hold is made anew.
         beside = rest.time > g.wait and miss > 0.5 * band
         time = rest.time - g.loop.period if beside else min(rest.time + g.loop.period, 2.0 * g.wait)
         time = 0.0 if beside and time <= g.wait else time

@@ -65,9 +65,9 @@ class PacedMotion:
         self.cut = False
 
     def joined(self, trajectory: Trajectory, start_ns: int, zero: float = 0.0) -> Trajectory:
-        """A trajectory from ``start_ns`` on; if its first point comes later, with the way of the stage to that in front of
-        it: from rest a cubic, in motion a quintic, which begins with the stage's acceleration and ends with that of the
-        trajectory. Its positions are from ``zero`` (m) on."""
+        """A trajectory from ``start_ns`` on; if its first point comes later, with the way of the stage to that in front
+        of it: from rest a cubic, in motion a quintic, which begins with the stage's acceleration and ends with that of
+        the trajectory. Its positions are from ``zero`` (m) on."""
         if trajectory.times[0] <= 0:
             return trajectory
         from scipy.interpolate import BPoly

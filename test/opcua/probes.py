@@ -218,8 +218,8 @@ async def orders(url, map_file):
 
 
 async def holds(url, _):
-    """A client that knows no more than node ids and names of methods: it runs a stroke at 10 % that it holds in mid-movement,
-    and lets go on at 30 % to its end; what it saw."""
+    """A client that knows no more than node ids and names of methods: it runs a stroke at 10 % that it holds in
+    mid-movement, and lets go on at 30 % to its end; what it saw."""
     made, seen = await connect(url, OPERATOR), []
 
     async def read(name):
