@@ -178,7 +178,7 @@ class Gains(NamedTuple):
 
 class Rest(NamedTuple):
     """Where the reference came to rest in m, time within the band in s, mean command in A, what is added to the
-    computed command in A, and for how much longer the command was free than held since the reference came to rest, s."""
+    computed command in A, and for how much longer than held it was free since the reference came to rest, s."""
 
     place: float
     time: float
