@@ -288,7 +288,7 @@ def live(values: Any, seeds: Sequence[int], folder: Path) -> tuple[list[float], 
             acts += [(at, partial(stand.move, message_from_waypoints(there.waypoints))) for at, there in turn]
             return sorted(acts, key=itemgetter(0))
 
-        wait(lambda: stand.heartbeats.in_state("active") and len(states) > 1)
+        wait(lambda: set(stand.heartbeats.states.values()) == {"active"} and len(states) > 1)
         enable()
         for plan, turn in [(None, []), *zip(plans, turns, strict=True)]:
             trajectory = plan.trajectory if plan else Trajectory(cycles(motion, STARTS))
