@@ -55,6 +55,10 @@ _EXPLAINED = 0.2
 """Share of the square of a map's error that a cause may leave."""
 _REPEATS = 0.7
 """Least correlation over x between strokes of one direction whose errors are the same."""
+_FASTEST, _FEW_WAVES = 100.0, 4.0
+"""Frequency in Hz to well beyond which waves over x are looked for, and the least number of waves in a stroke."""
+_A_WAVE = 0.7
+"""Least amplitude of a wave that names an error, relative to its RMS: a quarter of its power."""
 _SLOW = 0.1
 """Standard deviation in s of the filter behind which an error is slow: below some 1 Hz."""
 _MOST = 0.5
@@ -203,6 +207,9 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     same_place = "it is the same at each place of x in every stroke: learning.learn takes it off"
     if any(sum(ours) > 1 and float(alike[np.ix_(ours, ours)][0].min()) > _REPEATS for ours in of_way):
         return same_place
+    waves = locked_to_x(time, x, error, strokes, _strongest(time, error, strokes[0])) if strokes else None
+    if waves and waves.amplitude > _A_WAVE * float(error.std()):
+        return same_place
     step = max(1, round(_STEP / period))
     ways = np.sign(np.diff(r[::step]))
     turns, way_of_r = np.flatnonzero(np.diff(ways))[:, np.newaxis] * step, np.repeat(ways, step)
@@ -228,6 +235,14 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     if all(map(any, of_way)) and float(np.abs(alike[np.ix_(*of_way)]).min()) > _REPEATS:
         return same_place
     return "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
+
+
+def _strongest(time: Array, error: Array, stroke: Stroke) -> Line:
+    """The strongest line of ``error`` (n,) in the ``stroke``, of a few waves and more."""
+    tried, spectrum = _spectrum(time[stroke.samples], error[stroke.samples], _FASTEST)
+    few = int(np.searchsorted(tried, _FEW_WAVES / float(np.ptp(time[stroke.samples]))))
+    best = few + int(spectrum[few:].argmax())
+    return Line(float(spectrum[best]), float(tried[best]))
 
 
 def _ascending(x: Array, values: Array) -> tuple[Array, Array]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,9 +21,11 @@ from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.metrics import RESTING
 from straightcomp_ros.analysis.record import Array, MetricsError, Stroke, motion_of
 from straightcomp_ros.control.laws import dither_of
+from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.model.modes import modes_of
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -81,20 +84,38 @@ def bounds_of(
             bounds[name] = float(known)
         modes = (parameters["controller"].get(f"stage.platform.modes.{one}.frequency") for one in ("first", "second"))
         bounds["modes"] = tuple(float(one) for one in modes if one)
+        if bounds["modes"]:
+            bounds["destabilised"] = partial(destabilised, parameters["controller"])
         if shaken := _dither(parameters["controller"]):
             bounds["dither"] = shaken
     return bounds
 
 
+def _described(controller: Mapping[str, Any]) -> ControllerNodeParameters | None:
+    """The controller by its parameters; None where they are of another version or law."""
+    with suppress(ParameterError):
+        known: ControllerNodeParameters = node_parameters("controller", {"controller": controller})
+        return known
+    return None
+
+
 def _dither(controller: Mapping[str, Any]) -> float:
-    """Frequency in Hz of the law's dither, by the controller's parameters; 0 where there is none, or none is known."""
-    try:
-        known = node_parameters("controller", {"controller": controller})
-    except ParameterError:
+    """Frequency in Hz of the law's dither; 0 where there is none, or none is known."""
+    known = _described(controller)
+    if known is None or known.control.law != "smc_observer":
         return 0.0
     dither = dither_of(known.control.smc_observer, known.stage)
-    used = dither.amplitude > 0.0 and known.control.law == "smc_observer"
-    return dither.angle / math.tau * known.stage.rate if used else 0.0
+    return dither.angle / math.tau * known.stage.rate if dither.amplitude > 0.0 else 0.0
+
+
+def destabilised(controller: Mapping[str, Any]) -> bool:
+    """Whether the platform's modes take margins from the law on its own description."""
+    known = _described(controller)
+    if known is None or not known.stage.platform.modes.present:
+        return False
+    rigid = replace(known.stage, platform=replace(known.stage.platform, modes=modes_of()))
+    missing = missing_margin(known.control, known.stage)
+    return missing is not None and missing != missing_margin(known.control, rigid)
 
 
 def is_simulated(driver: Mapping[str, Any]) -> bool:
@@ -143,6 +164,7 @@ class JudgedMotion:
     sensor_noise: float = 0.5
     map_noise: float = 0.02e-6
     modes: Sequence[float] = ()  # Hz, described resonances of the platform
+    destabilised: Callable[[], bool] = lambda: False  # whether these take margins from the law
     dither: float = 0.0  # Hz, of the sine that the law itself adds; 0: none
 
     @cached_property

@@ -266,6 +266,13 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
                 f"the error has a wave every {_mm(1.0 / waves.at)} of x {amplitude}; it is at the same places in "
                 "every stroke, as cogging or a periodic error of the map; learning.learn takes it off",
             )
+    if motion.modes and (line or motion.pp > motion.largest) and motion.destabilised():
+        modes = " and ".join(f"{one:.0f}" for one in motion.modes)
+        return Verdict(
+            words.RESONANCE,
+            f"the platform's modes at {modes} Hz leave the law no margins: {error}; check "
+            "stage.platform.modes by straightcomp frequency-response, and design gains for them",
+        )
     slips = False
     # What sticks lags by no more than what stands: a larger error is the loop's.
     if motion.pp <= motion.uncompensated and (line or (not hunting and motion.pp > motion.largest)):

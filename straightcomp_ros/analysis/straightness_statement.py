@@ -47,8 +47,8 @@ _COVERAGE = 0.9545
 """Of a normal distribution within ±2 standard deviations."""
 _PIECES, _POINTS = 200, 2000
 """Pieces of x for which a stroke is averaged, and the points of a curve measured once that are taken as they are."""
-_DRAWS = 200
-"""The standard deviation of a contribution is then known to 5 %."""
+_DRAWS, _CURVES = 200, 1000
+"""Of readings and of curves: the standard deviation of a contribution is then known to 5 and 2 %."""
 _THIRDS = 20
 """Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
 _MOST = 32
@@ -282,14 +282,22 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     """(draws, lines) how errors of the input at its points change the straightness of the curve ``mean`` (n,) over
     ``x`` (n,), in m."""
     assert one.points is not None
-    if one.seen:
-        mean = _without(one.points, uncertainty, x, mean)
-    errors = random.normal(0.0, uncertainty, ((one.points.size if one.form is None else one.form.shape[1]), _DRAWS))
+    errors = random.normal(0.0, uncertainty, (one.points.size if one.form is None else one.form.shape[1], _CURVES))
     if one.form is not None:
         errors = one.form @ errors
-    changed = mean + cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
-    drawn = _straightness(x, changed, changed, changed[:, [0, -1]])
-    return np.asarray(drawn - _of_stroke(np.arange(x.size, dtype=np.float64), x, mean))
+    errors = cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
+
+    def changes(curve: Array) -> Array:
+        changed = curve + errors
+        drawn = _straightness(x, changed, changed, changed[:, [0, -1]])
+        return np.asarray(drawn - _of_stroke(np.arange(x.size, dtype=np.float64), x, curve))
+
+    if not one.seen:
+        return changes(mean)
+    found = changes(_without(one.points, uncertainty, x, mean))
+    # The curve that the correction is of is known no better than it differs from the one that was measured.
+    unsure = found.mean(axis=0) - changes(mean).mean(axis=0)
+    return np.asarray(found + unsure * random.uniform(-1.0, 1.0, (len(found), 1)))
 
 
 def _extremes(middle: Array, samples: Array, count: NDArray[np.bool_]) -> tuple[Array, Array, Array]:

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 NORMAL_95 = 1.96
 """Standard deviations to each side that hold 95 % of a normal distribution."""
 _CLEAN = 0.6
-"""Fraction of its variance that smoothing must leave of the noise at most; else every mean is kept as measured."""
+"""Fraction of its variance that smoothing must leave of the noise at most; else it is taken off only where it bends."""
 ROUNDING = 1e-9
 """Noise in m that nothing is done about: survey files are rounded to a nanometre."""
 _DETECTED = 3.5
@@ -136,8 +136,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     """The smoothing spline through ``mean`` (n,) at ``x`` (n,) of ``values`` (runs, n), all in m, and its noise.
 
     ``how`` is ``none``; ``auto``, by the noise; or the number by which that λ is multiplied. The spline is None where
-    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where smoothing would take off little, or no run
-    was repeated and the noise makes the curvature less than twice as large.
+    ``mean`` is to be interpolated: for ``none``, 0, and with ``auto`` where the noise makes the curvature at most twice
+    as large, and smoothing would take off little or no run was repeated.
     """
     own, runs = measured(survey, x), len(values)
     if not own.all():
@@ -181,10 +181,9 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         best = int((squares / (len(x) - freedom) ** 2).argmin())
         noise = math.sqrt(squares[best] / (len(x) - freedom[best]))
     best = int((squares + 2.0 * noise**2 * freedom).argmin())
-    clean = noise <= ROUNDING or freedom[best] > _CLEAN * len(x)
     typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
-    clean |= fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
-    if factor == 0.0 or (how == "auto" and clean):
+    rough = fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
+    if factor == 0.0 or (how == "auto" and (rough or noise <= ROUNDING)):
         return None, _as_measured(noise, runs, repeated, x)
 
     shapes = at_knots @ modes
@@ -197,8 +196,9 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     amount = factor * np.exp(np.interp(middles, knots, np.log(choices[local])))
     inverse = np.linalg.inv(information + penalty(amount))
     spline = BSpline(padded, inverse @ sums, 3)
-    # Without repeated runs the residual may be the guide: only what the law cannot be asked to follow is taken off.
-    if how == "auto" and not repeated:
+    # Where smoothing takes off little, or no run was repeated so that the residual may be the guide, only what the law
+    # cannot be asked to follow is taken off.
+    if how == "auto" and (freedom[best] > _CLEAN * len(x) or not repeated):
         bends = (np.abs(one(x, 2)).max() for one in (cubic_spline(x, mean), spline))
         if next(bends) <= _BENDS * next(bends):
             return None, _as_measured(noise, runs, repeated, x)

@@ -167,9 +167,16 @@ CASES = {
         ("stick_slip", "stage.friction.static", motion(STEPS, promise=promised(0.05))),
         ("in_order", "", motion(STEPS, promise=promised(0.3))),
     ],
-    "a line at a described mode is the mode's": [
+    "a line at a described mode is the mode's, and so is all of a loop that has no margins because of its modes": [
         ("resonance", "mode at 135 Hz", motion(SMALL + 0.3e-6 * sine(137.0), modes=(80.0, 135.0))),
         ("oscillates", "", motion(SMALL + 0.3e-6 * sine(137.0), modes=(80.0,))),
+        ("resonance", "at 80 Hz leave", motion(SMALL + 0.3e-6 * sine(137.0), modes=(80.0,), destabilised=lambda: True)),
+        (
+            "resonance",
+            "at 80 Hz leave",
+            motion(STEPS, promise=promised(0.05), modes=(80.0,), destabilised=lambda: True),
+        ),
+        ("in_order", "", motion(modes=(80.0,), destabilised=lambda: True)),
     ],
     "an error is judged by what the description leaves, with the friction's range and the encoder's counts": [
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.31))),
