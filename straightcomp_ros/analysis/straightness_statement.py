@@ -48,7 +48,7 @@ _COVERAGE = 0.9545
 _PIECES, _POINTS = 200, 2000
 """Pieces of x for which a stroke is averaged, and the points of a curve measured once that are taken as they are."""
 _DRAWS, _CURVES = 200, 1000
-"""Of readings and of curves: the standard deviation of a contribution is then known to 5 and 2 %."""
+"""Of what the curve does not show, and of what is in it: the standard deviation of a contribution is then known to 5 and 2 %."""
 _THIRDS = 20
 """Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
 _MOST = 32
@@ -282,7 +282,8 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     """(draws, lines) how errors of the input at its points change the straightness of the curve ``mean`` (n,) over
     ``x`` (n,), in m."""
     assert one.points is not None
-    errors = random.normal(0.0, uncertainty, (one.points.size if one.form is None else one.form.shape[1], _CURVES))
+    draws = _CURVES if one.seen else _DRAWS
+    errors = random.normal(0.0, uncertainty, (one.points.size if one.form is None else one.form.shape[1], draws))
     if one.form is not None:
         errors = one.form @ errors
     errors = cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
