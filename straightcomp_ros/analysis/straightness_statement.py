@@ -48,7 +48,7 @@ _COVERAGE = 0.9545
 _PIECES, _POINTS = 200, 2000
 """Pieces of x for which a stroke is averaged, and the points of a curve measured once that are taken as they are."""
 _DRAWS, _CURVES = 200, 1000
-"""Of what the curve does not show, and of what is in it: the standard deviation of a contribution is then known to 5 and 2 %."""
+"""Of what is not in the curve, and of what is: the standard deviation of a contribution is then known to 5 and 2 %."""
 _THIRDS = 20
 """Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
 _MOST = 32
