@@ -11,7 +11,7 @@ MANIFEST = ElementTree.parse("package.xml").getroot()
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
 TUNING = ["cma>=4"]
 FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
-DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
+DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]", "latex2mathml"]
 
 
 SERVO_VERBS = "bench can completion demo doctor dsp evaluate incident recover replay simulate stage view"

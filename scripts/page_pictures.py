@@ -1,6 +1,6 @@
 """Makes what a person looks at from the sample bags, and pictures of it by Chromium: wide, narrow and printed.
 
-    python -m scripts.page_pictures FOLDER [--commission DIR]
+    python -m scripts.page_pictures FOLDER [--commission DIR] [--moving FILE]
 
 Report, incident, stage report, map page, the live view with the last seconds of a bag and a fault, and the pages of
 docs/; with the folder of a commission also its certificate. Needs `chromium`, and for the printed ones `pdftoppm`
@@ -9,6 +9,7 @@ docs/; with the folder of a commission also its certificate. Needs `chromium`, a
 
 import argparse
 import base64
+import io
 import json
 import os
 import subprocess
@@ -19,6 +20,8 @@ from contextlib import closing
 from itertools import count
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_streams
@@ -35,6 +38,8 @@ BAG = REPOSITORY / "bags" / "smc"
 _WIDTHS = {"wide": 1280, "narrow": 390}
 _HEIGHT, _TALLEST = 800, 6000
 """Pixels of the window, and of a picture of a long page."""
+_MOVING, _FRAME_NS = (1000, 680), 200_000_000
+"""Pixels of the moving picture, and time from one of its frames to the next in ns."""
 _DRAWN_S = 1.5
 """Until plots are drawn, and the live view has its news."""
 
@@ -79,8 +84,20 @@ class Browser:
         return json.loads(text)
 
     def wait_for(self, condition: str) -> None:
-        while not self.ask("Runtime.evaluate", expression=condition)["result"]["value"]:
+        while not self.value(condition):
             time.sleep(0.1)
+
+    def value(self, expression: str) -> Any:
+        return self.ask("Runtime.evaluate", expression=expression)["result"].get("value")
+
+    def show(self, width: int, height: int = _HEIGHT, scheme: str = "light") -> None:
+        """Set the window's size in pixels and its colours."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        self.ask("Emulation.setDeviceMetricsOverride", **size)
+        self.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def shot(self, **options: Any) -> bytes:
+        return base64.b64decode(self.ask("Page.captureScreenshot", **options)["data"])
 
     def close(self) -> None:
         os.close(self._to)
@@ -91,10 +108,7 @@ class Browser:
 def pictures(browser: Browser, name: str, address: str, folder: Path) -> None:
     """Write NAME_wide.png, NAME_dark.png, NAME_narrow.png and NAME_print-1.png …"""
     for kind, width in {**_WIDTHS, "dark": _WIDTHS["wide"]}.items():
-        size = {"width": width, "height": _HEIGHT, "deviceScaleFactor": 1, "mobile": width < 500}
-        browser.ask("Emulation.setDeviceMetricsOverride", **size)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if kind == "dark" else "light"}
-        browser.ask("Emulation.setEmulatedMedia", features=[scheme])
+        browser.show(width, scheme="dark" if kind == "dark" else "light")
         for url in ("about:blank", address):
             browser.ask("Page.navigate", url=url)
             browser.wait_for("document.readyState == 'complete'")
@@ -103,8 +117,7 @@ def pictures(browser: Browser, name: str, address: str, folder: Path) -> None:
         if content["width"] > width:
             print(f"{name}: is {content['width']} pixels wide in a window of {width}", file=sys.stderr)
         clip = {"x": 0, "y": 0, "width": width, "height": min(_TALLEST, content["height"]), "scale": 1}
-        shot = browser.ask("Page.captureScreenshot", clip=clip, captureBeyondViewport=True)["data"]
-        (folder / f"{name}_{kind}.png").write_bytes(base64.b64decode(shot))
+        (folder / f"{name}_{kind}.png").write_bytes(browser.shot(clip=clip, captureBeyondViewport=True))
     browser.ask("Emulation.setEmulatedMedia", features=[])
     printed = folder / f"{name}.pdf"
     pdf = browser.ask(
@@ -147,35 +160,57 @@ def docs(folder: Path) -> str:
     return (folder / "site" / "safety.html").as_uri()
 
 
-def view(_: Path) -> str:
-    """The live view, with the last 20 s of the bag and a fault."""
+def shown_board(**other: Any) -> tuple[Board, dict[str, list[tuple[int, float]]]]:
+    """A board of the live view without samples, and those of the bag by series; ``other`` than the usual state."""
     board = Board({name: Series(SLOT_S, scale) for name, (*_, scale) in SHOWN.items()})
     streams = {ENCODER if stream is POSITION else stream for stream, *_ in SHOWN.values()}
-    columns = read_streams(BAG, {one.topic: one.layout for one in streams})
+    columns, samples = read_streams(BAG, {one.topic: one.layout for one in streams}), {}
     for name, (stream, column, sign, _) in SHOWN.items():
         found = columns[ENCODER.topic if stream is POSITION else stream.topic]
         each = slice(None, None, POSITION_EVERY if stream is POSITION else 1)
         stamps, values = found.stamp[each].tolist(), (sign * found.columns[column][each]).tolist()
-        board.add(name, list(zip(stamps, values, strict=True)))
-    latency = evaluate_bag(BAG).latency
+        samples[name] = list(zip(stamps, values, strict=True))
     node = {"state": "active", "rate_hz": "2000.0", "overruns": "0", "lost": "0", "late_p99_us": "81"}
+    state: dict[str, Any] = {
+        "fresh": True,
+        "amplifier_on": True,
+        "x_mm": 12.345,
+        "stroke_error_pp_um": 0.171,
+        "maintenance": "",
+        "stage": "stage “synthetic”, hardware simulated",
+        "due_us": 250.0,
+        "latency": distribution(evaluate_bag(BAG).latency),
+        "limit": {"um": 0.4, "source": "limits.yaml"},
+        "faults": [],
+        "nodes": {name: node for name in ("driver", "feedforward", "controller", "logger")},
+    }
+    board.show(state | other)
+    return board, samples
+
+
+def view(_: Path) -> str:
+    """The live view, with the last 20 s of the bag and a fault."""
     fault = explained(f"{Fault.Y_OUT_OF_RANGE.label}: y = 412.3 µm; allowed: within ±400 µm ('watch.y_limit')")
-    board.show(
-        {
-            "fresh": True,
-            "amplifier_on": False,
-            "x_mm": 12.345,
-            "stroke_error_pp_um": 0.171,
-            "maintenance": "",
-            "stage": "stage “synthetic”, hardware simulated",
-            "due_us": 250.0,
-            "latency": distribution(latency),
-            "limit": {"um": 0.4, "source": "limits.yaml"},
-            "faults": [{"node": "driver", **fault}],
-            "nodes": {name: node for name in ("driver", "feedforward", "controller", "logger")},
-        }
-    )
+    board, samples = shown_board(amplifier_on=False, faults=[{"node": "driver", **fault}])
+    for name, found in samples.items():
+        board.add(name, found)
     return ViewServer(0, board, {}).url
+
+
+def moving(browser: Browser, file: Path) -> None:
+    """The live view of the stroke in the bag, from its first to its last sample, as an animated picture."""
+    board, samples = shown_board()
+    browser.show(*_MOVING)
+    browser.ask("Page.navigate", url=ViewServer(0, board, {}).url)
+    browser.wait_for("document.readyState == 'complete'")
+    frames, begin, end = [], samples["x"][0][0], samples["x"][-1][0]
+    for until in range(begin + _FRAME_NS, end, _FRAME_NS):
+        for name, found in samples.items():
+            board.add(name, [one for one in found if until - _FRAME_NS <= one[0] < until])
+        time.sleep(_DRAWN_S / 3)
+        frames.append(Image.open(io.BytesIO(browser.shot())).convert("RGB"))
+    how = {"duration": round(_FRAME_NS * 1e-6), "loop": 0, "quality": 40, "method": 0}
+    frames[0].save(file, save_all=True, append_images=frames[1:], **how)
 
 
 PAGES = {one.__name__: one for one in (report, incident, stage_report, survey_map, docs, view)}
@@ -185,12 +220,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--commission", type=Path, metavar="DIR", help="folder of `straightcomp commission`")
+    parser.add_argument(
+        "--moving", type=Path, metavar="FILE", help="also the live view of a stroke, docs/images/live.webp"
+    )
     parser.add_argument("--only", nargs="*", choices=PAGES, default=PAGES, help="pictures of these pages alone")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as work, closing(Browser(f"{work}/profile")) as browser:
         for name in options.only:
             pictures(browser, name, PAGES[name](Path(work)), options.folder)
+        if options.moving:
+            moving(browser, options.moving)
         if options.commission:
             page = (options.commission / "certificate.html").absolute()
             pictures(browser, "certificate", page.as_uri(), options.folder)

@@ -363,6 +363,10 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
     yield judged("wire bus", busy <= _BUS_FULL, detail, remedy, "fail" if busy > 1.0 else "warn")
 
 
+_WRONG_UNIT = 100.0
+"""Steps of a signal in one of the stage, from which its unit is wrong: units are a factor of 1000 apart."""
+
+
 def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
     (least, largest), step = frames.spans[field], frames.step(field)
     coded, signal = frames.fields[field], frames.fields[field].name
@@ -380,4 +384,6 @@ def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], res
         return Finding(name, "fail", detail, remedy)
     remedy = f"The scale of '{signal}' is too coarse: use a finer one, or more bits."
     # A DBC file writes its scales with few digits.
-    return judged(name, step <= 1.001 * resolution, detail, remedy)
+    wrong = step > _WRONG_UNIT * resolution
+    remedy += " Is the unit in the DBC file right?" if wrong else ""
+    return judged(name, step <= 1.001 * resolution, detail, remedy, "fail" if wrong else "warn")

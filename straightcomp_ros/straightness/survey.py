@@ -47,6 +47,8 @@ def numbered_lines(
     The first of these that fits is taken, or what a byte order mark says.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise SurveyError(f"survey {path}: is no file; name a text file")
         content = path.read_bytes()
     except OSError as error:
         raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
@@ -61,7 +63,11 @@ def numbered_lines(
             failed = error
     else:
         raise SurveyError(f"survey {path}: byte {failed.start} is not UTF-8; save the file as UTF-8 text") from failed
+    if "\0" in text:
+        raise SurveyError(f"survey {path}: character {text.index(chr(0))} is NUL; save the file as UTF-8 text")
     for number, raw in enumerate(text.splitlines(), start=1):
+        if len(raw) > _LONGEST_LINE:
+            raise SurveyError(f"survey {path}, line {number}: {len(raw)} characters; allowed: <= {_LONGEST_LINE}")
         line = re.sub(comment, "", raw)
         if line.strip():
             yield number, line
@@ -70,7 +76,7 @@ def numbered_lines(
 def number(where: str, name: str, cell: str) -> float:
     """``cell`` as a finite number, or SurveyError; ``where`` begins the message, ``name`` says what the cell is."""
     try:
-        value = float(cell)
+        value = float(cell.replace("_", "?"))  # "1_000" is a number to Python alone
     except ValueError:
         raise SurveyError(f"{where}: {name} {cell!r}; allowed: a number") from None
     if not math.isfinite(value):
@@ -162,6 +168,8 @@ _OWN_UNIT = re.compile(r".*?[^a-z](m|mm|um|nm)\s*[\])]?")
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 """Excel's own first line, which names the delimiter."""
+_LONGEST_LINE = 100_000
+"""Characters; the csv module reads cells of some more."""
 _LINES_BEFORE = 100
 """Lines in which the header is looked for: instruments write some tens of lines about the measurement before it."""
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")

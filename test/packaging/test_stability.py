@@ -12,6 +12,7 @@ from straightcomp_ros.safety.faults import Fault
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "stability.md").read_text(encoding="utf-8")
+API = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
 DECLARATION = (REPOSITORY / "QUALITY_DECLARATION.md").read_text(encoding="utf-8")
 FAULTS = """
 command_not_finite command_out_of_range command_timeout two_controllers sample_not_finite x_jump y_out_of_range y_frozen
@@ -26,7 +27,7 @@ def test_no_fault_has_another_number_than_before():
     assert numbers.items() <= {label: number for number, label in enumerate(FAULTS.split(), 1)}.items()
 
 
-@pytest.mark.parametrize("name", re.findall(r"^\| `(straightcomp_ros[\w.]+)` \|", PAGE, re.MULTILINE))
+@pytest.mark.parametrize("name", re.findall(r"^::: ([\w.]+)", API, re.MULTILINE))
 def test_a_public_module_is_there_and_says_what_its_public_names_are(name):
     module = importlib.import_module(name)
     ours = [one for one in vars(module).values() if getattr(one, "__module__", "") == name and callable(one)]

@@ -269,6 +269,13 @@ class Wire:
                 if not least <= raw <= largest and not (role == "amplifier" and raw == -1 and name != "on_value"):
                     text = f"{raw} does not fit signal {self._place(role)}; allowed: {least} to {largest}"
                     raise RefusedParameter(f"wire.{role}.{name}", text)
+        for role in (role for role in ("amplifier", *_SWITCHES) if role in self._signals):
+            given = [raw for raw in self._values()[role].values() if raw != -1]
+            if len(set(given)) < len(given):
+                text = f"{self._place(role)} has one value for two meanings: {given}; allowed: different ones"
+                raise RefusedParameter(f"wire.{role}", text)
+        if self._place("x") == self._place("y"):
+            raise RefusedParameter("wire.y.signal", f"{self._place('y')} is that of x too; allowed: another one")
         if self.meaning.amplifier.fault_value < 0:
             together = self._names.get("fault") == self._names["amplifier"]
             if not together or self._pages["fault"] != self._pages["amplifier"]:

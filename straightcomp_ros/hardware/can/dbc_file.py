@@ -28,6 +28,8 @@ _FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes of a frame of CAN FD."""
 FLOATS = {32: "f", 64: "d"}
 """struct's letters by the bits of a float."""
+_FLOAT_SIZES = {"1": "32", "2": "64"}
+"""Bits by the number of SIG_VALTYPE_."""
 _LARGEST_FLOAT = {32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
 _WHOLE = {
     "VERSION": r'VERSION\s*"',
@@ -139,6 +141,15 @@ class Dbc:
         if len(found) > 1:
             raise DbcError(f"'{name}' is {len(found)} signals of message '{message.name}' of {self.file}; allowed: one")
         if found:
+            # cantools takes any byte order but 0 for Intel's, and any length of a float.
+            text = "\n".join(self._of(*self._known[message.name][0]))
+            place = re.search(rf"SG_\s+{re.escape(name)}\b[^|]*\|(\d+)@(\d+)", text)
+            kind = (re.findall(rf"SIG_VALTYPE_\s+\d+\s+{re.escape(name)}\s*:\s*(\d+)", text) or ["0"])[0]
+            if place and (place[2] not in ("0", "1") or (kind != "0" and place[1] != _FLOAT_SIZES.get(kind))):
+                raise DbcError(
+                    f"'{name}' of message '{message.name}' of {self.file} has {place[1]} bits, byte order @{place[2]}, "
+                    f"SIG_VALTYPE_ {kind}; allowed: @0 or @1, and 32 bits with SIG_VALTYPE_ 1, 64 bits with 2"
+                )
             return found[0]
         known = [signal.name for signal in message.signals]
         raise DbcError(f"'{name}' is not a signal of message '{message.name}' of {self.file}{instead(name, known)}")

@@ -119,6 +119,8 @@ def _tables(path: Path) -> list[tuple[int, list[str], list[float]]]:
             raise SurveyError(f"{where}: {text[:20]!r} is outside of a table; allowed: after :START2D")
         else:
             tables[-1][2].extend(number(where, "correction", cell) for cell in text.split())
+    if inside:
+        raise SurveyError(f"survey {path}: ends without :END; is it cut off?")
     return tables
 
 
@@ -137,4 +139,7 @@ def _per_metre(where: str, text: str, conventions: Conventions) -> float:
     known = {"PRIMARY": conventions.per_metre, "METRIC": UNITS["mm"], "ENGLISH": UNITS["inch"]}
     if name not in known:
         raise SurveyError(f"{where}: unit {text!r}; allowed: {', '.join(known)}, each also with a divisor as in /1000")
-    return known[name] * number(where, "divisor of the unit", divisor or "1")
+    by = number(where, "divisor of the unit", divisor or "1")
+    if by <= 0.0:
+        raise SurveyError(f"{where}: unit {text!r}; allowed: a divisor > 0")
+    return known[name] * by

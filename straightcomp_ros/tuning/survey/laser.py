@@ -61,8 +61,8 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
                 where, text, ("run", "target", "deviation"), "numbers of run and target, and the deviation in µm"
             )
             run, target = int(cells[0]), int(cells[1])
-            if not 1 <= target <= len(targets):
-                raise SurveyError(f"{where}: target {target}; allowed: 1 to {len(targets)}")
+            if not 1 <= target <= len(targets) or [run, target] != cells[:2]:
+                raise SurveyError(f"{where}: run {cells[0]:g}, target {cells[1]:g}; allowed: 1 to {len(targets)}")
             if target in readings.setdefault(run, {}):
                 raise SurveyError(f"{where}: target {target} of run {run} is given twice; allowed: once")
             readings[run][target] = (line, targets[target - 1] * 1e-3, cells[2] * 1e-6)

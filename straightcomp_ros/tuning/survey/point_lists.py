@@ -98,13 +98,15 @@ def read_crosscomp(path: Path, conventions: Conventions) -> Survey:
             )
     if entries.get("unit") != 1.0:
         raise SurveyError(f"{where}: kw.crosscomp.unit {entries.get('unit', 0.0):g}; allowed: 1 (metric, in 0.1 µm)")
-    points = []
-    for index in range(int(entries.get("last_index", -1.0)) + 1):
+    points, last = [], entries.get("last_index", -1.0)
+    for index in range(int(last) + 1):
         names = [f"table[{index}].{column}" for column in ("setpoint", "correction")]
         for name in names:
             if name not in entries:
                 raise SurveyError(f"{where}: {_PREFIX}{name} is missing; allowed: one for each")
         points.append([entries[names[0]] / _CROSSCOMP, -entries[names[1]] / _CROSSCOMP])
+    if last != (listed := sum(".setpoint" in key for key in entries) - 1):
+        raise SurveyError(f"{where}: last_index {last:g}; allowed: {listed}, that of the last of its points")
     return survey_of(where, points)
 
 
@@ -151,6 +153,8 @@ def read_etalon(path: Path, conventions: Conventions) -> Survey:
             raise SurveyError(f"{where}: {raw.strip()!r}; allowed: a position and an error on each line")
         if cells:
             blocks[name].append([number(where, name, cell) / _ETALON for cell in cells])
+    if inside and name == conventions.error:
+        raise SurveyError(f"survey {path}: ends within the Gridpoints of [{name}]; is it cut off?")
     if conventions.error not in blocks:
         raise SurveyError(
             f"survey {path}: no Gridpoints of [{conventions.error}]; found: {', '.join(blocks) or 'none'}"

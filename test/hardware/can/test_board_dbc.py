@@ -97,6 +97,8 @@ foreign | wire.y.signal | wire/y/signal=POSY | 'POSY' is not a signal of message
 foreign | wire.x.signal | wire/x/signal= | '' is not allowed; the driver needs this signal
 foreign | wire.y.signal | wire/y/message=DSP_STATUS wire/y/signal=SUPPLY | not in all frames
 foreign | wire.current.signal | wire/current/signal=POS_X | of message 'DSP_MEAS' is in 'mm'; allowed: A, mA
+foreign | wire.y.signal | wire/y/signal=POS_X | of message 'DSP_MEAS' is that of x too
+foreign | wire.amplifier | wire/amplifier/on_value=3 | 'AMP_STATE' of message 'DSP_STATUS' has one value for two
 foreign | wire.x.factor | wire/x/factor=0.0 | 0.0 is not allowed
 foreign | wire.enable.message | wire/enable/message=DSP_STATUS wire/enable/signal=SUPPLY | message of the board already
 foreign | wire.counter.signal | wire/counter/message=DSP_STATUS | '' is not allowed with message
@@ -140,6 +142,7 @@ COUNTS = r"'can.wire.protection.y.alive': .* 'DSP_X' to 15 and 'DSP_Y' to 16 .*a
 EDITED = [
     (FOREIGN_FILE, '[-2|2] "A" DSP', '[-0.5|0.6] "A" DSP', {}, LIMIT),
     (FOREIGN_FILE, "DSP_MEAS: 16", "DSP_MEAS: 17", {}, r"message 'DSP_MEAS' of .* has 17 bytes; allowed: 0, 1, 2"),
+    (FOREIGN_FILE, "POS_Y : 1;", "POS_Y : 2;", {}, r"'POS_Y' .* has 32 bits, byte order @0, SIG_VALTYPE_ 2; allowed"),
     (FOREIGN_FILE, " 801 ", " 1960 ", {"node": 127}, NODE),
     (SPLIT_FILE, "35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", UNPROTECTED_Y, COUNTS),
 ]

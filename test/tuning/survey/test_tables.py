@@ -207,11 +207,15 @@ def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path
         ("aerotech", aerotech("1 1 2 1", [UM, UM]), ""),
         ("aerotech", aerotech("1 2 2 1", [UM, UM]), ""),
         ("aerotech", COLUMNS, "--stage-axis 2 --platform-axis 1"),
+        ("aerotech", COLUMNS.replace(":END", ""), ""),
+        ("aerotech", COLUMNS.replace("CORUNIT=METRIC/1000", "CORUNIT=METRIC/-1000"), ""),
         ("crosscomp", crosscomp(3, 2), ""),
         ("crosscomp", crosscomp(1, 2), ""),
         ("crosscomp", crosscomp(2, 2), ""),
         ("crosscomp", crosscomp(2, 1) + "kw.crosscomp.table[03].correction 99\n", ""),
+        ("crosscomp", crosscomp(2, 1).replace("last_index 23", "last_index 19"), ""),
         ("etalon", etalon() + etalon(), ""),
+        ("etalon", etalon().replace("}", ""), ""),
         ("etalon", etalon() + "[EZX]\nGridpoints = { }\n" + etalon(), ""),
         ("etalon", etalon().replace("}", "} 240 0.1"), ""),
         *(("etalon", etalon(error), f"--error {error}") for error in ("EXX", "ECX", "EAX", "YX", "EYXX")),
@@ -219,13 +223,14 @@ def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path
         ("renishaw", rtl(OUT_AND_BACK, count=25), ""),
         ("renishaw", rtl([*OUT_AND_BACK, (1, 3, 9.0)]), ""),
         ("renishaw", rtl(OUT_AND_BACK[:-1]), ""),
+        ("renishaw", rtl([(1.5, *one[1:]) if one[0] == 1 else one for one in OUT_AND_BACK]), ""),
         ("renishaw", "HEADER::\n", ""),
         ("api", pos(("Forward Directional", UM), ("Forward Directional", UM)), ""),
         ("api", "Measurement type: Pitch\n" + pos(("Bidirectional", UM)), ""),
         ("api", "API\n", ""),
     ],
 )
-def test_a_file_that_says_another_axis_error_or_point_twice_is_refused(tmp_path, capsys, name, text, options):
+def test_a_file_that_says_another_axis_a_point_twice_or_is_cut_off_is_refused(tmp_path, capsys, name, text, options):
     (tmp_path / "table").write_text(text)
     arguments = [str(tmp_path / "table"), "--format", name, "-o", str(tmp_path / "o.csv"), *options.split()]
     assert main(["map", "convert", *arguments]) != 0
