@@ -85,7 +85,6 @@ class Stand:
         self._file.write_text(as_parameter_file(values))
         os.environ.update(isolated_environment())
         self._graph = Graph(folder)
-        self.exit_code = self._graph.exit_code
         self.failures: list[str] = []
         self.process_of = {name: COMPOSED if composed and name in IN_THE_LOOP else name for name in RECORDED}
         self.names = tuple(dict.fromkeys(self.process_of.values()))
@@ -118,6 +117,15 @@ class Stand:
         # A process that communicates with nodes of real-time priority needs the same priority.
         realtime.apply(self._realtime)
         return self
+
+    def exit_code(self, name: str) -> int | None:
+        """The exit code of a process; None while it runs."""
+        policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
+        _leave_real_time()
+        try:
+            return self._graph.exit_code(name)
+        finally:
+            os.sched_setscheduler(0, policy, priority)
 
     def __exit__(self, *_: object) -> None:
         _leave_real_time()
@@ -161,7 +169,6 @@ class Stand:
             if self.exit_code(name) is None:
                 self.signal(name, signal.SIGINT)
         self.until(lambda: not any(self.exit_code(name) is None for name in self.names), STOP_S)
-        _leave_real_time()
         return {name: self.exit_code(name) for name in self.names}
 
     def nodes_of(self, process: str) -> list[str]:
@@ -306,8 +313,8 @@ class Stand:
 
 
 def _leave_real_time() -> None:
-    """With real-time priority, waiting for the end of a child can starve another process that looks at it in /proc, for
-    which the kernel waits."""
+    """With real-time priority, the end of a child can starve another process that looks at it in /proc, for which the
+    kernel waits: for ever, with all of normal priority on this CPU."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
