@@ -237,8 +237,7 @@ class WorkerThread:
 
     The thread is started by the first job, in the loop's thread, so it inherits the loop's scheduling, unless
     :meth:`start` did before. With a lower priority on the same CPU it would be preempted while it holds the interpreter
-    lock, and the loop would wait for both.
-    ``failed`` is called with the reason when a job fails.
+    lock, and the loop would wait for both. ``failed`` is called with the reason when a job fails.
     """
 
     def __init__(self, failed: Callable[[str], object]) -> None:
