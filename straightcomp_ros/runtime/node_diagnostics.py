@@ -30,7 +30,7 @@ from straightcomp_ros.timing.node_timing import (
 )
 from straightcomp_ros.timing.realtime import realtime_limit
 
-_TICK_S, TICKS = 0.1, 10
+_TICK_S, TICKS = 0.05, 20
 """A report takes a tick for each of its steps, and the next one begins after all ticks."""
 _AT_ONCE, _TIMES = 20, 3
 """Values in a step, and number of such steps: the last takes what is left."""
@@ -68,13 +68,17 @@ class Diagnostics:
         self._values: dict[str, object] = {}
         self._items: Iterator[tuple[str, object]] = iter(())
         self._pairs: list[KeyValue] = []
-        self._message = b""
-        self._steps = [
+        self._status, self._message = DiagnosticStatus(), b""
+        # rclpy takes 0.1 ms to look a parameter up.
+        self._asked = bool(node.has_parameter(_PRIORITY) and node.get_parameter(_PRIORITY).value)
+        self._steps: list[Callable[[], object]] = [
             partial(self._begin, counters),
             *(partial(self._collect, part) for part in parts),
+            self._wait,
             self._describe,
             *[partial(self._pair, _AT_ONCE)] * (_TIMES - 1),
             partial(self._pair, None),
+            self._judge,
             self._serialise,
             lambda: self._publisher.publish(self._message),
         ]
@@ -99,13 +103,15 @@ class Diagnostics:
     def _collect(self, part: Callable[[], Mapping[str, object]]) -> None:
         self._values |= part()
 
+    def _wait(self) -> None:
+        self._values[CPU_WAIT] = f"{self._cpu_wait.take_us():.0f}"
+
     def _describe(self) -> None:
         self._values |= {
             **self._description,
             CPUS: ",".join(map(str, sorted(os.sched_getaffinity(0)))),
             PROCESS: os.getpid(),
             REALTIME_LIMIT: self._limit,
-            CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
             SCHEDULING: self._scheduling(),
         }
         self._items, self._pairs = iter(self._values.items()), []
@@ -113,24 +119,25 @@ class Diagnostics:
     def _pair(self, most: int | None) -> None:
         self._pairs += [KeyValue(key=key, value=str(value)) for key, value in islice(self._items, most)]
 
-    def _serialise(self) -> None:
+    def _judge(self) -> None:
         level, words = self._levels.next(self._values)
-        status = DiagnosticStatus(
+        self._status = DiagnosticStatus(
             level=bytes([level]),
             name=self._node.get_fully_qualified_name().lstrip("/"),
             message=words,
             hardware_id=self._hardware_id,
             values=self._pairs,
         )
-        message = DiagnosticArray(status=[status])
+
+    def _serialise(self) -> None:
+        message = DiagnosticArray(status=[self._status])
         message.header.stamp = self._stamp
         self._message = serialize_message(message)
 
     def _scheduling(self) -> str:
         if os.sched_getscheduler(0) == os.SCHED_FIFO:
             return f"FIFO {os.sched_getparam(0).sched_priority}"
-        asked = self._node.has_parameter(_PRIORITY) and self._node.get_parameter(_PRIORITY).value
-        return REFUSED if asked else NORMAL
+        return REFUSED if self._asked else NORMAL
 
     def _rates(self, samples: int) -> tuple[float, float]:
         """Samples a second since the last call, and CPU cores that this process kept busy."""
