@@ -255,6 +255,12 @@ class JudgedMotion:
         """Error p-p in m without the samples ``mask`` (n,), if that leaves any; with all samples otherwise."""
         return self.pp if mask.all() else peak_to_peak(self.error[~mask])
 
+    def judgeable(self, mask: NDArray[np.bool_]) -> bool:
+        """Whether the stage travels at least half of its way in the samples without ``mask`` (n,). A small error of
+        less than that says nothing of the rest."""
+        travelled = np.abs(np.diff(self.x, prepend=self.x[0]))
+        return bool(travelled[~mask].sum() >= 0.5 * travelled.sum())
+
     def harmed(self, mask: NDArray[np.bool_]) -> bool:
         """Whether the error p-p was made in the samples ``mask`` (n,): `HARM` times less, and more than a count less,
         in the others."""

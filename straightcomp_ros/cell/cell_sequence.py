@@ -25,6 +25,9 @@ _ASK_AGAIN_S = 0.5
 _RECEIVED_S = 0.3
 _SETTLE_S = 1.5
 """A node that has just started needs about one more second to allocate and connect, and loses messages meanwhile."""
+_STARTED_WITHIN_S = 600.0
+"""Longest wait for a node that runs and is starting: with an empty cache on a busy machine it compiles for 40 s or
+more."""
 _HOME_S = 1.0
 """Time for the reference to fade to the middle or back to the map, and for the platform to follow."""
 _OFF_WITHIN_S = 2.0
@@ -283,7 +286,7 @@ class CellSequence:
         yield from work
 
     def _resetting(self) -> Iterator[None]:
-        ready_since = self.now
+        ready_since = waits_since = self.now
         while True:
             obstacle = self.seen.obstacle or self.machine.obstacle
             if not obstacle and self.seen.unreferenced:
@@ -296,7 +299,9 @@ class CellSequence:
                 raise WorkFailed(self.seen.contradiction)
             if obstacle:
                 ready_since = self.now
-                if self._overdue(self.start_timeout):
+                if self.seen.starting and not self._overdue(_STARTED_WITHIN_S):
+                    waits_since = self.now
+                if self.now - waits_since > self.start_timeout:
                     raise WorkFailed(f"not ready: {obstacle}")
                 # First receive whether another client uses the machine.
                 if self.seen.missing and self._overdue(_RECEIVED_S) and self._due():

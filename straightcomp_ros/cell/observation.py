@@ -5,8 +5,9 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-ABSENT, SILENT, PLAIN = "absent", "silent", "plain"
-"""States of a node that reports no lifecycle state: it does not run, does not answer, or has no lifecycle."""
+ABSENT, STARTING, SILENT, PLAIN = "absent", "starting", "silent", "plain"
+"""States of a node that reports no lifecycle state: it does not run, has not been active yet (it loads or compiles),
+does not answer, or has no lifecycle."""
 _WORKING = ("active", PLAIN)
 _LOOK_BACK_NS = 100_000_000
 _STILL_M = 50e-6
@@ -44,6 +45,11 @@ class Observation:
     def missing(self) -> tuple[str, ...]:
         """Nodes that are not working, with their state, e.g. ``logger (absent)``."""
         return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in _WORKING)
+
+    @property
+    def starting(self) -> bool:
+        """Whether a node is busy with its start, which a loaded machine makes long."""
+        return STARTING in self.nodes.values()
 
     @property
     def alone(self) -> bool:

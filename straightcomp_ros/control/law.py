@@ -1,5 +1,7 @@
 """The one interface of all control laws."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -43,8 +45,8 @@ class Law:
     """A control law, called once for each sample at a fixed period.
 
     A law is two functions on tuples of numbers, without side effects. A sweep compiles them into its loop; for all
-    others the step is compiled by itself, on arrays of the same numbers. With a cold cache, as in the graph, that takes
-    a third of the time of the same lines in Python.
+    others the step is compiled by itself, on arrays of the same numbers, when it is first asked for. With a cold cache,
+    as in the graph, that takes a third of the time of the same lines in Python.
 
     Args:
         gains: the law's constants, a NamedTuple of floats.
@@ -63,15 +65,25 @@ class Law:
         compiled: bool = False,
     ) -> None:
         self.gains, self.start, self.function = gains, start, step
-        self._run = _flat_step(step, gains.__class__, start(0.0).__class__).dispatcher if compiled else None
+        self._run: Callable[..., None] | None = self._first if compiled else None
         self._gains = np.array(flat(gains))
         self._answer = np.zeros(len(Command._fields))
         self.reset(0.0)
+
+    def prepare(self) -> Law:
+        """Compile the step, or read its machine code, now: inside a loop the first call of :meth:`step` must not."""
         if self._run is not None:
-            # The first call compiles, or reads the cache: never inside a loop, nor again for integers.
-            self._run(self._gains, self._state, self._answer, 0.0, 0.0, 0.0, 0.0, math.nan)
-            self._run.disable_compile()
-            self.reset(0.0)
+            run = _flat_step(self.function, self.gains.__class__, self.start(0.0).__class__).dispatcher
+            run(self._gains, np.array(self._state), self._answer, 0.0, 0.0, 0.0, 0.0, math.nan)
+            # Nor again for integers.
+            run.disable_compile()
+            self._run = run
+        return self
+
+    def _first(self, *arguments: Any) -> None:
+        self.prepare()
+        assert self._run is not None
+        self._run(*arguments)
 
     def reset(self, y: float) -> None:
         """Restart at rest at ``y`` (m), with nothing integrated."""

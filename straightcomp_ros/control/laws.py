@@ -123,9 +123,9 @@ def _open_loop(
 
 
 def prepare_all() -> None:
-    """Compile the steps of all laws, or read their machine code, so that :func:`make_law` takes no time later."""
+    """Compile the steps of all laws, or read their machine code, so that `Law.prepare` takes no time later."""
     for name in LAWS:
-        make_law(ControlParameters(law=name), StageParameters())
+        make_law(ControlParameters(law=name), StageParameters()).prepare()
 
 
 def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:

@@ -139,7 +139,7 @@ class ControllerComponent:
             if parameters.control.margins == "require":
                 raise ParameterError(f"{missing}; 'control.margins' set to 'warn' uses these")
             self._node.get_logger().warning(missing)
-        return make_law(parameters.control, parameters.stage)
+        return make_law(parameters.control, parameters.stage).prepare()
 
     def deactivate(self) -> None:
         """Stop publishing commands, so that the driver switches off. Save what was learned."""

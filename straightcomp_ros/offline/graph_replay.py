@@ -15,7 +15,7 @@ import numpy as np
 
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
-from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words, isolated_environment
+from straightcomp_ros.cell.launcher import SLACK_S, Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
@@ -24,7 +24,6 @@ _PLAYED_TO = ("feedforward", "controller", "logger")
 _NAMESPACE = "replay"
 _LEARNED = "learning.file"
 """The only parameter of feedforward and controller that names a file which they write."""
-_SLACK_S = 90.0
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,7 @@ def replay_through_graph(
             "topic": (remap or {}).get(ENCODER.topic, ENCODER.topic),
             "subscribers": len(_PLAYED_TO),
             "ahead": 50,
+            "start_timeout": SLACK_S,  # a node that ends meanwhile is seen
         }
         values["logger"] = {"output": str(new), "nodes": "feedforward controller"}
         file = Path(folder) / "parameters.yaml"
@@ -118,7 +118,7 @@ def _play(parameter_file: Path, logs: Path, duration: float) -> None:
         for name in _PLAYED_TO:
             graph.start(name, {}, parameter_file)
         player = graph.start("player", {}, parameter_file)
-        deadline = time.monotonic() + duration + _SLACK_S
+        deadline = time.monotonic() + duration + SLACK_S
         while player.poll() is None:
             graph.check(_PLAYED_TO)
             if time.monotonic() > deadline:

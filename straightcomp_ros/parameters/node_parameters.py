@@ -190,7 +190,9 @@ class CellNodeParameters:
     nodes: str = parameter(
         "driver feedforward controller logger", "Nodes to wait for and to watch, separated by blanks"
     )
-    start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", "(0, inf) s")
+    start_timeout: float = parameter(
+        30.0, "Longest wait for the nodes, except for one that is starting, and for the amplifier", "(0, inf) s"
+    )
     sample_timeout: float = parameter(2.0, "Time without a sample that ends the run", "(0, inf) s")
     heartbeat_timeout: float = parameter(3.0, "Time without a heartbeat of a node that ends the run", "[0.5, 60] s")
     strokes: int = parameter(1, "Number of strokes, each forward and back", "[1, 1000]")
@@ -229,7 +231,9 @@ class OpcuaNodeParameters:
 
     nodes: str = parameter("driver feedforward controller logger", "Nodes that must be working, separated by blanks")
     start_timeout: float = parameter(
-        30.0, "Longest wait for the nodes, for the amplifier, and for a fault to be cleared", "(0, inf) s"
+        30.0,
+        "Longest wait for the nodes, except for one that is starting, for the amplifier, and for a fault to be cleared",
+        "(0, inf) s",
     )
     error_limit: float = parameter(
         2e-6, "Peak-to-peak error of one motion of the stage above which there is an alarm", "(0, inf) m"

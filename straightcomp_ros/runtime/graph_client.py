@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from straightcomp_ros.cell.cell_sequence import Answer
-from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT, Observation, StrokeErrors
+from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT, STARTING, Observation, StrokeErrors
 from straightcomp_ros.contract import (
     ALWAYS_PUBLISHED,
     CONTROLLER_STATE,
@@ -70,7 +70,7 @@ _UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transit
 _PARAMETERS_EVERY_S = 0.25
 _AGAIN_AFTER = 8
 """Looks until a node is asked again: a response is lost if the node receives the request before it knows the client."""
-_DRIVER = "driver"
+_DRIVER, _ACTIVE = "driver", "active"
 _ENABLE = "driver/enable"
 _SERVICES = {
     SetBool: (_ENABLE, "driver/hold", "feedforward/center"),
@@ -184,9 +184,11 @@ class GraphClient:
 
     @property
     def states(self) -> dict[str, str]:
-        """State of each node: ``absent``; ``plain`` if it has no lifecycle; ``silent`` without heartbeats; else its
-        lifecycle state in lower case."""
-        states = self._heartbeats.states | dict.fromkeys(self._heartbeats.silent(), SILENT)
+        """State of each node: ``absent``; ``plain`` if it has no lifecycle; without heartbeats ``silent``, or
+        ``starting`` where it was not active before; else its lifecycle state in lower case."""
+        before = self._heartbeats.states
+        quiet = {name: SILENT if before[name] == _ACTIVE else STARTING for name in self._heartbeats.silent()}
+        states = before | quiet
         states |= {name: PLAIN for name, change in self._change_state.items() if not change.ready}
         return states | {name: ABSENT for name in states if name not in self._present}
 
@@ -281,7 +283,7 @@ class GraphClient:
         states, reports = self.states, self.reports()
         controller = reports.get("controller", {})
         # A fault of the driver is in its safety state at once, but in its diagnostics up to a second later.
-        safety = self.safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
+        safety = self.safety if states.get(_DRIVER) not in (ABSENT, STARTING, SILENT) else SafetyState()
         errors = {node: error for node, (_, error, _) in self._reports.items() if error is not None}
         faults = {node: error for node, error in errors.items() if node in reports and node != _DRIVER}
         reported = {node: values[DESCRIPTION] for node, values in reports.items() if DESCRIPTION in values}

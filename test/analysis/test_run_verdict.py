@@ -47,7 +47,7 @@ def stalled(*error: object, **changes) -> JudgedMotion:
     return motion(*error, stalls=(Stall(3.95, 4.02),), **changes)
 
 
-MANY = tuple(Stall(t, t + 0.01) for t in np.arange(0.0, 8.0, 0.1).tolist())
+MANY, OFTEN = (tuple(Stall(t, t + 0.01) for t in np.arange(0.0, 8.0, every).tolist()) for every in (0.1, 0.15))
 PUSHED, SHORTLY = np.where(TIME < 1.0, 0.9, 0.1), np.where(np.abs(TIME - 4.0) < 0.1, 0.9, 0.1)
 OTHER, NEARLY_RIGHT = GuideFit(20e-6, 27e-6, "shift it"), GuideFit(20e-6, 0.3e-6, "survey more points")
 SPEED = 0.5 * np.abs(np.sin(np.pi * TIME / 4.0))
@@ -95,6 +95,14 @@ CASES = {
         ("in_order", "", motion(stalls=MANY)),
         ("starved", "error 2.02 µm p-p", motion(SMALL + bump(4.0, 2e-6, 0.005), stalls=MANY)),
         ("in_order", "", motion(SMALL + bump(4.0, 0.15e-6, 0.005), stalls=MANY)),
+    ],
+    "no error without stalls is stated that leave less than half of the travel": [
+        ("starved", "^(?!.*works).*less than half", motion(SMALL + bump(3.95, 2e-6, 0.005), stalls=OFTEN)),
+        (
+            "in_order",
+            "^(?!.*without the stalls).*less than half",
+            motion(SMALL + bump(3.95, 0.15e-6, 0.005), stalls=OFTEN),
+        ),
     ],
     "a platform that reached its stop is at the stop whatever else": [
         ("at_stop", "", motion(R - 1.2e-3, stop=1.2e-3)),

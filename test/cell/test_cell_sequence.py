@@ -208,6 +208,22 @@ def test_a_machine_without_a_reference_of_x_is_homed_before_it_is_idle():
     assert bench.seen.unreferenced == ""
 
 
+def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_for_the_start_timeout_only():
+    bench = Bench()
+    bench.activate = lambda: None
+    bench.see(nodes={"driver": "starting"})
+    assert not bench.sequence.command(Command.RESET)
+    bench.ticks(6000)
+    assert bench.sequence.state is State.RESETTING
+    bench.see(nodes={"driver": "active"})
+    bench.until(State.IDLE, 2.0)
+    bench.see(nodes={"driver": "absent"})
+    assert not bench.sequence.command(Command.STOP)
+    bench.until(State.STOPPED)
+    bench.give(Command.RESET, State.STOPPED)
+    assert bench.sequence.message == "not ready: nodes that do not work: driver (absent)"
+
+
 def test_clear_resets_faults_and_gives_up_where_they_remain():
     bench = started(1)
     bench.see(faults=COIL)

@@ -37,7 +37,7 @@ def test_the_compiled_step_equals_the_function_to_the_last_bit(name):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name):
-    law = make_law(ControlParameters(law=name), STAGE)
+    law = make_law(ControlParameters(law=name), STAGE).prepare()
     before = len(law._run.signatures)
     answer = law.step(0, 0, 0, 0, 0)
     law.reset(0)
@@ -51,6 +51,14 @@ def test_two_laws_of_a_kind_have_each_a_state_of_its_own():
         one.step(*sample)
     for sample in samples(50):
         assert repr(other.step(*sample)) == repr(fresh.step(*sample))
+
+
+def test_a_law_whose_step_is_not_called_compiles_nothing():
+    code = "import sys; from straightcomp_ros.control.laws import ControlParameters, make_law\n"
+    code += "from straightcomp_ros.stage.description import StageParameters\n"
+    code += "make_law(ControlParameters(), StageParameters()); print('numba' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert result.stdout.strip() == "False"
 
 
 @pytest.mark.parametrize("module", ["parameters.node_parameters", "runtime.managed", "control.laws"])
