@@ -3,8 +3,8 @@ with faults that switch the amplifier off on the way; and a step and scan of man
 that computes what the graph computes in lockstep; with --live the sequences run in one running graph, one after the
 other, after nine whole strokes.
 
-A sequence passes if each stop ends within v/a + 50 ms, the true error p-p is within 1.1 of the largest of a whole
-stroke over nine starts, the platform stays off its stop, and the true r̈ has no step beyond what three times the jerk of
+A sequence passes if each stop ends within v/a + 50 ms, the true error p-p is within 1.1 of the largest of whole
+strokes, over as many starts as there are sequences (of more than 300, over 300), the platform stays off its stop, and the true r̈ has no step beyond what three times the jerk of
 the strokes makes of it in a sample. It begins with a move forth and back that is not judged: when the amplifier has
 just been switched on the law knows no friction, and leaves more error until the platform has slid both ways.
 """
@@ -41,6 +41,9 @@ PURPOSE = "measure"
 _STOP_S = 0.05
 _ERROR = 1.1
 _JERKS = 3.0
+_MOST_STARTS = 300
+"""The largest of many is larger than that of a few: of the shipped stage's strokes 0.151 µm of 9, 0.162 of 60, 0.173 of
+300."""
 _SETTLE_NS = 1_000_000_000
 """In which the platform follows from its start to the map."""
 _FIRST = 0.2
@@ -74,7 +77,7 @@ def run(options: argparse.Namespace) -> None:
     if options.live:
         normal, found = live(values, seeds, Path(options.live).absolute())
     else:
-        normal = whole_strokes(values)
+        normal = whole_strokes(values, max(STARTS, min(len(seeds), _MOST_STARTS)))
         plans = (planned(values, seed) for seed in seeds)
         found = [judged(values, plan, *in_lockstep(values, plan)) for plan in plans]
     largest = max(normal)
@@ -82,12 +85,13 @@ def run(options: argparse.Namespace) -> None:
         one["seed"] = seed
         if one["pp_um"] > _ERROR * largest * 1e6:
             one["failed"].append("error")
-    shown: dict[str, Any] = {"normal_pp_um": [pp * 1e6 for pp in sorted(normal)], "sequences": len(found)}
+    shown: dict[str, Any] = {f"normal_{name}": number for name, number in _spread(normal).items()}
+    shown["sequences"] = len(found)
     if found:
         pp = np.array([one["pp_um"] for one in found])
         shown |= {name: max(one[name] for one in found) for name in found[0] if name not in ("seed", "stops", "failed")}
         shown |= {name: sum(one[name] for one in found) for name in ("stops", "reversals", "faults")}
-        shown |= {"pp_um_median": float(np.median(pp)), "pp_um_95_percent": float(np.quantile(pp, 0.95))}
+        shown |= _spread(pp * 1e-6)
         shown["above_1.1_of_the_median_stroke"] = int((pp > _ERROR * float(np.median(normal)) * 1e6).sum())
         shown["failures"] = sum(bool(one["failed"]) for one in found)
         shown["failed"] = [one for one in found if one["failed"]][:20]
@@ -97,10 +101,15 @@ def run(options: argparse.Namespace) -> None:
     raise SystemExit(1 if shown.get("failures") else 0)
 
 
-def whole_strokes(values: Any) -> list[float]:
-    """True error p-p in m of the stage's own stroke, forward and back, while it moves, over its starts."""
-    runs = ((record, record.true_error(reference)) for record, reference in runs_of_starts(values))
+def whole_strokes(values: Any, starts: int) -> list[float]:
+    """True error p-p in m of the stage's own stroke, forward and back, while it moves, over so many starts."""
+    runs = ((record, record.true_error(reference)) for record, reference in runs_of_starts(values, starts))
     return [peak_to_peak(error[record.motion.window]) for record, error in runs if error is not None]
+
+
+def _spread(pp: Sequence[float] | Array) -> dict[str, float]:
+    shares = {"median": 0.5, "95_percent": 0.95, "largest": 1.0}
+    return {f"pp_um_{name}": float(np.quantile(pp, share)) * 1e6 for name, share in shares.items()}
 
 
 class Plan(NamedTuple):
