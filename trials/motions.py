@@ -4,9 +4,10 @@ that computes what the graph computes in lockstep; with --live the sequences run
 other, after nine whole strokes.
 
 A sequence passes if each stop ends within v/a + 50 ms, the true error p-p is within 1.1 of the largest of whole
-strokes, over as many starts as there are sequences (of more than 300, over 300), the platform stays off its stop, and the true r̈ has no step beyond what three times the jerk of
-the strokes makes of it in a sample. It begins with a move forth and back that is not judged: when the amplifier has
-just been switched on the law knows no friction, and leaves more error until the platform has slid both ways.
+strokes, over as many starts as there are sequences (of more than 300, over 300), the platform stays off its stop, and
+the true r̈ has no step beyond what three times the jerk of the strokes makes of it in a sample. It begins with a move
+forth and back that is not judged: when the amplifier has just been switched on the law knows no friction, and leaves
+more error until the platform has slid both ways.
 """
 
 import argparse
