@@ -12,7 +12,7 @@ import pytest
 from straightcomp_ros.analysis import html_report as report
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval
-from straightcomp_ros.analysis.error_detail import StickSlip, stick_slips
+from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.html_page import blocks, worded
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
@@ -88,6 +88,20 @@ def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
         assert [event for event in stick_slips(time, 0.1 * time, away, r) if event.time < 1.1] == []
         # Nor one that lags, seen in counts.
         assert stick_slips(time, 0.1 * time, np.round((r - 1.5e-6 * way) / 1e-7) * 1e-7, r) == []
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_slip_makes_good_at_least_its_part_of_the_stick_beyond_the_reference_s_own_motion(way):
+    step, samples = way * 1e-7, np.arange(1000)
+    r, time = step * samples, 1e-3 * samples
+    ahead = step * 99  # from the first sample of the stick to the last
+    for beyond, events in ((0.5, 1), (-0.5, 0)):
+        jump = SLIP * ahead + (1.0 + beyond) * step
+        y = np.where(samples < 500, r, r[500] + np.where(samples < 600, 0.0, jump))
+        found = stick_slips(time, time, y, r)
+        assert len([event for event in found if event.time == pytest.approx(0.5)]) == events
+    # A stick at the end of the record has no slip.
+    assert stick_slips(time[:600], time[:600], y[:600], r[:600]) == []
 
 
 @pytest.fixture

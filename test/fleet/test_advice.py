@@ -12,7 +12,8 @@ from straightcomp_ros.fleet.maintenance.day_levels import levels_of
 from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
-from trials.wear import alarms_of
+from trials import wear as wear_found
+from trials.wear import Alarm, alarms_of
 from trials.worn_stage import BAGS_A_DAY, SOUND, WEARS, levels_of_months, months
 
 DAYS, BEGIN = 120, 60
@@ -134,6 +135,42 @@ def test_simulated_wear_is_found_with_its_cause(pool, wear):
 def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
     assert not {"guide", "bolt"} & {one.cause for one in advice_of(levels_of_months(strokes, pool.x))}
+
+
+AGAIN = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("factors", "alarms"),
+    [
+        ({"friction_A": 1.0 + 0.3 * AGAIN}, [("friction_up", 1), ("friction_up", 2)]),
+        # First the error alone is worse, then the friction that explains it is seen.
+        (
+            {"encoder_rms_um": 1.0 + 0.5 * (PLACES >= 40), "friction_A": 1.0 + 0.5 * (PLACES >= 60)},
+            [("unknown", 1), ("friction_up", 1)],
+        ),
+        # Stiffness first follows friction, then is a matter of its own, while no figure's alarm begins or ends.
+        (
+            {
+                "friction_A": 1.0 + 0.5 * (PLACES >= 40),
+                "stiffness_A_per_m": 1.0 + 0.1 * (PLACES >= 40) + 0.4 * (PLACES >= 80),
+            },
+            [("friction_up", 1), ("stiffness", 2)],
+        ),
+    ],
+)
+def test_an_alarm_that_comes_again_or_with_another_cause_counts_again(make_levels, factors, alarms):
+    assert [(one.cause, one.place // 40) for one in alarms_of(make_levels(**factors))] == alarms
+
+
+@pytest.mark.nightly
+def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning(monkeypatch):
+    wear = next(one for one in WEARS if one.name == "friction")
+    alarms = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
+    monkeypatch.setattr(wear_found, "_levels", lambda *_: None)
+    monkeypatch.setattr(wear_found, "alarms_of", lambda _: alarms)
+    assert wear_found.found(None, wear, 0, True) == (50, 2)
 
 
 def test_what_is_written_is_read(make_levels, tmp_path):

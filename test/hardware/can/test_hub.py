@@ -233,6 +233,13 @@ def test_faults_are_one_or_two_bits_one_of_eleven_bits_of_the_identifier_and_req
         assert own.data and request == (0, 0x181, flags & EXTENDED | REMOTE, b"")
 
 
+@pytest.mark.parametrize("kind", ["drop", "duplicate", "corrupt", "truncate", "wrong_id"])
+def test_a_fault_of_rate_one_is_made_every_time_and_of_rate_zero_never(kind):
+    always, never = Faults({kind: 1.0}), Faults({kind: 0.0})
+    assert [FRAME] not in [always(FRAME) for _ in range(50)] and always.injected == {kind: 50}
+    assert [never(FRAME) for _ in range(50)] == [[FRAME]] * 50 and never.injected == {kind: 0}
+
+
 def test_two_frames_of_a_kind_are_swapped_and_two_of_different_kinds_are_not():
     first, second, other = Frame(0, 0x181, 0, b"1"), Frame(1, 0x181, 0, b"2"), Frame(2, 0x281, 0, b"3")
     faults = Faults({"reorder": 1.0})

@@ -180,6 +180,37 @@ def test_what_lies_between_two_samples_is_lost_until_it_comes_and_then_out_of_or
     assert (found.lost, found.out_of_order, found.repeated) == (2, 2, 3)
 
 
+def test_the_newest_256_missing_samples_may_still_come_and_an_older_one_counts_as_repeated():
+    found = sequence(0)
+    for _ in range(2):
+        found.accept(0, 200, 0)
+    missing = sorted({*range(1, 200), *range(201, 400)})[-256:]
+    for number in (missing[0], missing[0] - 1):
+        found.count_old(number - 400)
+    assert (found.lost, found.out_of_order, found.repeated) == (397, 1, 1)
+
+
+@pytest.mark.parametrize(("modulus", "told_apart"), [(256, 251), (16, 11), (4, 2)])
+def test_numbers_start_anew_after_a_silence_that_a_board_s_only_count_cannot_tell(modulus, told_apart):
+    for silence in range(1, told_apart + 1):
+        found = SampleNumbers(Clock(), PERIOD, modulus)
+        found.accept(100, 1, 0)
+        anew = silence == told_apart
+        assert found.ahead((100 + silence) % modulus, (100 + silence) * PERIOD) == (1 if anew else silence)
+        assert found.jumps == anew and (found.index is None) == anew
+
+
+@pytest.mark.parametrize("lost", [0, 1, 3])
+def test_frames_without_a_count_that_are_late_singly_lose_nothing_and_eight_in_a_row_show_what_was_lost(lost):
+    found, late = SampleNumbers(Clock(), PERIOD, 0), (0.0, 3.0, 0.2)
+    for k in range(100):
+        taken = k + lost * (k >= 50)
+        arrival = round((taken + late[k % 3]) * PERIOD)
+        number = found.accept(None, found.ahead(None, arrival), arrival)
+        assert 50 <= k < 57 or number == taken
+    assert found.lost == lost and found.jumps == 0
+
+
 @pytest.mark.parametrize("newest", [None, 900])
 @pytest.mark.parametrize(("counter", "late"), [(1000, 0), (1000, 14.9), (1000, 15), (1001, 1), (999, 0), (1015, 15)])
 def test_a_full_counter_numbers_the_last_frame_that_waits_if_it_is_that_of_its_sample(newest, counter, late):
