@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from straightcomp_ros.cli.main import main
 
 RIGS = (
-    *("bags", "can", "faults", "history", "incidents", "kills", "motions"),
-    *("noise", "power_cuts", "soak", "strokes", "verdict", "wear"),
+    *("bags", "can", "faults", "incidents", "motions", "noise"),
+    *("power_cuts", "soak", "strokes", "verdict", "wear"),
 )
 
 

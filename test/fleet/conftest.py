@@ -4,10 +4,10 @@ import shutil
 
 import numpy as np
 import pytest
+from generated_bags import template_of, write_bag
 from stores import COUNT, SAMPLES, STAGES, added, files_of
 
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
-from trials.generated_bags import template_of, write_bag
 from trials.worn_stage import StrokePool, stroke_pool, write_store
 
 DAYS, BINS = 120, 100

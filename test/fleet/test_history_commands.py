@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from generated_bags import template_of, write_bag
 from stores import COUNT, SAMPLES, added
 from tiers import nightly
 
@@ -15,7 +16,6 @@ from straightcomp_ros.fleet.history.rows import stored_name
 from straightcomp_ros.fleet.history.store import Store
 from straightcomp_ros.parameters.output_files import MARK
 from straightcomp_ros.stage.due_maintenance import read_advice
-from trials.generated_bags import template_of, write_bag
 from trials.worn_stage import SOUND, WEARS
 
 

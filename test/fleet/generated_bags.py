@@ -1,4 +1,4 @@
-"""Many bags of several stages over months, made from one simulated run: its messages with other stamps and readings."""
+"""Many bags of several stages over months, made from one run: its messages with other stamps and readings."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_s
 from straightcomp_ros.bags.writer import BagWriter, Message
 from straightcomp_ros.contract import ALWAYS_PUBLISHED, ENCODER, Stream
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from trials.rig import simulated
 
 FIRST_NS = 1_760_000_000_000_000_000
 """Stamp of the first bag's first sample: in October 2025."""
@@ -25,7 +23,6 @@ _STEP_NS = 43_200 * NANOSECONDS
 _CHANGED = 0.05
 """Fraction of the samples whose y reads one count more or less than in the simulated run."""
 _STAGE = b"stage.name: synthetic"
-_SHORT = {"motion.stroke": 0.05, "motion.settle": 0.05, "motion.pause": 0.05}
 
 
 class Template(NamedTuple):
@@ -33,13 +30,6 @@ class Template(NamedTuple):
 
     streams: dict[str, StreamColumns]
     attachments: dict[str, bytes]
-
-
-def simulated_template(folder: Path) -> Template:
-    """A short cycle of the shipped stage, recorded as by a real machine: without truth. ``folder`` is for its bag."""
-    values = shipped_parameters()
-    values["stage"] |= _SHORT
-    return template_of(simulated(folder, values))
 
 
 def template_of(bag: Path) -> Template:
