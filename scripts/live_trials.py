@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.tuning.commissioning import RECORD, STEP_NAMES
-from straightcomp_ros.tuning.verbs.graph_option import EMULATED, START
+from straightcomp_ros.tuning.verbs import EMULATED, START
 
 ALLOWED_S = 300.0
 _LONGEST_S = 600.0

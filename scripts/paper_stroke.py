@@ -9,7 +9,7 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import PlantParameters, PlantState
-from straightcomp_ros.offline.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.scenario import Conditions, run_cycle
 from straightcomp_ros.offline.starts import Spread, offsets, spread
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward

@@ -13,7 +13,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.sweep.many_trials import run_trials
+from straightcomp_ros.tuning.sweep.trial import run_trials
 
 # The code is reached by other tests, and whole strokes take three times as long under it.
 pytestmark = pytest.mark.no_cover

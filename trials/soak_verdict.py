@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.bench.processes import Usage, growth_mb_per_hour, usage
+from straightcomp_ros.bench.graph_bench import Usage, growth_mb_per_hour, usage
 
 MEMORY_SPAN_S = 600.0
 """Shortest time over which the slope of a process's memory is meaningful: a logger takes 5 MB in the first four minutes

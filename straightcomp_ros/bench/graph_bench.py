@@ -1,19 +1,24 @@
-"""Measures the running graph: rate, lateness, CPU, memory of each node; latency and losses of the whole."""
+"""Measures the running graph: rate, lateness, CPU, memory of each node; latency and losses of the whole, by its bag."""
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recorded_nodes import read_reports
-from straightcomp_ros.bench.processes import Usage, cores, growth_mb_per_hour, usage
-from straightcomp_ros.bench.recorded_window import read_window
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, LaunchError, run_cycle, verb_command
-from straightcomp_ros.contract import PACKAGE, STROKE
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STREAMS, STROKE
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.node_parameters import (
     NODE_PARAMETERS,
@@ -24,11 +29,95 @@ from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.timing.node_timing import summarise
 from straightcomp_ros.timing.realtime import place
 
+_TICKS = os.sysconf("SC_CLK_TCK")
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+_UTIME = 11
+"""Index of the user time after the command's name in /proc/PID/stat (proc(5): field 14); the system time follows."""
+
+
+class Usage(NamedTuple):
+    """What processes have used up to one moment, by name."""
+
+    time_ns: int  # since the epoch
+    cpu: Mapping[str, float]  # seconds of CPU since the start of each, all threads; known to 10 ms
+    rss_mb: Mapping[str, float]  # resident memory in MB (10⁶ bytes)
+
+
+def usage(process_ids: Mapping[str, int]) -> Usage:
+    """Look now; OSError if a process has ended."""
+    cpu, rss = {}, {}
+    for name, pid in process_ids.items():
+        # The command's name is in parentheses and may contain any character.
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        cpu[name] = (int(fields[_UTIME]) + int(fields[_UTIME + 1])) / _TICKS
+        rss[name] = int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE * 1e-6
+    return Usage(time.time_ns(), cpu, rss)
+
+
+def cores(begin: Usage, end: Usage) -> dict[str, float]:
+    """CPU cores that each process kept busy between two looks."""
+    seconds = (end.time_ns - begin.time_ns) * 1e-9
+    return {name: (end.cpu[name] - begin.cpu[name]) / seconds for name in begin.cpu}
+
+
+def growth_mb_per_hour(looks: Sequence[Usage]) -> dict[str, float]:
+    """Slope of each process's memory over all looks (least squares), MB/h; NaN with fewer than two."""
+    if len(looks) < 2:
+        return dict.fromkeys(looks[0].rss_mb, float("nan"))
+    hours = [(look.time_ns - looks[0].time_ns) / 3.6e12 for look in looks]
+    return {name: float(np.polyfit(hours, [look.rss_mb[name] for look in looks], 1)[0]) for name in looks[0].rss_mb}
+
+
+_PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+
+
+def read_window(bag: Path, rate: int, begin_ns: int, end_ns: int) -> dict[str, Any]:
+    """What a bag of the graph's logger has of the samples at ``rate`` Hz with stamps in [begin_ns, end_ns).
+
+    ``lost_samples`` have no command, wherever they were lost: before the law, after it, or by the logger.
+    ``latency_us`` has percentiles of the time from each sample to its command's arrival at the driver; NaN without any.
+    Of ``bag``, ``expected_samples`` are those that the sampling clock took, ``missing`` the number of these without a
+    message by topic, and ``amplifier_on`` the fraction of the recorded ones with the amplifier on. BagError if the bag
+    cannot be read or has no samples in the window.
+    """
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in STREAMS})
+    period_ns = round(1e9 / rate)
+
+    def inside(topic: str) -> NDArray[np.bool_]:
+        stamp = streams[topic].stamp
+        return np.asarray((stamp >= begin_ns) & (stamp < end_ns))
+
+    if ENCODER.topic not in streams or not inside(ENCODER.topic).any():
+        raise BagError(f"bag {bag}: has no messages on '{ENCODER.topic}' in the window that was measured")
+    phase = int(streams[ENCODER.topic].stamp[inside(ENCODER.topic)][0])
+    # Samples lie on a grid, so losses at an edge of the window count too.
+    expected = -((phase - end_ns) // period_ns) + (phase - begin_ns) // period_ns
+    found = {topic: len(np.unique(stream.stamp[inside(topic)])) for topic, stream in streams.items()}
+    missing = {stream.topic: expected - found.get(stream.topic, 0) for stream in STREAMS}
+    latency = enabled = np.empty(0)
+    if DRIVER_STATE.topic in streams:
+        columns, wanted = streams[DRIVER_STATE.topic].columns, inside(DRIVER_STATE.topic)
+        latency, enabled = columns["command_latency"][wanted], columns["enabled"][wanted]
+        latency = latency[np.isfinite(latency)]
+    percentiles = np.percentile(latency, list(_PERCENTS.values())) if len(latency) else np.full(len(_PERCENTS), np.nan)
+    return {
+        "lost_samples": missing[COMMAND.topic],
+        "latency_us": dict(zip(_PERCENTS, (percentiles * 1e6).tolist(), strict=True)),
+        "bag": {
+            "complete": not any(missing.values()),
+            "expected_samples": expected,
+            "missing": missing,
+            "amplifier_on": float(enabled.mean()) if len(enabled) else float("nan"),
+        },
+    }
+
+
 _SETTLE_S = 1.5
 """Motion before the window, in which caches fill and loops lock to each other."""
 _REST_S = 1.0
 """Time after the window in which its last samples are answered and recorded."""
 _PAUSE_S = 0.5
+_AGAIN_S = 0.2
 _LOOK_INTERVAL_S = 10.0
 _FORGIVING = {
     "simulated.command_timeout": 1.0,
@@ -114,8 +203,21 @@ def view_programs(priority: int) -> dict[str, Sequence[str]]:
     port = str(free_port())
     return {
         "view": verb_command("view", "--port", port, "--priority", str(priority)),
-        "page": [sys.executable, "-m", f"{PACKAGE}.bench.page_reader", port],
+        "page": [sys.executable, "-c", f"from {__name__} import read_page; read_page({port})"],
     }
+
+
+def read_page(port: int) -> None:
+    """Read a view's events like an open page until interrupted; reconnect like a browser whenever it is not there."""
+    with suppress(KeyboardInterrupt):
+        while True:
+            connection = HTTPConnection("127.0.0.1", port, timeout=10.0)
+            with closing(connection), suppress(OSError, HTTPException):
+                connection.request("GET", "/news")
+                answer = connection.getresponse()
+                while answer.readline():
+                    pass
+            time.sleep(_AGAIN_S)
 
 
 def measure(

@@ -12,8 +12,8 @@ from rclpy.task import Future
 
 from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.packml import Order
+from straightcomp_ros.opcua.address_space import Alarms, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError
-from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters

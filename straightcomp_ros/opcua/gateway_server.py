@@ -28,10 +28,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
-from straightcomp_ros.opcua.address_space import AddressSpace
+from straightcomp_ros.opcua.address_space import AddressSpace, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, Users
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
-from straightcomp_ros.opcua.snapshot import Snapshot
 from straightcomp_ros.parameters.output_files import write_whole
 
 _PERIOD_S = 0.1

@@ -45,8 +45,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
-from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
+from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, CommissioningWatch, SafetyState
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.timing.node_timing import (

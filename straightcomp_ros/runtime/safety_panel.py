@@ -1,4 +1,9 @@
-"""The driver's services and topics for its safety state machine, for operators and cell controllers."""
+"""The driver's services and topics for its safety state machine, for operators and cell controllers; and the sign of a
+client that commissions the machine.
+
+The middleware itself reports that the client's publisher lives (liveliness): this costs the loop no message, and no
+process has to be awake for it.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +11,73 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.contract import SAFETY_STATE, TRIP
-from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
+from straightcomp_ros.contract import COMMISSIONING_CLIENT, SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
 from straightcomp_ros.timing.node_timing import count
+
+GONE_AFTER_S = 1.0
+"""A process that was killed or suspended is taken for gone after this time."""
+_BEGINS = "begins"
+_LONGEST_TEXT = 500
+_LIVELY = QoSProfile(
+    depth=1,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    liveliness=LivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=GONE_AFTER_S),
+)
+
+
+class CommissioningSign:
+    """Says that a client commissions the machine, as long as its process lives and ``node`` exists."""
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_CLIENT, _LIVELY)
+        self._by = node.get_fully_qualified_name()
+        self.report(_BEGINS)
+
+    def report(self, doing: str) -> None:
+        """Say what is done to the machine from now on."""
+        self._publisher.publish(DiagnosticStatus(name=COMMISSIONING_CLIENT, message=doing, hardware_id=self._by))
+
+
+class CommissioningWatch:
+    """Knows what a client that commissions the machine of ``node``'s namespace does; calls ``gone`` when the last such
+    client is gone."""
+
+    def __init__(self, node: Node, gone: Callable[[], None] = lambda: None) -> None:
+        self._gone, self._alive, self._reported = gone, 0, _BEGINS
+        node.create_subscription(
+            DiagnosticStatus,
+            COMMISSIONING_CLIENT,
+            self._on_report,
+            _LIVELY,
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_liveliness),
+        )
+
+    @property
+    def doing(self) -> str:
+        """What the client does; empty without one."""
+        return self._reported if self._alive else ""
+
+    def _on_report(self, message: DiagnosticStatus) -> None:
+        self._reported = message.message[:_LONGEST_TEXT]
+
+    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        before, self._alive = self._alive, event.alive_count
+        if before and not self._alive:
+            self._reported = _BEGINS
+            self._gone()
+
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message too."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.error_detail import irregular_oscillation, sustained_oscillation
+from straightcomp_ros.analysis.error_detail import irregular_oscillation, sustained_oscillation, tolerated_amplitude
 
 T = 5e-4
 TIME = np.arange(8000) * T
@@ -20,6 +20,21 @@ def test_a_held_line_is_found_in_noise_with_its_amplitude_and_frequency(frequenc
     found = sustained_oscillation(sine(frequency) + NOISE, STILL, T)
     assert found.amplitude == pytest.approx(0.3e-6, rel=0.15)
     assert found.frequency == pytest.approx(frequency, abs=4.0)
+
+
+@pytest.mark.parametrize("rate", [500.0, 10_000.0])
+def test_the_rate_of_the_samples_does_not_matter(rate):
+    time = np.arange(round(4.0 * rate)) / rate
+    found = sustained_oscillation(0.3e-6 * np.sin(120.0 * np.pi * time), np.zeros_like(time), 1.0 / rate)
+    assert (found.amplitude, found.frequency) == (pytest.approx(0.3e-6, rel=0.1), pytest.approx(60.0, abs=4.0))
+
+
+def test_a_count_a_part_of_the_deviation_and_a_part_of_the_error_are_no_oscillation_whichever_is_most():
+    assert tolerated_amplitude(1e-9 * NOISE, 0.1e-6, 20e-6) == 0.1e-6
+    assert tolerated_amplitude(1e-9 * NOISE, 0.0, 20e-6) == pytest.approx(0.08e-6)
+    assert tolerated_amplitude(NOISE, 0.0, 0.0) == pytest.approx(0.7 * NOISE.std())
+    # A line alone is always one.
+    assert tolerated_amplitude(sine(100.0), 0.0, 0.0) < 0.3e-6
 
 
 @pytest.mark.parametrize(

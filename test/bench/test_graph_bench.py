@@ -10,9 +10,15 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.bench.graph_bench import Window, bench_parameters
-from straightcomp_ros.bench.processes import Usage, cores, growth_mb_per_hour, usage
-from straightcomp_ros.bench.recorded_window import read_window
+from straightcomp_ros.bench.graph_bench import (
+    Usage,
+    Window,
+    bench_parameters,
+    cores,
+    growth_mb_per_hour,
+    read_window,
+    usage,
+)
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.declaration import ParameterError

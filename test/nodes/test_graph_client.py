@@ -16,10 +16,9 @@ from waiting import comes_true
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
 from straightcomp_ros.runtime import graph_client
-from straightcomp_ros.runtime.commissioning_client import CommissioningSign
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
-from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
+from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, CommissioningSign, safety_status
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched

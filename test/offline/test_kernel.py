@@ -14,8 +14,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.scenario import references
+from straightcomp_ros.offline.scenario import Conditions, references, run_cycle
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import can_run, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping

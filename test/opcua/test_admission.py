@@ -9,8 +9,8 @@ import pytest
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import State
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.opcua.address_space import Alarms
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, Users, add_user
-from straightcomp_ros.opcua.snapshot import Alarms
 from straightcomp_ros.parameters.declaration import ParameterError
 
 

@@ -21,9 +21,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, Order
+from straightcomp_ros.opcua.address_space import Snapshot
 from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
-from straightcomp_ros.opcua.snapshot import Snapshot
 
 PROBES = Path(__file__).with_name("probes.py")
 WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))

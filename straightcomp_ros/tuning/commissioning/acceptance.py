@@ -30,8 +30,8 @@ from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS, STROKE, LeftTravel
+from straightcomp_ros.tuning.commissioning.machine import Outcome, Work
 from straightcomp_ros.tuning.commissioning.open_loop import latency_percentiles
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 from straightcomp_ros.tuning.survey.survey_check import survey_check
 
 _ALLOWANCE = 1.5

@@ -26,7 +26,7 @@ from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
 from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.commissioning.machine import Outcome, Work
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, remarks
 from straightcomp_ros.tuning.frequency_response.measured_response import margin_rows
 from straightcomp_ros.tuning.identification.estimate import DERIVED

@@ -26,8 +26,8 @@ from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
+from straightcomp_ros.tuning.commissioning.machine import Outcome, Work
 from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
 from straightcomp_ros.tuning.design.feasible_gains import DesignError, safe_law

@@ -20,8 +20,7 @@ from straightcomp_ros.analysis.current_path import huber_weights
 from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.commissioning.machine import Array, Series
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
+from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Series, Work
 
 PERCENTILES = (50.0, 99.0, 99.9, 100.0)
 """Of latencies."""

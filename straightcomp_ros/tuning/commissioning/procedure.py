@@ -14,9 +14,8 @@ from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, STEP_NAMES
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.certificate import certificate
 from straightcomp_ros.tuning.commissioning.closed_loop import design, frequency_response, identification, safe_loop
-from straightcomp_ros.tuning.commissioning.machine import Machine
+from straightcomp_ros.tuning.commissioning.machine import Machine, Outcome, Work
 from straightcomp_ros.tuning.commissioning.open_loop import connection, signs_and_scales
-from straightcomp_ros.tuning.commissioning.step import Outcome, Work
 
 STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(
     zip(

@@ -31,7 +31,7 @@ from straightcomp_ros.tuning.design.gain_search import Found, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
 from straightcomp_ros.tuning.design.judged_gains import UNEVEN, Judge, RunFigures, prepared_stroke
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
-from straightcomp_ros.tuning.sweep.many_trials import LawSummary, summarise, sweep
+from straightcomp_ros.tuning.sweep.trial import LawSummary, summarise, sweep
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it that is done."""

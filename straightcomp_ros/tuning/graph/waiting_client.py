@@ -21,10 +21,10 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT
-from straightcomp_ros.runtime.commissioning_client import GONE_AFTER_S, CommissioningSign
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.middleware import own_profile
+from straightcomp_ros.runtime.safety_panel import GONE_AFTER_S, CommissioningSign
 from straightcomp_ros.tuning.commissioning import CommissioningError
 
 ANSWER_S = 20.0

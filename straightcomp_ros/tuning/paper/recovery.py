@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
-from straightcomp_ros.offline.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.scenario import Conditions, run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
 from straightcomp_ros.tuning.paper.machine import Machine, largest

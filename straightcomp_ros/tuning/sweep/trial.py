@@ -1,4 +1,6 @@
-"""One trial: one machine within the uncertainty of the stage's description, one cycle of the stage under each law.
+"""One trial: one machine within the uncertainty of the stage's description, one cycle of the stage under each law. Many
+trials, on this machine's cores by joblib or on others by Dask, with the same numbers; their figures, and the picture of
+them: the fraction of the machines at or below an error, for each law.
 
 Trial k of a seed is the same in any process and order: its random numbers come from the k-th child of the seed
 (:class:`numpy.random.SeedSequence`), in four streams, so that a longer stroke or another parameter's range changes no
@@ -7,8 +9,12 @@ other quantity. numpy promises the bits of its distributions within a version on
 
 import dataclasses
 import math
-from collections.abc import Mapping
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +22,13 @@ from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judged_motion import JudgedMotion
-from straightcomp_ros.analysis.judgement import INACCURATE, Verdict
+from straightcomp_ros.analysis.judgement import IN_ORDER, INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.analysis.run_verdict import verdict_of
+from straightcomp_ros.analysis.style import BLUE, GREEN, GREY, VERMILION
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario, laws_of
+from straightcomp_ros.offline.workers import spread
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.survey import Survey
@@ -125,3 +133,169 @@ def mismeasured(survey: Survey, noise: float, random: Generator) -> Survey:
     errors = [noise * random.standard_normal(run.x.size) for run in survey.runs]
     runs = [dataclasses.replace(run, deviation=run.deviation + e) for run, e in zip(survey.runs, errors, strict=True)]
     return Survey(tuple(runs), survey.source)
+
+
+_LARGEST_BATCH = 10
+"""Trials in a batch: two seconds of work, for frequent progress at little cost of sending."""
+PERCENTILES = {"p5": 5.0, "p50": 50.0, "p95": 95.0, "max": 100.0}
+"""Percentiles of a distribution, by name. Each is the value of a trial: nothing is interpolated."""
+_WIDE = 8.0
+"""Ratio of largest to smallest error from which the axis is logarithmic."""
+OUTLIER = 2.0
+"""A trial is an outlier above this multiple of the median peak-to-peak error."""
+
+
+def run_trials(scenario: Scenario, seed: int, trials: Sequence[int]) -> list[TrialResult]:
+    """The results of ``trials`` for each law, in one process."""
+    laws = laws_of(scenario)
+    return [result for trial in trials for result in run_trial(scenario, laws, seed, trial)]
+
+
+def sweep(
+    scenario: Scenario,
+    seed: int,
+    trials: Sequence[int],
+    *,
+    jobs: int = -1,
+    dask: str = "",
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> list[TrialResult]:
+    """Run the trials in any order; the results are sorted by trial, then in the order of the laws.
+
+    ``jobs`` and ``dask`` say where, as in :func:`~straightcomp_ros.offline.workers.spread`, with its errors;
+    ``progress`` is called with the fraction that is done.
+    """
+    workers = jobs if jobs > 0 else os.cpu_count() or 1
+    # At least one batch for each worker if there are enough trials.
+    size = max(1, min(_LARGEST_BATCH, len(trials) // workers))
+    batches = [trials[start : start + size] for start in range(0, len(trials), size)]
+    finished = spread(run_trials, (scenario, seed), batches, jobs=jobs, dask=dask)
+    results: list[TrialResult] = []
+    progress(0.0)
+    for batch in finished:
+        results += batch
+        progress(len(results) / (len(trials) * len(scenario.controls)))
+    order = {law: place for place, law in enumerate(scenario.controls)}
+    return sorted(results, key=lambda result: (result.trial, order[result.law]))
+
+
+@dataclass(frozen=True)
+class LawSummary:
+    """The figures of one law over a sweep, trials that are not in order included."""
+
+    law: str
+    results: tuple[TrialResult, ...]
+
+    def percentiles(self, figure: str) -> dict[str, float]:
+        """Percentiles of a figure of `TrialResult` by their names; infinite where cycles broke off."""
+        values = [getattr(one, figure) for one in self.results]
+        # Interpolation between a number and infinity would be NaN.
+        found = np.percentile(values, list(PERCENTILES.values()), method="inverted_cdf")
+        return dict(zip(PERCENTILES, found.tolist(), strict=True))
+
+    @property
+    def trials(self) -> int:
+        """Number of machines."""
+        return len(self.results)
+
+    @property
+    def not_in_order(self) -> list[TrialResult]:
+        """The trials that are not in order."""
+        return [one for one in self.results if not one.verdict.in_order]
+
+    @property
+    def doubtful(self) -> set[str]:
+        """Names of the percentiles of the peak-to-peak error that are the error of such a trial."""
+        errors = {one.pp for one in self.not_in_order}
+        return {name for name, value in self.percentiles("pp").items() if value in errors}
+
+    @property
+    def outliers(self) -> dict[int, float]:
+        """Peak-to-peak error in m of each trial in which it is above `OUTLIER` medians, by trial, worst first."""
+        limit = OUTLIER * self.percentiles("pp")["p50"]
+        worst_first = sorted(self.results, key=lambda one: -one.pp)
+        return {one.trial: one.pp for one in worst_first if one.pp > limit}
+
+    @property
+    def verdicts(self) -> dict[str, int]:
+        """Number of trials by the verdict's word, the most frequent first; only those that are not in order."""
+        return dict(Counter(one.verdict.verdict for one in self.not_in_order).most_common())
+
+    @property
+    def verdict(self) -> Verdict:
+        """The most frequent verdict that is not in order, with a machine as its example; in order if all are."""
+        if not self.verdicts:
+            return Verdict(IN_ORDER, f"all {self.trials} machines")
+        word = next(iter(self.verdicts))
+        example = next(one for one in self.not_in_order if one.verdict.verdict == word)
+        counts = ", ".join(f"{name} {count}" for name, count in self.verdicts.items())
+        return Verdict(word, f"{counts} of {self.trials} machines; machine {example.trial}: {example.verdict.reason}")
+
+    def to_display(self) -> dict[str, Any]:
+        """The figures with lengths in µm; infinite where a cycle broke off."""
+        units = {"pp_um": 1e6, "rms_um": 1e6, "control_activity_A": 1.0, "control_rms_step_A": 1.0}
+        return {
+            **self.verdict._asdict(),
+            **{
+                name: {key: value * unit for key, value in self.percentiles(name.rpartition("_")[0]).items()}
+                for name, unit in units.items()
+            },
+            "not_in_order": len(self.not_in_order),
+            "verdicts": self.verdicts,
+            "machines_not_in_order": [
+                {"trial": one.trial, "pp_um": one.pp * 1e6, **one.verdict._asdict()} for one in self.not_in_order
+            ],
+            "worst_trial": max(self.results, key=lambda one: one.pp).trial,
+            "outliers": [{"trial": trial, "pp_um": pp * 1e6} for trial, pp in self.outliers.items()],
+        }
+
+
+def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
+    """One summary for each law, in the order in which they first appear."""
+    by_law: dict[str, list[TrialResult]] = {}
+    for result in results:
+        by_law.setdefault(result.law, []).append(result)
+    return [LawSummary(law, tuple(trials)) for law, trials in by_law.items()]
+
+
+def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
+    """Draw the empirical distribution of each law's true peak-to-peak error.
+
+    A curve ends below 100 % if cycles broke off. ``path`` (PNG, SVG or PDF) is replaced if it exists.
+    """
+    # The workers of a sweep need no matplotlib.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter, StrMethodFormatter
+
+    from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
+
+    figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    known = []
+    looks = cycle(zip((BLUE, VERMILION, GREEN, GREY), ("-", "--", "-.", ":"), strict=True))
+    for summary, (colour, style) in zip(summaries, looks, strict=False):
+        errors_um = np.sort([one.pp * 1e6 for one in summary.results if math.isfinite(one.pp)])
+        known += errors_um.tolist()
+        # A step curve that starts at its foot, on the first value.
+        x = np.concatenate([errors_um[:1], errors_um])
+        fraction = np.arange(x.size) / summary.trials
+        p50, p95 = (summary.percentiles("pp")[name] * 1e6 for name in ("p50", "p95"))
+        label = f"{summary.law}: p50 {p50:.2f} µm, p95 {p95:.2f} µm, {len(summary.not_in_order)} not in order"
+        axes.step(x, fraction, where="post", color=colour, linestyle=style, linewidth=1.6, label=label)
+    if known and max(known) > _WIDE * min(known) > 0.0:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_xlim(left=0.0)
+    axes.set_ylim(0.0, 1.02)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_xlabel("true compensation error, peak to peak / µm")
+    axes.set_ylabel("fraction of the machines at or below")
+    axes.set_title(as_text(title), fontsize=11)
+    show_grid(axes)
+    axes.legend(loc="lower right", fontsize=9)
+    save_whole(figure, path)

@@ -27,7 +27,7 @@ from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.tuning.commissioning import MADE, STEP_NAMES
 from straightcomp_ros.tuning.survey.survey_check import LEAST_POINTS, WIDEST_GAP
-from straightcomp_ros.tuning.verbs.graph_option import (
+from straightcomp_ros.tuning.verbs import (
     RUNNING,
     add_graph_option,
     graph_access,

@@ -35,7 +35,7 @@ from straightcomp_ros.tuning.frequency_response.measured_response import (
     margin_rows,
 )
 from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
-from straightcomp_ros.tuning.verbs.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
+from straightcomp_ros.tuning.verbs import add_graph_option, graph_access, refuse_parameters_of_running
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"
 PURPOSE = "tune"

@@ -8,8 +8,7 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
-from straightcomp_ros.tuning.commissioning.step import Work
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, Work, sound
 from straightcomp_ros.tuning.survey.survey_check import LEAST_POINTS, WIDEST_GAP
 
 ROUGH = Path(__file__).with_name("rough.yaml")

@@ -12,7 +12,7 @@ from roughly_known import values_of, work_on
 from straightcomp_ros.analysis.straightness_statement import Contribution, Statement, with_uncertainty
 from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
-from straightcomp_ros.tuning.commissioning.step import Outcome
+from straightcomp_ros.tuning.commissioning.machine import Outcome
 
 LATENCY = {"p50": 335.12100000000004, "p99": 335.12100000000004, "p99.9": 335.2, "p100": 335.2}
 TIMING = {

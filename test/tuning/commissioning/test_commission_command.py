@@ -10,9 +10,8 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.commissioning import RECORD
-from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
-from straightcomp_ros.tuning.commissioning.step import Outcome
 
 STAGE = str(ROUGH)
 

@@ -6,9 +6,8 @@ import pytest
 from roughly_known import values_of
 
 from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError, procedure
-from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
+from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
-from straightcomp_ros.tuning.commissioning.step import Outcome
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.workers import WorkersError
 from straightcomp_ros.parameters.output_files import plain
-from straightcomp_ros.tuning.sweep.many_trials import plot_sweep, run_trials, summarise, sweep
-from straightcomp_ros.tuning.sweep.trial import TrialResult
+from straightcomp_ros.tuning.sweep.trial import TrialResult, plot_sweep, run_trials, summarise, sweep
 
 SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]
 
@@ -36,7 +35,7 @@ def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_
 
 
 def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_alone(capsys, monkeypatch):
-    monkeypatch.setattr("straightcomp_ros.tuning.sweep.many_trials.OUTLIER", 0.5)
+    monkeypatch.setattr("straightcomp_ros.tuning.sweep.trial.OUTLIER", 0.5)
     words = [*SHORT, "--law", "smc", "--trials", "2", "--jobs", "1", "--set", "stage.uncertainty.mass=0.3"]
     assert main(["robustness", *words]) == 0
     printed = " ".join(capsys.readouterr().out.split())

@@ -16,8 +16,7 @@ from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
-from straightcomp_ros.tuning.sweep.many_trials import run_trials
-from straightcomp_ros.tuning.sweep.trial import draw, mismeasured, sample_times, streams
+from straightcomp_ros.tuning.sweep.trial import draw, mismeasured, run_trials, sample_times, streams
 
 STAGE = StageParameters()
 EXACT = UncertaintyParameters(
