@@ -164,6 +164,9 @@ class SimulatedHardware(Hardware):
         if self.zero:
             shifted = [point._replace(position=point.position + self.zero) for point in trajectory.waypoints]
             trajectory = Trajectory(shifted)
+        if self.motion.moving:
+            # A sample that is due, but not taken yet, is of the motion that there was.
+            start_ns = min(start_ns, self._next_sample_ns)
         self._begin(trajectory, start_ns)
 
     def _begin(self, trajectory: Trajectory, start_ns: int) -> None:

@@ -350,6 +350,9 @@ class DriverComponent:
     def _begin(self, trajectory: Trajectory) -> None:
         """Begin a motion of the stage now; ValueError or HardwareError if it is refused."""
         motion, start_ns = self._hardware.motion, now_ns()
+        if self._started and self._newest is not None:
+            # As a simulated machine does; looking farther ahead would move the stage before that sample.
+            start_ns = min(start_ns, self._newest.stamp_ns + self._period_ns)
         if self._lockstep:
             self._lockstep.check_free()
         motion.position(start_ns)

@@ -6,6 +6,7 @@ import itertools
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from can_boards import FOREIGN_FILE, GUIDE, PERIOD, SPLIT_FILE, STAGE, START, board_of
 from forgery import forged
@@ -530,7 +531,12 @@ def test_a_simulated_stage_on_can_is_held_and_takes_another_trajectory_on_its_wa
     world.run(0.1)
     with pytest.raises(HardwareError, match="is moving"):
         world.host.move(Trajectory(jog(motion, world.host.motion.position(world.now), 0.01)), world.now)
+    taken = len(world.samples)
+    # A sample is due, but not taken yet.
+    world.now += PERIOD + PERIOD // 2
     world.host.move(Trajectory([Waypoint(2 * 10**9, 0.001, 0.0)]), world.now)
     assert board.number == world.host.motion.number == 2 and board.moving
     world.run(2.5)
+    x = np.array([sample.x for sample in world.samples[taken - 10 :]])
+    assert np.abs(np.diff(x, 2)).max() < 2.0 * motion.acceleration * (PERIOD * 1e-9) ** 2 + 4e-7
     assert board.position(world.now) == world.host.motion.position(world.now) == 0.001
