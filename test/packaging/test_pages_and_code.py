@@ -172,7 +172,8 @@ def test_the_pages_build_without_a_warning_and_a_link_that_leads_nowhere_fails_t
     assert built.returncode == 0, built.stdout + built.stderr
     shutil.copy(REPOSITORY / "mkdocs.yml", tmp_path)
     shutil.copytree(REPOSITORY / "docs", tmp_path / "docs")
-    (tmp_path / "straightcomp_ros").symlink_to(REPOSITORY / "straightcomp_ros")
+    for part in ("straightcomp_ros", "scripts"):
+        (tmp_path / part).symlink_to(REPOSITORY / part)
     links = ["nowhere.md", "plant.md#nowhere", "../README.md", "images/nowhere.png"]
     with (tmp_path / "docs" / "view.md").open("a", encoding="utf-8") as page:
         page.writelines(f"\n[text]({link})\n" for link in links)
