@@ -9,7 +9,6 @@ import argparse
 import itertools
 import random
 import shutil
-import signal
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -30,7 +29,7 @@ from straightcomp_ros.straightness.guide_map import find_survey
 from trials.faults import trial_parameters
 from trials.rig import Progress, add_output, output, progress
 from trials.soak_actions import ACTIONS, Scene
-from trials.soak_verdict import Lives, Soak, gaps
+from trials.soak_verdict import Life, Soak, gaps, look
 from trials.stalls import Stalls
 from trials.stand import Stand
 
@@ -38,8 +37,6 @@ SUMMARY = "run the graph for a long time under random actions and check it after
 WARM_UP_S = 10.0
 """Age from which a process is checked for growth: until then it allocates what it keeps."""
 _PAUSE_S = (0.2, 2.0)
-_NEW_GRAPHS = 3
-"""How often all nodes are restarted if the graph does not recover, before the run is given up."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +84,7 @@ def run_soak(
         LaunchError: the graph does not start.
     """
     rng = random.Random(seed)
-    result, lives = Soak(seed), Lives()
+    result, lives = Soak(seed), dict[int, Life]()
     begin = time.monotonic()
     priority = values["driver"].get("realtime.priority", 0)
     with Stand(folder, values, composed) as stand, Stalls(folder, priority) as stalls:
@@ -101,14 +98,12 @@ def run_soak(
         half = len(killed) // 2
         # Every kind once, in random order, again and again.
         kinds = (kind for _ in itertools.count() for kind in rng.sample(list(ACTIONS), len(ACTIONS)))
-        started, new_graphs = time.monotonic(), 0
-        while (fraction := (time.monotonic() - started) / seconds) < 1.0 and new_graphs <= _NEW_GRAPHS:
+        started, recovered = time.monotonic(), True
+        while (fraction := (time.monotonic() - started) / seconds) < 1.0 and recovered:
             scene.killable = tuple(killed[:half] if fraction < 0.5 else killed[half:])
             kind = next(kinds)
             advance(kind, fraction)
-            if not _done(scene, kind):
-                new_graphs += 1
-                _start_anew(scene)
+            recovered = _done(scene, kind)
             _look(scene, lives)
             stand.spin(rng.uniform(*_PAUSE_S))
             _nothing_by_itself(scene, kind)
@@ -141,27 +136,13 @@ def _take_failures(scene: Scene, kind: str) -> None:
     scene.stand.failures.clear()
 
 
-def _start_anew(scene: Scene) -> None:
-    """Kill and start all nodes, so that the rest of the time is not lost."""
-    scene.interrupt(before_s=1.0)
-    for name in scene.stand.names:
-        if scene.stand.exit_code(name) is None:
-            scene.stand.signal(name, signal.SIGKILL)
-    for name in scene.stand.names:
-        scene.stand.restart(name)
-    scene.stand.failures.clear()  # all have ended
-    try:
-        scene.back_to_work()
-    except LaunchError as error:
-        scene.result.failures.append(f"all nodes were started anew: {error}")
-
-
-def _look(scene: Scene, lives: Lives) -> None:
+def _look(scene: Scene, lives: dict[int, Life]) -> None:
     now, stand = time.monotonic(), scene.stand
     warm = {name: pid for name, pid in stand.processes.items() if now - stand.started[name] >= WARM_UP_S}
     # A node that has ended by itself, or does not answer, is found by the next action.
     with suppress(OSError):
-        lives.see(warm)
+        for name, pid in warm.items():
+            lives.setdefault(pid, Life(name, pid)).looks.append(look(pid))
 
 
 def _nothing_by_itself(scene: Scene, kind: str) -> None:
@@ -174,10 +155,13 @@ def _nothing_by_itself(scene: Scene, kind: str) -> None:
             scene.back_to_work()
 
 
-def _end(scene: Scene, lives: Lives) -> None:
+def _end(scene: Scene, lives: dict[int, Life]) -> None:
     """Stop the nodes like an operator."""
     _look(scene, lives)
-    scene.result.lives = lives.finished(list(scene.stand.processes.values()))
+    for pid in scene.stand.processes.values():
+        if pid in lives:
+            lives[pid].survived = True
+    scene.result.lives = [life for life in lives.values() if len(life.looks) > 1]
     scene.interrupt()
     codes = scene.stand.stop()  # None: the node did not stop
     scene.result.failures += [f"{name} stopped with exit code {code}" for name, code in codes.items() if code != 0]

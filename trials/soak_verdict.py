@@ -3,7 +3,7 @@
 import os
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -100,21 +100,6 @@ class Life:
         if slope is not None and slope > MEMORY_LIMIT_MB_PER_HOUR and end - begin > HISTORIES_MB:
             found.append(f"the memory of {who} grows by {slope:.0f} MB/h; allowed: {MEMORY_LIMIT_MB_PER_HOUR:g}")
         return found
-
-
-class Lives(dict[int, Life]):
-    """All processes of a run."""
-
-    def see(self, process_ids: Mapping[str, int]) -> None:
-        """Take a look at each process; OSError if one has ended."""
-        for name, process_id in process_ids.items():
-            self.setdefault(process_id, Life(name, process_id)).looks.append(look(process_id))
-
-    def finished(self, survivors: Sequence[int]) -> list[Life]:
-        """Processes with more than one look, marked if they survived."""
-        for process_id, life in self.items():
-            life.survived = process_id in survivors
-        return [life for life in self.values() if len(life.looks) > 1]
 
 
 @dataclass
