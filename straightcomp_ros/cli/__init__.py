@@ -12,9 +12,10 @@ import codecs
 import re
 import sys
 import unicodedata
+import warnings
 from collections.abc import Callable
 from io import TextIOWrapper
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Tool(NamedTuple):
@@ -64,3 +65,20 @@ def print_in_any_encoding() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="straightcomp")
+
+
+_as_python = warnings.formatwarning
+
+
+def warn_in_sentences() -> None:
+    """From now on a warning for the user is one sentence, said once; one of a library has its place in the code."""
+    said = set[str]()
+
+    def formatted(message: Warning | str, category: type[Warning], *place: Any, **line: Any) -> str:
+        if category is not UserWarning:
+            return _as_python(message, category, *place, **line)
+        new = {f"warning: {printable(str(message))}\n"} - said
+        said.update(new)
+        return "".join(new)
+
+    warnings.formatwarning = formatted

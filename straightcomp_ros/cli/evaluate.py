@@ -163,7 +163,7 @@ def _print_straightness(assessment: Assessment, words: Mapping[str, Any]) -> Non
     if not rows:
         return
     names = [in_words(name.removeprefix("u_"))[0] for name in rows[0]][4:]
-    title = "Straightness by map and encoder in µm (ISO 230-1); U: expanded uncertainty (k = 2)"
+    title = "Straightness by map and encoder in µm (ISO 230-1); U: expanded (k = 2)"
     table = titled_table(title, "straightness", "measured", "value", "U", *names)
     for what, *cells in (row.values() for row in rows):
         name = f"{what.split(',')[0]}_um"

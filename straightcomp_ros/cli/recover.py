@@ -62,4 +62,4 @@ def _print(result: Any, lost: int | None) -> None:
     if result.whole:
         notes.print("nothing was wrong with the bag: the copy has all of it")
     elif lost is not None:
-        notes.print(f"{lost} messages are lost")
+        notes.print(f"messages lost: {lost}")

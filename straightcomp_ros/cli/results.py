@@ -184,10 +184,12 @@ def show_findings(found: Iterable[Finding], *, json: bool) -> int:
     for finding in found:
         findings.append(finding)
         if not json:
-            state = (f"{finding.state:>4}", _COLOURS[finding.state])
-            console.print(styled(state, f"  {finding.name}: {finding.detail}"), soft_wrap=False)
-            if finding.remedy:
-                console.print(f"      {finding.remedy}", style="dim", soft_wrap=False)
+            # Two columns, so that what is too long for a line goes on below its own beginning.
+            grid = Table.grid(padding=(0, 2))
+            remedy = (f"\n{finding.remedy}", "dim") if finding.remedy else ""
+            state = styled((f"{finding.state:>4}", _COLOURS[finding.state]))
+            grid.add_row(state, styled(f"{finding.name}: {finding.detail}", remedy))
+            console.print(grid)
     counts = {state: sum(finding.state == state for finding in findings) for state in _COLOURS}
     if json:
         print_json({**counts, "checks": [dataclasses.asdict(finding) for finding in findings]})

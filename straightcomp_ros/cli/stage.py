@@ -82,7 +82,7 @@ def _new(options: argparse.Namespace) -> None:
     described = {f"{STAGE}.{name}": value for name, value in values.items()}
     text = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."), described)
     write_whole(file, _HEAD.format(name=values["name"]) + "\n" + text)
-    console.print(f"{file}: {len(given)} facts given, name and strokes by folder and survey, defaults for the others")
+    console.print(f"{file}: facts given: {len(given)}; name and strokes by folder and survey, defaults for the others")
     if options.survey is None:
         console.print(f"{survey} is the synthetic survey: replace it by that of your guide")
     print_written(file, survey, then=f"straightcomp stage check {quote(str(file))}")

@@ -107,7 +107,7 @@ class CellNode(Runnable):
         yield from self._until(State.COMPLETE)
         yield from self._all_alive()
         lost = self._graph.reports().get("driver", {}).get(LOST, "?")
-        log.info(f"cycle complete: {strokes} strokes, {sequence.recovered} faults, {lost} samples lost")
+        log.info(f"cycle complete: strokes {strokes}, faults {sequence.recovered}, samples lost {lost}")
 
     def _all_alive(self) -> Iterator[None]:
         """Wait for a heartbeat of each node: one that died in the last moments is not seen to be missing yet."""

@@ -66,7 +66,7 @@ def publish_nonsense(participant, publisher):
 @pytest.mark.parametrize(
     "recoveries, code, words",
     [
-        (3, 0, "cycle complete: 1 strokes"),
+        (3, 0, "cycle complete: strokes 1,"),
         pytest.param(0, 1, "amplifier off in mid-cycle: tripped: the door is open", marks=pytest.mark.nightly),
     ],
 )

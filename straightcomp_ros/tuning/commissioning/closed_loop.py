@@ -111,8 +111,8 @@ def identification(work: Work) -> Outcome:
     return Outcome(
         True,
         f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
-        f"{f'; {found.centre}' if found.centre else ''}{words}; {len(found.not_identifiable)} facts stay open, which "
-        "the certificate names",
+        f"{f'; {found.centre}' if found.centre else ''}{words}; facts that stay open, named in the "
+        f"certificate: {len(found.not_identifiable)}",
         figures,
         stage={**facts, **modes},
     )
