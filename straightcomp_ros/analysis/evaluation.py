@@ -145,7 +145,10 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
-    jump, driver = interruption.clock_jump(streams[ENCODER.topic]), streams.get(DRIVER_STATE.topic)
+    # In lockstep stamps follow no clock, and on a busy computer those of recording and reports run away from them.
+    lockstep = parameters.get("driver", {}).get("lockstep", False)
+    jump = "" if lockstep else interruption.clock_jump(streams[ENCODER.topic])
+    driver = streams.get(DRIVER_STATE.topic)
     unique = {topic: stream.by_stamp() for topic, stream in streams.items()}
     samples, reference, command, truth = (unique.get(one.topic) for one in (ENCODER, REFERENCE, COMMAND, TRUTH))
     assert samples and reference and command
@@ -181,8 +184,6 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     state = driver.stamp if driver else encoder[:0]
     recorded = np.isfinite(latency)
     answers = max(int(reference.stamp[-1]), int(command.stamp[-1]))
-    # In lockstep stamps follow no clock: on a busy computer the reports' clock runs away from them.
-    lockstep = parameters.get("driver", {}).get("lockstep", False)
     reported = 0 if lockstep else max((own[-1].time_ns for own in reports.values()), default=0)
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
         begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))

@@ -113,7 +113,8 @@ class StrokeErrors:
             # The source restarted: its earlier positions are meaningless now.
             positions.clear()
         positions.append((stamp_ns, x))
-        while stamp_ns - positions[0][0] > _LOOK_BACK_NS:
+        # One that is older stays: where samples are missing the stage has not stopped.
+        while len(positions) > 1 and stamp_ns - positions[1][0] >= _LOOK_BACK_NS:
             positions.popleft()
         still = abs(x - positions[0][1]) < _STILL_M
         if still and not self.still:

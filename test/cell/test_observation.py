@@ -26,6 +26,15 @@ def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count()
     assert strokes.last_pp == pytest.approx(3e-6)
 
 
+def test_a_movement_of_which_samples_are_missing_is_one():
+    strokes = StrokeErrors()
+    for number in (*range(250, 300), *range(400, 450)):
+        strokes.add_position(number * 4 * MS, 0.0002 * number)
+        strokes.add_error(1e-6 * number)
+        assert not strokes.still or number < 251
+    assert math.isnan(strokes.last_pp)
+
+
 def test_neither_noise_of_the_encoder_nor_a_source_that_starts_anew_is_a_movement():
     strokes = StrokeErrors()
     run(strokes, [1e-7 * (k % 3) for k in range(500)], lambda k: 1.0)

@@ -95,7 +95,7 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
     monkeypatch.setattr("builtins.input", lambda question: next(answers, ""))
     assert main(["stage", "new", str(tmp_path / "my stage"), "--set", "platform.mass=3"]) == 0
     said = capsys.readouterr()
-    assert "'fast' Hz is not an integer" in said.out and "2 facts given" in said.out.replace("\n", " ")
+    assert "'fast' Hz is not an integer" in said.out and "facts given: 2" in said.out.replace("\n", " ")
     assert said.err.endswith(f"next: straightcomp stage check '{tmp_path}/my stage/stage.yaml'\n")
     stage = from_mapping(StageParameters, read_stage_file(tmp_path / "my stage" / "stage.yaml")["stage"])
     assert stage.rate == 4000 and stage.platform == StageParameters().platform

@@ -7,8 +7,9 @@ The plant is fitted as that of a rigid platform, whose gain and damping are free
 and C_c alike with |r|: a measurement from command to encoder hardly tells φ_c from φ_e.
 
 Each new mode begins where it explains most, over a grid of frequencies, and all are then fitted together, each line by
-its confidence. A mode stays if an F test says that chance would explain as much in one of ten thousand measurements.
-Between two lines a narrow mode shows by its flanks; its damping is then known worst, which the intervals say.
+its confidence. A mode stays if an F test says that chance would explain as much in one of ten thousand measurements;
+what it explains of one line does not count, since a mode's three numbers explain any line. Between two lines a narrow
+mode shows by its flanks; its damping is then known worst, which the intervals say.
 """
 
 import math
@@ -131,7 +132,9 @@ def found_modes(
         freedom = 2 * frequencies.size - more.x.size
         if freedom < 1 or not more.cost > 0.0:
             break
-        gained = (best.cost - more.cost) / 3.0 / (more.cost / freedom)
+        explained = np.square(misses(best.x)) - np.square(misses(more.x))
+        of_lines = 0.5 * explained.reshape(2, -1).sum(axis=0)
+        gained = float(of_lines.sum() - of_lines.max()) / 3.0 / (more.cost / freedom)
         known = 0.0 < math.exp(more.x[-2]) < 1.0 and frequencies[0] < math.exp(more.x[-3]) < 1.2 * frequencies[-1]
         if not known or gained < float(fisher.ppf(1.0 - _CHANCE, 3, freedom)):
             break
