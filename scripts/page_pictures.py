@@ -38,7 +38,7 @@ BAG = REPOSITORY / "bags" / "smc"
 _WIDTHS = {"wide": 1280, "narrow": 390}
 _HEIGHT, _TALLEST = 800, 6000
 """Pixels of the window, and of a picture of a long page."""
-_MOVING, _FRAME_NS = (1000, 680), 200_000_000
+_MOVING, _FRAME_NS = (1280, 940), 200_000_000
 """Pixels of the moving picture, and time from one of its frames to the next in ns."""
 _DRAWN_S = 1.5
 """Until plots are drawn, and the live view has its news."""

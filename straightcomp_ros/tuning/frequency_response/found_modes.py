@@ -7,9 +7,9 @@ The plant is fitted as that of a rigid platform, whose gain and damping are free
 and C_c alike with |r|: a measurement from command to encoder hardly tells φ_c from φ_e.
 
 Each new mode begins where it explains most, over a grid of frequencies, and all are then fitted together, each line by
-its confidence. A mode stays if an F test says that chance would explain as much in one of ten thousand measurements;
-what it explains of one line does not count, since a mode's three numbers explain any line. Between two lines a narrow
-mode shows by its flanks; its damping is then known worst, which the intervals say.
+its confidence. A mode stays if an F test without the line that it explains best says that chance would explain as much
+in one of ten thousand measurements. Between two lines a narrow mode shows by its flanks; its damping is then known
+worst, which the intervals say.
 """
 
 import math
@@ -102,6 +102,7 @@ def found_modes(
     path = rigid * (mass * s**2 + damping * s - stiffness)
 
     def modelled(p: Array) -> Complex:
+        p = np.clip(p, -50.0, 50.0)  # A fit that runs away stays a number.
         at_coil = at_encoder = 1.0 / (mass * s**2)
         for k in range(2, p.size, 3):
             omega = 2.0 * math.pi * math.exp(p[k])
@@ -110,14 +111,15 @@ def found_modes(
         own = at_encoder / (1.0 - (stiffness - math.exp(p[1]) * damping * s) * at_coil)
         return np.asarray(math.exp(p[0]) * path * own)
 
-    def misses(p: Array) -> Array:
-        missed = weight * (plant - modelled(p))
+    def misses(p: Array, counted: Array) -> Array:
+        missed = counted * weight * (plant - modelled(p))
         return np.concatenate([missed.real, missed.imag])
 
-    def fitted(begin: Sequence[float]) -> Any:
-        return least_squares(misses, begin, x_scale="jac", loss="linear", max_nfev=200)
+    def fitted(begin: Sequence[float], counted: Array) -> Any:
+        return least_squares(misses, begin, x_scale="jac", loss="linear", max_nfev=200, args=(counted,))
 
-    best = fitted([0.0, 0.0])
+    each = np.ones(frequencies.size)
+    best = fitted([0.0, 0.0], each)
     while best.x.size < 2 + 3 * _MOST:
         left, share = plant - modelled(best.x), math.exp(best.x[0])
         begins = []
@@ -128,15 +130,16 @@ def found_modes(
             residue = float(np.sum((basis.conj() * weight * left).real)) / power
             begins.append((residue * residue * power, math.log(f), residue))
         _, log_f, residue = max(begins)
-        more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue])
-        freedom = 2 * frequencies.size - more.x.size
-        if freedom < 1 or not more.cost > 0.0:
+        more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue], each)
+        known = more.x[-2] < 0.0 and math.log(frequencies[0]) < more.x[-3] < math.log(1.2 * frequencies[-1])
+        freedom = 2 * frequencies.size - 2 - more.x.size
+        if not known or freedom < 1:
             break
-        explained = np.square(misses(best.x)) - np.square(misses(more.x))
-        of_lines = 0.5 * explained.reshape(2, -1).sum(axis=0)
-        gained = float(of_lines.sum() - of_lines.max()) / 3.0 / (more.cost / freedom)
-        known = 0.0 < math.exp(more.x[-2]) < 1.0 and frequencies[0] < math.exp(more.x[-3]) < 1.2 * frequencies[-1]
-        if not known or gained < float(fisher.ppf(1.0 - _CHANCE, 3, freedom)):
+        # Three numbers explain any one line: the others must speak for the mode.
+        explained = np.square(misses(best.x, each)) - np.square(misses(more.x, each))
+        others = np.where(np.arange(frequencies.size) == explained.reshape(2, -1).sum(axis=0).argmax(), 0.0, 1.0)
+        before, cost = fitted(best.x, others).cost, fitted(more.x, others).cost
+        if not cost > 0.0 or (before - cost) / 3.0 / (cost / freedom) < fisher.ppf(1.0 - _CHANCE, 3, freedom):
             break
         best = more
     if best.x.size == 2:
