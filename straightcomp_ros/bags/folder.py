@@ -105,7 +105,10 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
     bag = Path(bag)
     if not bag.exists():
         raise NoBag(f"bag {bag} does not exist; give a bag folder or a file that ends with .mcap")
-    stored = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if STORED.fullmatch(file.name))
+    stored = sorted(file for file in bag.iterdir() if STORED.fullmatch(file.name)) if bag.is_dir() else [bag]
+    # To open a pipe waits for its other end.
+    if odd := [file for file in stored if file.exists() and not file.is_file()]:
+        raise NoBag(f"bag {odd[0]} is no file; give a bag folder or a file that ends with .mcap")
     compressed = [file for file in stored if file.suffix not in (".mcap", ".db3") and STORED.fullmatch(file.name)]
     files = {file.name: file for file in stored if file not in compressed}
     packed = [file for file in compressed if file.stem not in files]

@@ -90,16 +90,20 @@ class _Loader(_FAST):  # type: ignore[misc]  # types of PyYAML may be installed 
 
     yaml_implicit_resolvers: ClassVar[dict[str, list[tuple[str, re.Pattern[str]]]]] = {}
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        lines: dict[Any, int] = {}
-        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
-            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == f"{_TAG}merge":
+    def flatten_mapping(self, node: Any) -> None:
+        # Once each: the mapping that another merges stays with what it has merged itself.
+        if getattr(node, "flat", False):
+            return
+        node.flat, lines = True, dict[Any, int]()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
                 continue
-            key, line = self.construct_object(key_node), key_node.start_mark.line + 1
+            key = key_node.value if key_node.tag == f"{_TAG}merge" else self.construct_object(key_node)
+            line = key_node.start_mark.line + 1
             if key in lines:
                 raise YamlError(f"line {line}: key '{key}' is given twice, first in line {lines[key]}")
             lines[key] = line
-        return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
+        super().flatten_mapping(node)
 
 
 for _kind in ("bool", "null", "merge"):

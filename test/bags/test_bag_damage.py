@@ -130,6 +130,7 @@ def test_a_chunk_that_never_reached_the_disk_ends_the_reading(record, tmp_path):
         ("run_0.txt", b"", "holds no .mcap"),
         ("run_0.db3", b"", "is no SQLite bag of rosbag2, or is damaged: no such table: topics; copy it again"),
         ("../elsewhere", b"", "does not exist"),
+        ("run_0.mcap", None, "is no file"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:bag .* was not finished")
@@ -137,7 +138,7 @@ def test_what_is_no_bag_is_refused_with_the_reason(tmp_path, name, content, reas
     folder = tmp_path / "bag"
     if ".." not in name:
         folder.mkdir()
-        (folder / name).write_bytes(content)
+        os.mkfifo(folder / name) if content is None else (folder / name).write_bytes(content)
     with pytest.raises(BagError, match=reason):
         read_streams(folder, LAYOUTS)
 

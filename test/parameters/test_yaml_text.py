@@ -33,6 +33,8 @@ NO_YAML = ["a: !!bool x", "a: !!int x", "a: *nothing", "<<: [1, 2]", "? [a]\n: 1
     [
         ("a: 1\nb: 2\n'a': 3", "line 3: key 'a' is given twice, first in line 1"),
         ("a: {b: 1, b: 1}", "given twice"),
+        ("a:\n  <<: {b: 1}\n  <<: {b: 2}", "line 3: key '<<' is given twice, first in line 2"),
+        ("a: {<<: {b: 1, b: 2}}", "'b' is given twice"),
         ("a: &x [*x]", "contains itself"),
         ("a: &x {b: {c: *x}}", "contains itself"),
         (BOMB, "more than 50000"),
@@ -61,6 +63,8 @@ def test_a_file_without_an_end_is_refused_and_aliases_of_a_usual_size_are_read()
     with pytest.raises(YamlError, match="larger than"):
         load_yaml(Path("/dev/zero"))
     assert load_yaml("a: &x {b: 1, c: 2}\nd: *x\ne: {<<: *x, b: 3}")["e"] == {"b": 3, "c": 2}
+    merges = load_yaml("b: &b {mass: 2}\nd: {e: {x: &a {<<: *b, mass: 3}}}\ny: {<<: *a}")
+    assert merges["y"] == merges["d"]["e"]["x"] == {"mass": 3}
     assert load_yaml("\ufeffa: 1".encode()) == {"a": 1}
 
 
