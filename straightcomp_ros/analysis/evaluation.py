@@ -47,6 +47,8 @@ def attached_map(
             return None
 
 
+_OTHER_RATE = 0.02
+"""Deviation of the stamps' rate from the described one that is no clock's: crystals differ by less than 0.001."""
 _TRUTH = {"true_x": "true_x", "true_y": "true_y", "guide": "guide_deviation"}
 """Columns of the truth by those of a record."""
 FOR_EVER = int(np.iinfo(np.int64).max)
@@ -144,7 +146,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     parameters = recorded_parameters(bag, attachments)
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
-            raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
+            why = "was the whole graph running, under these names (--remap)?"
+            raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; {why}")
     # In lockstep stamps follow no clock, and on a busy computer those of recording and reports run away from them.
     lockstep = parameters.get("driver", {}).get("lockstep", False)
     jump = "" if lockstep else interruption.clock_jump(streams[ENCODER.topic])
@@ -160,6 +163,10 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         common = np.intersect1d(common, own.stamp, assume_unique=True)
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
+    rate, measured = parameters.get("driver", {}).get("stage.rate"), 1e9 / np.median(np.diff(encoder))
+    if isinstance(rate, int | float) and abs(measured - rate) > _OTHER_RATE * measured:
+        text = f"samples came {measured:.6g} times a second, the run's parameter 'stage.rate' says {rate:g} Hz"
+        warnings.warn(f"{text}: times, speeds and frequencies are by the stamps", stacklevel=2)
     if (np.diff(common) >= PAUSE * 1e9).any():
         common = common[_judged(common, x[np.searchsorted(encoder, common)])]
 

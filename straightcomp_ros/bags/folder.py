@@ -139,6 +139,8 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
     # A recording that was killed between making its next file and writing to it leaves an empty one.
     if len(found) > 1 and not found[-1].stat().st_size:
         found.pop()
+    if len(found) > 1 and split_number(found[0])[1] > 0:
+        warnings.warn(f"bag {bag} begins with {found[0].name}: what was recorded before is not there", stacklevel=3)
     # A bag with as many files as its list has them under other names.
     return found, list(listed) if len(listed) > len(found) else _gaps(found)
 

@@ -406,6 +406,8 @@ def _decompressed(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
     if size > _LARGEST_CHUNK:
         raise ValueError(f"its size is {size} bytes: allowed is up to {_LARGEST_CHUNK}")
+    if not chunk.data and not size:
+        return b""  # some writers close a chunk without a message, uncompressed
     if chunk.compression == "zstd":
         # What the frame says counts before what it is asked for.
         if zstandard.frame_content_size(chunk.data) > size:

@@ -69,7 +69,7 @@ def _pack(options: argparse.Namespace) -> None:
 
 def _open(options: argparse.Namespace) -> None:
     from straightcomp_ros.analysis.pictures import plot_run
-    from straightcomp_ros.offline.incident import BAG, IncidentError, incident_page, judged, unpack
+    from straightcomp_ros.offline.incident import BAG, DOCTOR, IncidentError, incident_page, judged, unpack
 
     file = Path(options.file)
     folder = Path(options.output) if options.output else file.with_suffix("")
@@ -93,7 +93,7 @@ def _open(options: argparse.Namespace) -> None:
         title = f"{details.get('bag')}: {found.cause}"
         with contextlib.suppress(ValueError):
             plot_run(found.evaluation.record, found.evaluation.map, found.assessment.metrics, picture, title)
-    doctor = json.loads((folder / "doctor.json").read_text(encoding="utf-8"))
+    doctor = json.loads((folder / DOCTOR).read_text(encoding="utf-8"))
     page = folder / "incident.html"
     write_whole(page, incident_page(found, details, doctor))
     if options.json:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.yaml_text import bounded_bytes
 
 Array = NDArray[np.float64]
 
@@ -245,7 +246,7 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
     """
     file = f"learning file {path}"
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = bounded_bytes(path).decode().splitlines()
     except OSError as error:
         raise LearningFileError(f"{file}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
+from straightcomp_ros.parameters.yaml_text import bounded_bytes
 
 _NS = 1e9
 _SHORTEST_NS = 10_000
@@ -132,7 +133,7 @@ def goals(motion: MotionParameters) -> list[float]:
         return [*(motion.start + motion.stroke * k / motion.steps for k in range(1, motion.steps + 1)), motion.start]
     where = f"parameter 'stage.motion.file': {motion.file}"
     try:
-        lines = Path(motion.file).read_text(encoding="utf-8").splitlines()
+        lines = bounded_bytes(Path(motion.file)).decode().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     found = []

@@ -41,7 +41,7 @@ from straightcomp_ros.parameters.output_files import json_text, write_whole
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
 from straightcomp_ros.safety.faults import LABELLED, explained
 
-SUMMARY, DETAILS, BAG = "INCIDENT.txt", "incident.json", "bag"
+SUMMARY, DETAILS, DOCTOR, BAG = "INCIDENT.txt", "incident.json", "doctor.json", "bag"
 LARGEST = 1 << 30
 """Bytes of an incident when it is unpacked: half an hour of all streams, ten times over."""
 _MOST = 500
@@ -55,7 +55,7 @@ _CERTIFICATE = ("certificate.html", "certificate.json")
 _ABOVE = 3
 """Folders above a bag in which its certificate may be: a commission has its bags in `bags/`."""
 _NAME = re.compile(
-    rf"{SUMMARY}|{DETAILS}|{PARAMETERS_ATTACHMENT}|{MAP_ATTACHMENT}|diagnostics\.json|doctor\.json|versions\.json|"
+    rf"{SUMMARY}|{DETAILS}|{PARAMETERS_ATTACHMENT}|{MAP_ATTACHMENT}|diagnostics\.json|{DOCTOR}|versions\.json|"
     r"certificate\.(html|json)|(bag|logs)/[\w-][\w.-]{0,200}"
 )
 """Names of files in an incident: none leaves the folder that it is unpacked to."""
@@ -171,7 +171,7 @@ def pack(
         texts = {name: data.decode(errors="replace") for name, data in contents.items() if name.startswith("logs/")}
         found = judged(copy, texts)
         doctor = [asdict(one) for one in findings]
-        contents["doctor.json"] = json_text(doctor).encode()
+        contents[DOCTOR] = json_text(doctor).encode()
         last_reports = {node: one[-1]._asdict() for node, one in found.reports.items() if one}
         contents["diagnostics.json"] = json_text(last_reports | {"faults": found.to_json()["faults"]}).encode()
         contents["versions.json"] = json_text(_versions()).encode()
@@ -383,6 +383,8 @@ def unpack(file: Path, folder: Path) -> dict[str, Any]:
                         copy.write(block)
         details = json.loads((folder / DETAILS).read_text(encoding="utf-8"))
         digests = dict(details["sha256"])
+        [Finding(**one) for one in json.loads((folder / DOCTOR).read_text(encoding="utf-8"))]
+        list(details.get("left_out", ()))
     except IncidentError:
         raise
     except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError) as error:

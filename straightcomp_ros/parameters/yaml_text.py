@@ -6,6 +6,7 @@ dates. A leading 0 is octal, as for rcl, which reads the same files for nodes.
 
 from __future__ import annotations
 
+import errno
 import re
 from pathlib import Path
 from typing import Any, ClassVar
@@ -34,8 +35,7 @@ def load_yaml(source: Path | str | bytes, most_bytes: int = MOST_BYTES, most_nod
         OSError: the file cannot be read.
     """
     if isinstance(source, Path):
-        with source.open("rb") as file:
-            source = file.read(most_bytes + 1)
+        source = _begin(source, most_bytes + 1)
     try:
         text = source if isinstance(source, str) else source.decode("utf-8-sig")
         if len(source) > most_bytes:
@@ -51,6 +51,20 @@ def load_yaml(source: Path | str | bytes, most_bytes: int = MOST_BYTES, most_nod
             raise
         # The text behind a tag such as !!bool is none.
         raise YamlError(f"no YAML: {error}") from error
+
+
+def _begin(path: Path, size: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(size)
+
+
+def bounded_bytes(path: Path, most_mb: int = 256) -> bytes:
+    """The content of a file that a user names; OSError where it cannot be read, or does not end within ``most_mb`` MB:
+    a device has no end."""
+    content = _begin(path, (most_mb << 20) + 1)
+    if len(content) > most_mb << 20:
+        raise OSError(errno.EFBIG, f"is larger than {most_mb} MB")
+    return content
 
 
 def _check(text: str, most_nodes: int) -> None:

@@ -38,13 +38,15 @@ class SurveyError(ValueError):
     """A survey cannot be used; the message names the file, the line or the position, the value and what is allowed."""
 
 
-def numbered_lines(
-    path: Path, comment: str = "(?!)", encodings: Sequence[str] = ("utf-8",)
-) -> Iterator[tuple[int, str]]:
-    """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
-    the lines that are then blank; SurveyError if it cannot be read, or has none of the ``encodings``.
+_ENCODINGS = ("utf-8", "cp1252")
+"""The second is that of spreadsheets and instruments in Western Europe and America; names and units have its µ."""
 
-    The first of these that fits is taken, or what a byte order mark says.
+
+def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str]]:
+    """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
+    the lines that are then blank; SurveyError if it cannot be read, or has another encoding.
+
+    The first of :data:`_ENCODINGS` that fits is taken, or what a byte order mark says.
     """
     try:
         if path.exists() and not path.is_file():
@@ -54,7 +56,7 @@ def numbered_lines(
         raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
     # Spreadsheets put a byte order mark in front.
     marked = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-    encodings = [name for mark, name in marked.items() if content.startswith(mark)] or encodings
+    encodings = [name for mark, name in marked.items() if content.startswith(mark)] or _ENCODINGS
     for encoding in encodings:
         try:
             text = content.decode(encoding)

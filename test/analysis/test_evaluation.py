@@ -26,10 +26,12 @@ def sample(number):
     }
 
 
-def recorded(path, without=(), left_out=None, drift=0.0, again=(), order=range(COUNT)):
+def recorded(path, without=(), left_out=None, drift=0.0, again=(), order=range(COUNT), rate=None):
     """A bag of COUNT samples; ``left_out`` gives for a stream the samples that it lacks."""
     left_out = left_out or {}
     with BagWriter(path) as bag:
+        if rate is not None:
+            bag.attach("parameters.yaml", "", f"/driver: {{ros__parameters: {{stage.rate: {rate}}}}}".encode())
         streams = [stream for stream in sample(0) if stream not in without]
         for stream in streams:
             bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
@@ -86,6 +88,12 @@ def test_samples_are_counted_by_the_boards_own_clock(tmp_path, drift):
     left_out = {stream: set(range(14, 37, 3)) for stream in sample(0)}
     found = evaluate_bag(recorded(tmp_path / "bag", left_out=left_out, drift=drift))
     assert (found.expected_samples, found.lost_samples) == (30, 8)
+
+
+def test_samples_at_another_rate_than_the_parameters_of_their_run_are_said_to_be(tmp_path):
+    evaluate_bag(recorded(tmp_path / "bag", rate=2000, drift=0.001))
+    with pytest.warns(UserWarning, match=r"2000 times a second.*'stage\.rate' says 4000 Hz"):
+        evaluate_bag(recorded(tmp_path / "other", rate=4000))
 
 
 def test_samples_that_come_twice_or_in_disorder_count_once(tmp_path):

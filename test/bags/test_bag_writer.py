@@ -350,6 +350,13 @@ def test_other_readers_and_ours_see_all_messages_in_their_order(three_files):
     assert read_attachments(bag) == {"parameters.yaml": b"rate: 2000\n", "metadata.yaml": ANY}
 
 
+def test_a_bag_whose_first_files_are_not_there_and_not_listed_is_read_and_said_to_begin_later(split):
+    for name in ("split_0.mcap", "metadata.yaml"):
+        (split / name).unlink()
+    with pytest.warns(UserWarning, match=r"begins with split_1\.mcap"):
+        assert read_streams(split, LAYOUTS)
+
+
 def test_a_missing_file_is_named_and_recover_saves_the_others(split, tmp_path):
     (split / "split_1.mcap").unlink()
     with pytest.raises(BagError, match=r"lacks split_1\.mcap"):

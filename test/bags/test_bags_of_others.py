@@ -391,6 +391,15 @@ SIZES = {
 }
 
 
+@pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
+def test_a_chunk_without_a_byte_is_passed_over_whatever_its_compression(tmp_path, compression):
+    path = tmp_path / "b.mcap"
+    head = struct.pack("<QQQI", 0, 0, 0, 0) + struct.pack("<I", len(compression)) + compression
+    path.write_bytes(mcap_of((Opcode.CHUNK, head + bytes(8))))
+    with pytest.raises(BagError, match="has no messages"):
+        read_streams(path, LAYOUTS)
+
+
 @pytest.mark.parametrize("what", SIZES)
 def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, capsys):
     path = tmp_path / "b.mcap"

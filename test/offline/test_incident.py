@@ -113,6 +113,7 @@ def link():
         (lambda c: [(n, d) for n, d in c.items() if n != DETAILS], "it has no incident.json"),
         (lambda c: [(n, b"[" if n == DETAILS else d) for n, d in c.items()], "is damaged"),
         (lambda c: [(n, b"[1]" if n == DETAILS else d) for n, d in c.items()], "is damaged"),
+        (lambda c: [("INCIDENT.txt", b""), (DETAILS, b'{"sha256": {}}')], "is damaged.*doctor.json"),
     ],
 )  # fmt: skip
 def test_an_archive_that_is_no_incident_is_refused_and_nothing_of_it_is_left(

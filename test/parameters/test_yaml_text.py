@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
+from straightcomp_ros.parameters.yaml_text import YamlError, bounded_bytes, dump_yaml, load_yaml
 
 BOMB = "a0: &a0 {x: 1}\n" + "".join(
     f"a{i}: &a{i} {{{', '.join(f'k{j}: *a{i - 1}' for j in range(10))}}}\n" for i in range(1, 10)
@@ -62,6 +62,8 @@ def test_what_is_no_plain_yaml_of_a_usual_size_is_refused(text, words, tmp_path)
 def test_a_file_without_an_end_is_refused_and_aliases_of_a_usual_size_are_read():
     with pytest.raises(YamlError, match="larger than"):
         load_yaml(Path("/dev/zero"))
+    with pytest.raises(OSError, match="larger than 1 MB"):
+        bounded_bytes(Path("/dev/zero"), 1)
     assert load_yaml("a: &x {b: 1, c: 2}\nd: *x\ne: {<<: *x, b: 3}")["e"] == {"b": 3, "c": 2}
     merges = load_yaml("b: &b {mass: 2}\nd: {e: {x: &a {<<: *b, mass: 3}}}\ny: {<<: *a}")
     assert merges["y"] == merges["d"]["e"]["x"] == {"mass": 3}

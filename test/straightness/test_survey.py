@@ -119,9 +119,16 @@ def test_a_file_that_is_missing_or_not_utf8_is_refused(tmp_path):
     path = tmp_path / "survey.csv"
     with pytest.raises(SurveyError, match=r"survey\.csv.*No such file"):
         read_survey(path)
-    path.write_bytes("x_mm,deviation_µm\n".encode("latin-1"))
+    path.write_bytes(b"x_mm,deviation_\x81m\n")
     with pytest.raises(SurveyError, match=r"survey\.csv.*not UTF-8"):
         read_survey(path)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
+def test_a_micro_sign_is_one_in_every_encoding_of_spreadsheets(tmp_path, encoding):
+    rows = "".join(f"{x};{0.5 * x:.1f}\r\n".replace(".", ",") for x in range(0, 240, 10))
+    (tmp_path / "survey.csv").write_bytes(f"Position [mm];Straightness [µm]\r\n{rows}".encode(encoding))
+    assert read_survey(tmp_path / "survey.csv").runs[0].deviation[-1] == pytest.approx(115e-6)
 
 
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 from straightcomp_ros.parameters.declaration import instead
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.yaml_text import bounded_bytes
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -306,7 +307,7 @@ def _found(file: str) -> Path:
 
 def _text(path: Path) -> str:
     try:
-        return decoded(path.read_bytes())
+        return decoded(bounded_bytes(path))
     except OSError as error:
         raise DbcError(f"'{path}': {error.strerror}") from None
 

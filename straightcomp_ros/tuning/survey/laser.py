@@ -29,8 +29,6 @@ from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
 _BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
-_ENCODINGS = ("utf-8", "cp1252")
-"""Machine and operator are named in the language of the computer; only their lines have other than ASCII letters."""
 
 
 def read_rtl(path: Path, conventions: Conventions) -> Survey:
@@ -43,7 +41,7 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
     readings: dict[int, dict[int, tuple[int, float, float]]] = {}
     counts: dict[str, float] = {}
     collecting = False
-    for line, raw in numbered_lines(path, encodings=_ENCODINGS):
+    for line, raw in numbered_lines(path):
         where, text = f"survey {path}, line {line}", raw.strip()
         key, colon, value = (part.strip() for part in text.partition(":"))
         if text.endswith("::"):
@@ -87,7 +85,7 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
     """
     blocks: dict[str, list[list[float]]] = {}
     block = ""
-    for line, raw in numbered_lines(path, encodings=_ENCODINGS):
+    for line, raw in numbered_lines(path):
         where, text = f"survey {path}, line {line}", raw.strip()
         heading = _BLOCK.fullmatch(text)
         if heading:
