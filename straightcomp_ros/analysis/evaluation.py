@@ -6,7 +6,7 @@ import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of
 from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
-from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, declarations, from_mapping
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.node_timing import Report
@@ -144,6 +145,12 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
         reports = {}
     parameters = recorded_parameters(bag, attachments)
+    for node, own in parameters.items():
+        for name in _numbers(node) & own.keys():
+            value = own[name]
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                why = f"parameters.yaml: '{name}' of node '{node}' is {value!r}; allowed: a finite number"
+                raise BagError(f"bag {bag}: {why}; record the bag again")
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             why = "was the whole graph running, under these names (--remap)?"
@@ -164,7 +171,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
     rate, measured = parameters.get("driver", {}).get("stage.rate"), 1e9 / np.median(np.diff(encoder))
-    if isinstance(rate, int | float) and abs(measured - rate) > _OTHER_RATE * measured:
+    if rate and abs(measured - rate) > _OTHER_RATE * measured:
         text = f"samples came {measured:.6g} times a second, the run's parameter 'stage.rate' says {rate:g} Hz"
         warnings.warn(f"{text}: times, speeds and frequencies are by the stamps", stacklevel=2)
     if (np.diff(common) >= PAUSE * 1e9).any():
@@ -224,6 +231,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         faults=interruption.latched_faults(reports, int(encoder[0])),
         clock_jump=jump,
     )
+
+
+@cache
+def _numbers(node: str) -> frozenset[str]:
+    """Names of a node's parameters that are numbers. Their ranges are those of the version that recorded them."""
+    known = declarations(NODE_PARAMETERS[node]) if node in NODE_PARAMETERS else ()
+    return frozenset(one.name for one in known if one.kind in (int, float))
 
 
 def _judged(stamps: Stamps, x: Array) -> NDArray[np.bool_]:

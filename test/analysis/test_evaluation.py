@@ -96,6 +96,12 @@ def test_samples_at_another_rate_than_the_parameters_of_their_run_are_said_to_be
         evaluate_bag(recorded(tmp_path / "other", rate=4000))
 
 
+@pytest.mark.parametrize("rate", ["fast", "[1, 2]", "", ".nan", "true"])
+def test_recorded_parameters_that_are_no_numbers_refuse_the_bag(tmp_path, rate):
+    with pytest.raises(BagError, match=r"'stage\.rate' of node 'driver' is .*; allowed: a finite number"):
+        evaluate_bag(recorded(tmp_path / "bag", rate=rate))
+
+
 def test_samples_that_come_twice_or_in_disorder_count_once(tmp_path):
     shuffled = np.random.default_rng(1).permutation(COUNT).tolist()
     found = evaluate_bag(recorded(tmp_path / "bag", order=shuffled, again=(20, 21)))
