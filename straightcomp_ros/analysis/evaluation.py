@@ -145,9 +145,9 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
         reports = {}
     parameters = recorded_parameters(bag, attachments)
-    for node, own in parameters.items():
-        for name in _numbers(node) & own.keys():
-            value = own[name]
+    for node, given in parameters.items():
+        for name in _numbers(node) & given.keys():
+            value = given[name]
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 why = f"parameters.yaml: '{name}' of node '{node}' is {value!r}; allowed: a finite number"
                 raise BagError(f"bag {bag}: {why}; record the bag again")

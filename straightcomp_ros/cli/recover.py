@@ -59,7 +59,7 @@ def _print(result: Any, lost: int | None) -> None:
         notes.print(f"{name}: {length} bytes at {offset} are lost: {reason}" if length else f"{name}: {reason}")
     for topic in result.not_copied:
         notes.print(f"topic '{topic}' has messages of a further type or encoding: they are not copied")
-    if result.whole:
+    if result.whole and result.saved:
         notes.print("nothing was wrong with the bag: the copy has all of it")
     elif lost is not None:
         notes.print(f"messages lost: {lost}")

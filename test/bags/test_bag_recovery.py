@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from mcap.opcode import Opcode
-from recording import MAGIC, START_NS, add_streams, records
+from recording import MAGIC, START_NS, add_streams, mcap_of, records
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
@@ -119,7 +119,13 @@ def test_the_command_prints_what_was_saved_and_lost(record, tmp_path, capsys):
 
 def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, capsys):
     path = tmp_path / "run.mcap"
-    for content, code, reason in ((b"SQLite format 3\0", 2, "is not an MCAP file"), (MAGIC, 1, "no message could be")):
+    reasons = {
+        b"SQLite format 3\0": "is not an MCAP file",
+        MAGIC: "no message could be",
+        mcap_of(): "no message could be",
+    }
+    for content, reason in reasons.items():
         path.write_bytes(content)
-        assert main(["recover", str(path)]) == code
-        assert reason in capsys.readouterr().err
+        assert main(["recover", str(path), "-o", str(tmp_path / str(len(content)))]) == 1 + (content[:3] == b"SQL")
+        said = capsys.readouterr().err
+        assert reason in said and "nothing was wrong" not in said

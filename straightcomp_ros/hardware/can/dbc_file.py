@@ -254,10 +254,12 @@ def used_signals(message: Message, used: Sequence[Signal]) -> Message:
     """The message with the signals ``used``, their multiplexers, and what else has an initial value in their frames.
 
     Raises:
-        DbcError: two of the signals lie on each other, or one chooses the page of another.
+        DbcError: two of the signals lie on each other, one chooses the page of another, or the cycle time is no number.
     """
     import cantools
 
+    if not isinstance(message.cycle_time, int | float | None):
+        raise DbcError(f"message '{message.name}' has a cycle time of {message.cycle_time!r}; allowed: a number of ms")
     chosen = {signal.name: signal for signal in used}
     names = set(chosen)
     for signal in used:
@@ -307,7 +309,7 @@ def _found(file: str) -> Path:
 
 def _text(path: Path) -> str:
     try:
-        return decoded(bounded_bytes(path))
+        return decoded(bounded_bytes(path).replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
     except OSError as error:
         raise DbcError(f"'{path}': {error.strerror}") from None
 

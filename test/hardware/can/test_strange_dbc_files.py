@@ -149,7 +149,7 @@ def test_a_signal_without_a_role_may_overlap_lie_outside_or_have_no_scale(board,
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
-@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_a_file_is_read_in_each_encoding_that_tools_write(board, encoding, line_end):
     text = with_line('"um"', '"µm"').replace("\n", line_end).encode(encoding)
     assert board(text).make_wire().sample.unpack(bytes([0, 0, 0, 0, 40, 0, 0, 0])).y == pytest.approx(2e-6)
@@ -191,6 +191,11 @@ REFUSED = {
     "an identifier of two messages": (
         *(BOARD + AGAIN, "", "'MEAS' and 'AGAIN'"),
         {"y.message": "AGAIN", "y.signal": "Y"},
+    ),
+    "a cycle time that is a text": (
+        BOARD + 'BA_DEF_ BO_ "GenMsgCycleTime" STRING;\nBA_ "GenMsgCycleTime" BO_ 288 "fast";\n',
+        "x.signal",
+        "'fast'",
     ),
     "no list of messages": ("NS_ :\n    NS_DESC_\n    CM_\n", "", "within NS_"),
     "a file without messages": ('VERSION ""\n', "", "no message"),
