@@ -28,14 +28,13 @@ _MISFIT_MEMORY = 0.3
 
 _SMALLEST_SIZE = 1e-3
 """Of friction: none would be a dead end for the fit."""
-_COUNTING = 2.0
-"""Times the force that is lost in the quanta: from there on friction counts."""
-_FREE = {"bandwidth": 0.182, "surface": 2.2, "reaching": 0.073}
-"""Gains without friction, times the dead time, found on the shipped stage without its friction. Nothing but the
-encoder's noise disturbs such a platform: a slow observer, and much damping, leave the least error."""
-_FREE_THIRD_POLE = 0.21
-_FREE_ALLOWANCE = 1.7
-"""Gain allowance up to which these gains leave the loop enough gain; with more they grow in proportion."""
+_COUNTING, _SWITCHING = 0.5, 2.0
+"""Times the force that is lost in the quanta: from there on friction counts, and makes a platform hunt."""
+_FREE_RATES = {"bandwidth": 0.132, "surface": 2.53, "reaching": 0.079}
+_FREE = {"third_pole": 0.083, "gain_allowance": 0.9}
+"""Gains without friction, the first times the dead time, found on the shipped stage without its friction. Nothing but
+the encoder's noise disturbs such a platform: a slow observer, and much damping, leave the least error. What the
+measured current says of the converter's rounding is worth as much as the allowance is right."""
 _BENDING = 2.0
 """Counts of the encoder."""
 _STILL = 0.1
@@ -177,9 +176,9 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     turn, amplitude = dither_of(design, stage)
     largest = min(design.largest_size, smc_observer.SMALLEST_SHAPE) if amplitude > 0.0 else design.largest_size
     gains = smc_observer.Gains(
-        free=_stiffness(_free(design, stage), 1.0, period),
-        quiet=_stiffness(design, 1.0, period),
-        stiff=_stiffness(design, design.stiffening, period),
+        free=_stiffness(_free(design, stage), 1.0, stage),
+        quiet=_stiffness(design, 1.0, stage),
+        stiff=_stiffness(design, design.stiffening, stage),
         share=design.velocity_share,
         misfit=max(design.misfit * friction.coulomb, quantum) / loop.mass,
         lugre=friction.constants()._replace(viscous=friction.viscous + stage.platform.damping),
@@ -220,7 +219,7 @@ class Dithering(NamedTuple):
 def needs_dither(stage: StageParameters) -> bool:
     """Whether friction counts, and switches within two counts of the encoder, so that readings do not predict it."""
     bending = stage.friction.static / stage.friction.bristle_stiffness
-    return bending <= _BENDING * stage.encoder.y_resolution and stage.friction.coulomb >= _COUNTING * _quantum(stage)
+    return bending <= _BENDING * stage.encoder.y_resolution and stage.friction.coulomb >= _SWITCHING * _quantum(stage)
 
 
 def dither_of(design: ObserverDesign, stage: StageParameters) -> Dithering:
@@ -244,9 +243,9 @@ def _quantum(stage: StageParameters) -> float:
     return pull * stage.encoder.y_resolution + stage.drive.current_step * stage.actuator.current_stiffness
 
 
-def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_observer.Stiffness:
+def _stiffness(design: ObserverDesign, factor: float, stage: StageParameters) -> smc_observer.Stiffness:
     """The law with bandwidth, λ and κ times ``factor``."""
-    bandwidth = factor * design.bandwidth
+    bandwidth, period = factor * design.bandwidth, stage.period
     rate = 2.0 * math.pi * bandwidth * period
     return smc_observer.Stiffness(
         factor * design.surface,
@@ -254,14 +253,13 @@ def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_obse
         *observer_gains(bandwidth, design.third_pole, period),
         double=1.0 - math.exp(-rate),
         third=1.0 - math.exp(-rate * design.third_pole),
+        mass=stage.platform.mass / design.gain_allowance,
     )
 
 
 def _free(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
-    more = max(1.0, design.gain_allowance / _FREE_ALLOWANCE)
-    gains = {name: number / stage.dead_time for name, number in _FREE.items()}
-    gains |= {name: more * gains[name] for name in ("surface", "reaching")}
-    return replace(design, **gains, third_pole=_FREE_THIRD_POLE)
+    gains = {name: number / stage.dead_time for name, number in _FREE_RATES.items()}
+    return replace(design, **gains, **_FREE)
 
 
 def freed(control: ControlParameters, stage: StageParameters) -> ControlParameters | None:

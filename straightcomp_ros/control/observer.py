@@ -117,6 +117,13 @@ def nominal_loop(stage: StageParameters, *, delay_samples: float, gain_allowance
 
 
 @compilable
+def with_mass(g: Loop, mass: float) -> Loop:
+    """The model with another ``mass`` in kg."""
+    gain = g.current_gain * (g.mass / mass)
+    return Loop(*g[:4], mass, g.stiffness, g.current_limit, gain, g.current_share, g.actuator)
+
+
+@compilable
 def corrected(gains: ObserverGains, prior: Estimate, reading: float) -> Estimate:
     """The estimate for a sample, from its prediction and the encoder's reading in m."""
     innovation = reading - prior.y

@@ -60,6 +60,7 @@ from straightcomp_ros.control.observer import (
     limited,
     moment_of_action,
     predicted,
+    with_mass,
     with_measured_current,
 )
 from straightcomp_ros.model.compiled import compilable
@@ -110,8 +111,8 @@ class Fit(NamedTuple):
 
 
 class Stiffness(NamedTuple):
-    """λ and κ in 1/s, the observer's gains (`ObserverGains`), and the weights of a new value in the lags of its double
-    pole and of its third pole."""
+    """λ and κ in 1/s, the observer's gains (`ObserverGains`), the weights of a new value in the lags of its double pole
+    and of its third pole, and the assumed mass in kg."""
 
     surface: float
     reaching: float
@@ -120,6 +121,7 @@ class Stiffness(NamedTuple):
     disturbance: float
     double: float
     third: float
+    mass: float
 
 
 class Dither(NamedTuple):
@@ -217,23 +219,23 @@ def step(
 ) -> tuple[State, Command]:
     """One sample; see the module."""
     s = _stiffness(g, state.fit)
-    gains = ObserverGains(s.position, s.velocity, s.disturbance)
-    observed = corrected(gains, with_measured_current(g.loop, state.prior, current), y)
-    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, r_dot, observed.velocity)
+    gains, loop = ObserverGains(s.position, s.velocity, s.disturbance), with_mass(g.loop, s.mass)
+    observed = corrected(gains, with_measured_current(loop, state.prior, current), y)
+    bristle, unit = _unit_friction(g, s.mass, state.fit.size, state.bristle, r_dot, observed.velocity)
     fit = _doubted(g, fitted(g, s, state.fit, r, r_dot, unit, observed.disturbance), state.rest)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
-    action, error, rate_error = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
+    action, error, rate_error = moment_of_action(loop, now, state.command, r, r_dot, r_ddot)
     sigma = rate_error + s.surface * error
     holding = r_ddot - s.surface * rate_error - action.disturbance
-    equivalent = current_for(g.loop, action.y, holding)
-    wanted = current_for(g.loop, action.y, holding - s.reaching * sigma)
+    equivalent = current_for(loop, action.y, holding)
+    wanted = current_for(loop, action.y, holding - s.reaching * sigma)
     # While the command is held, the error is not answered.
     asked, memory = filtered(g.filters, state.memory, wanted, y - r if state.rest.time <= g.wait else 0.0)
     asked, rest = _held(g, state.rest, fit.size, asked, y, r, r_dot)
     asked, dither = _dithered(g, state.dither, rest, asked)
-    answer = limited(g.loop, asked)
-    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, action, answer, g.loop.stiffness)
+    answer = limited(loop, asked)
+    after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, bristle, fit, rest, dither, memory), command
@@ -242,10 +244,12 @@ def step(
 @compilable
 def _stiffness(g: Gains, fit: Fit) -> Stiffness:
     """Between free and quiet by the size of friction, and from there to stiff by the misfit."""
-    share = max(0.0, min(1.0, math.sqrt(max(0.0, fit.misfit_square)) / g.misfit - 1.0))
     # No size at all is only in the linearisation of `margins.py`, which asks for free and quiet one by one.
-    calm = max(0.0, 1.0 - fit.size / g.counting) if fit.size > 0.0 else 0.0
+    calm = max(0.0, min(1.0, 2.0 - 2.0 * fit.size / g.counting)) if fit.size > 0.0 else 0.0
     a = _mixed(g.quiet, g.free, calm) if calm > 0.0 else g.quiet
+    # The misfit is an acceleration of the mass that is assumed.
+    misfit = math.sqrt(max(0.0, fit.misfit_square)) * (a.mass / g.loop.mass)
+    share = max(0.0, min(1.0, misfit / g.misfit - 1.0))
     return _mixed(a, g.stiff, share)
 
 
@@ -259,6 +263,7 @@ def _mixed(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
         _between(a.disturbance, b.disturbance, share),
         _between(a.double, b.double, share),
         _between(a.third, b.third, share),
+        _between(a.mass, b.mass, share),
     )
 
 
@@ -268,8 +273,11 @@ def _between(one: float, other: float, share: float) -> float:
 
 
 @compilable
-def _unit_friction(g: Gains, size: float, bristle: float, r_dot: float, observed: float) -> tuple[float, float]:
-    """z in m after this sample's period, and F̄ in m/s² until then; r_dot and the ``observed`` velocity in m/s."""
+def _unit_friction(
+    g: Gains, mass: float, size: float, bristle: float, r_dot: float, observed: float
+) -> tuple[float, float]:
+    """z in m after this sample's period, and F̄ of ``mass`` in m/s² until then; r_dot and the ``observed`` velocity in
+    m/s."""
     if size <= 0.0:
         # Only in the linearisation of `margins.py`.
         return bristle, 0.0
@@ -278,7 +286,7 @@ def _unit_friction(g: Gains, size: float, bristle: float, r_dot: float, observed
     shape = max(size, SMALLEST_SHAPE)
     lugre = LuGre(shape * coulomb, shape * static, stribeck_velocity, stiffness, damping, viscous)
     after = bristle_after(lugre, bristle, velocity, g.loop.period)
-    return after, -friction_force(lugre, after, velocity) / (shape * g.loop.mass)
+    return after, -friction_force(lugre, after, velocity) / (shape * mass)
 
 
 @compilable

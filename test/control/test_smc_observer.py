@@ -200,8 +200,9 @@ def test_an_air_bearing_and_a_flexure_are_quiet_when_they_are_described(facts):
 
 def test_the_law_goes_over_to_its_free_gains_as_friction_vanishes():
     gains, bare = law().gains, fit_at_start(1e-12)
-    assert np.array(_stiffness(gains, bare)) == pytest.approx(np.array(gains.free))
-    halfway = _stiffness(gains, bare._replace(size=0.5 * gains.counting))
+    for size in (1e-12, 0.4):
+        assert np.array(_stiffness(gains, bare._replace(size=size * gains.counting))) == pytest.approx(gains.free)
+    halfway = _stiffness(gains, bare._replace(size=0.75 * gains.counting))
     assert halfway.surface == pytest.approx(0.5 * (gains.free.surface + gains.quiet.surface))
     assert _stiffness(gains, fit_at_start(gains.counting)) == gains.quiet
 
@@ -266,7 +267,7 @@ def test_the_laws_rank_as_their_designs_promise():
 
 PERIOD, BANDWIDTH, THIRD = 5e-4, 199.0, 1.28
 POLE = math.exp(-2.0 * math.pi * BANDWIDTH * PERIOD)
-WEIGHTS = Stiffness(*[math.nan] * 5, double=1.0 - POLE, third=1.0 - POLE**THIRD)
+WEIGHTS = Stiffness(*[math.nan] * 5, double=1.0 - POLE, third=1.0 - POLE**THIRD, mass=math.nan)
 GAINS = law().gains._replace(kept=math.exp(-PERIOD / 2.0), smooth=0.17, mean=PERIOD / 0.3, travel=25e-6)
 
 
