@@ -256,20 +256,15 @@ def _stiffness(g: Gains, fit: Fit) -> Stiffness:
 @compilable
 def _mixed(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
     return Stiffness(
-        _between(a.surface, b.surface, share),
-        _between(a.reaching, b.reaching, share),
-        _between(a.position, b.position, share),
-        _between(a.velocity, b.velocity, share),
-        _between(a.disturbance, b.disturbance, share),
-        _between(a.double, b.double, share),
-        _between(a.third, b.third, share),
-        _between(a.mass, b.mass, share),
+        a.surface + share * (b.surface - a.surface),
+        a.reaching + share * (b.reaching - a.reaching),
+        a.position + share * (b.position - a.position),
+        a.velocity + share * (b.velocity - a.velocity),
+        a.disturbance + share * (b.disturbance - a.disturbance),
+        a.double + share * (b.double - a.double),
+        a.third + share * (b.third - a.third),
+        a.mass + share * (b.mass - a.mass),
     )
-
-
-@compilable
-def _between(one: float, other: float, share: float) -> float:
-    return one + share * (other - one)
 
 
 @compilable
