@@ -69,8 +69,9 @@ def run(options: argparse.Namespace) -> None:
         file = output_file(options, "--excitation")
         write_survey(file, excitation_survey(abs(stroke)), _EXCITATION_COMMENTS)
         if not options.json:
-            then = f"straightcomp simulate --set stage.guide.file={quote(str(file))} --bag BAG"
-            print_written(file, then=f"{then}, or run it on the machine")
+            guides = ("stage.guide.file", "driver.simulated.truth.guide")
+            then = " ".join(f"--set {name}={quote(str(file))}" for name in guides)
+            print_written(file, then=f"straightcomp simulate {then} --bag BAG, or run it on the machine")
         return
     output = output_file(options, "--output")
     start = node_parameters("driver", values).stage

@@ -320,3 +320,9 @@ def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
     assert "    stage.friction.viscous: 1.0" in lines
     # F_S stays with F_C even so: its default may be below F_C, which is refused.
     assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
+
+
+def test_after_an_excitation_the_next_command_is_of_a_machine_with_that_guide(tmp_path, capsys):
+    waves = tmp_path / "waves.csv"
+    assert main(["friction", "--excitation", str(waves)]) == 0
+    assert f"--set driver.simulated.truth.guide={waves}" in capsys.readouterr().err
