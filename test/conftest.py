@@ -77,6 +77,8 @@ def printed_tables_are_whole():
         shown = set("".join(f" {one}" if isinstance(one, Text) else one.text for one in found).split())
         words = {word for column in self.columns for cell in column.cells for word in str(cell).split()}
         assert {word for word in words if len(word) <= LONGEST_WHOLE} <= shown
+        # A longer one goes on in the next line.
+        assert not any(column.no_wrap for column in self.columns)
         return found
 
     with pytest.MonkeyPatch.context() as patch:

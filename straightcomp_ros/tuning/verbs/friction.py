@@ -116,8 +116,6 @@ def _print(estimate: Estimate) -> None:
     headings = ("parameter", "value", "95 % from", "to", "unit", "remark")
     rows = map(_row, estimate.parameters.values())
     table = titled_table("Plant parameters", *headings, left=("unit", "remark"), rows=rows)
-    for column in table.columns[:-1]:
-        column.no_wrap = True
     console.print(table)
     path, delays = estimate.path, [delay * 1e6 for delay in (estimate.path.delay, *estimate.path.delay_spread)]
     amplifier = "the current was interpolated: command and coil current fit no first-order amplifier"
