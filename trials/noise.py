@@ -83,11 +83,7 @@ def run(options: argparse.Namespace) -> None:
     for name, kind in kinds().items():
         for spacing in options.spacing if options.guide in (None, name) else ():
             for noise in options.noise:
-                found = (
-                    residuals(kind, spacing, noise)
-                    if options.residuals
-                    else errors(kind, spacing, noise, options.draws)
-                )
+                found = (residuals if options.residuals else errors)(kind, spacing, noise, options.draws)
                 rows.append({"guide": name, "spacing_mm": spacing, "noise_um": noise, **found})
     print_json({"rows": rows})
 
@@ -119,36 +115,35 @@ def errors(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[s
     return {name: float(np.median([row[name] for row in rows])) for name in rows[0]} | {"coverage": mean}
 
 
-def residuals(kind: Kind, spacing_mm: float, noise_um: float) -> dict[str, float]:
-    """Residual straightness in µm of a cycle, the median of nine starts, with the map of one survey through every mean,
-    smoothed, and by the best spline for one who knows the guide. The hysteresis of the true guide changes sides within
-    a quarter of the travel that the reference takes for it."""
-    values = by_node(shipped_parameters(stage=kind.stage or None))
-    law = "smc_observer"
-    scenario, survey = make_scenario(values, [law]), _surveyed(kind, spacing_mm, noise_um, 0)
-    guide_parameters = replace(scenario.followed.guide, travel=5e-3)
-    fine = _fine(kind)
-    best = Survey(tuple(Run("1", way, fine[::10], _best(kind, survey, fine, way)(fine[::10])) for way in WAYS))
+def residuals(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
+    """Residual straightness in µm of a cycle, the median over ``draws`` surveys and nine starts, with the map through
+    every mean, smoothed, and by the best spline for one who knows the guide. The hysteresis of the true guide changes
+    sides within a quarter of the travel that the reference takes for it."""
+    values, law = by_node(shipped_parameters(stage=kind.stage or None)), "smc_observer"
+    scenario, fine = make_scenario(values, [law]), _fine(kind)
+    smooth = replace(scenario.followed.guide, travel=5e-3)
     truth = Survey(tuple(Run("1", way, fine[::10], kind.true(fine[::10], way)) for way in WAYS))
-    tables = "both" if kind.hysteresis else "mean"
-    exact = replace(guide_parameters, smooth="none", direction=tables)
-    true = StraightnessMap(truth, replace(exact, reversal=guide_parameters.reversal / 4.0))
-    found = {}
-    for name, own, parameters in (
-        ("interpolated", survey, replace(guide_parameters, smooth="none")),
-        ("auto", survey, guide_parameters),
-        ("best", best, exact),
-    ):
-        one = replace(scenario, followed=replace(scenario.followed, guide=parameters), survey=own)
-        stroke, pp = one.stroke(), []
-        deviation = true.offset - along(true, stroke.true_x)[0]
-        for offset in offsets():
-            simulated = replace(one.driver.simulated, initial_y=offset)
-            cycle = replace(one, driver=replace(one.driver, simulated=simulated)).cycle(laws_of(one)[law], stroke)
-            record = stroke.record(stroke.stamps * 1e-9, cycle, deviation, law)
-            pp.append(np.ptp(straightness_over(record, stroke.map)[2]))
-        found[name] = float(np.median(pp)) * 1e6
-    return found
+    exact = replace(smooth, smooth="none", direction="both" if kind.hysteresis else "mean")
+    true = StraightnessMap(truth, replace(exact, reversal=smooth.reversal / 4.0))
+    found = dict[str, list[float]]()
+    for seed in range(draws):
+        survey = _surveyed(kind, spacing_mm, noise_um, seed)
+        best = Survey(tuple(Run("1", way, fine[::10], _best(kind, survey, fine, way)(fine[::10])) for way in WAYS))
+        through = replace(smooth, smooth="none")
+        for name, own, guide_parameters in (
+            ("interpolated", survey, through),
+            ("auto", survey, smooth),
+            ("best", best, exact),
+        ):
+            one = replace(scenario, followed=replace(scenario.followed, guide=guide_parameters), survey=own)
+            stroke = one.stroke()
+            deviation = true.offset - along(true, stroke.true_x)[0]
+            for offset in offsets():
+                simulated = replace(one.driver.simulated, initial_y=offset)
+                cycle = replace(one, driver=replace(one.driver, simulated=simulated)).cycle(laws_of(one)[law], stroke)
+                record = stroke.record(stroke.stamps * 1e-9, cycle, deviation, law)
+                found.setdefault(name, []).append(float(np.ptp(straightness_over(record, stroke.map)[2])) * 1e6)
+    return {name: float(np.median(pp)) for name, pp in found.items()}
 
 
 def _fine(kind: Kind) -> Array:

@@ -68,7 +68,8 @@ def _new(options: argparse.Namespace) -> None:
     for path in (file, survey):
         if path.exists() and not options.force and not path.samefile(source):
             raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
-    x = [run.x for run in read_survey(source).runs]
+    guide = from_mapping(StageParameters, given).guide
+    x = [run.x for run in read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
     found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
     if sys.stdin.isatty() and not options.yes:

@@ -12,7 +12,9 @@ Math. 31, 1979). At a joint or kink λ(x) is smaller: it is the largest whose fi
 ones by more than the noise can explain (O. V. Lepski, Theory Probab. Appl. 35, 1990).
 
 The band is Wahba's: the posterior standard deviation of the spline as a Gaussian process, which contains the bias on
-average over x (G. Wahba, J. R. Stat. Soc. B 45, 1983). It does not contain the survey's zero and tilt.
+average over x (G. Wahba, J. R. Stat. Soc. B 45, 1983), and beside it what the choice of λ leaves open: the fits by
+other λ and their deviations count by their Akaike weights (S. T. Buckland, K. P. Burnham and N. H. Augustin, Biometrics
+53, 1997). It does not contain the survey's zero and tilt.
 """
 
 from __future__ import annotations
@@ -180,7 +182,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     if noise is None:
         best = int((squares / (len(x) - freedom) ** 2).argmin())
         noise = math.sqrt(squares[best] / (len(x) - freedom[best]))
-    best = int((squares + 2.0 * noise**2 * freedom).argmin())
+    risks = squares + 2.0 * noise**2 * freedom
+    best = int(risks.argmin())
     typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
     rough = fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
     if factor == 0.0 or (how == "auto" and (rough or noise <= ROUNDING)):
@@ -188,6 +191,10 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
 
     shapes = at_knots @ modes
     curves, shapes = shapes @ (kept * amounts).T, shapes**2
+    likely = np.exp((risks[best] - risks) / (2.0 * noise**2))
+    likely /= likely.sum()
+    of_choice = (curves - curves[:, [best]]) ** 2 @ likely + noise**2 * (shapes @ (likely @ kept - kept[best]))
+    of_choice = np.maximum(of_choice, 0.0)
     local, holds = np.zeros(len(knots), np.intp), np.ones(len(knots), np.bool_)
     for smoother in range(1, best + 1):
         spread = noise * np.sqrt(shapes @ ((kept[smoother] - kept[:smoother]) ** 2).T)
@@ -204,8 +211,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
             return None, _as_measured(noise, runs, repeated, x)
     pieces = PPoly.from_spline(spline)
     deviation, twice = (
-        noise * np.sqrt((at_knots @ (at_knots @ covariance).T).diagonal())
-        for covariance in (inverse, np.linalg.inv(2.0 * information + penalty(amount)))
+        np.sqrt(noise**2 * (at_knots @ (at_knots @ covariance).T).diagonal() + of_choice / times)
+        for times, covariance in ((1.0, inverse), (2.0, np.linalg.inv(2.0 * information + penalty(amount))))
     )
     return (
         PPoly(pieces.c[:, 3:-3], pieces.x[3:-3]),

@@ -61,6 +61,14 @@ def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, 
     assert (folder / "survey.csv").read_bytes() == file.read_bytes()
 
 
+def test_the_survey_of_a_new_stage_may_have_the_gaps_that_are_given(tmp_path, capsys):
+    file = tmp_path / "sparse.csv"
+    x = np.arange(0.0, 1801.0, 60.0)
+    np.savetxt(file, np.column_stack([x, bend(x)]), "%.4f", ",", header="x_mm,deviation_um", comments="")
+    assert new(tmp_path / "one", "--survey", file) == 2 and "allowed: <= 50 mm" in capsys.readouterr().err
+    assert new(tmp_path / "one", "--survey", file, "--set", "stage.guide.max_gap=0.1") == 0
+
+
 def test_a_new_description_has_each_fact_once_with_its_meaning_and_is_kept_unless_it_is_forced(tmp_path, capsys):
     assert new(tmp_path / "one") == 0
     text = (tmp_path / "one" / "stage.yaml").read_text()
