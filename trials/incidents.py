@@ -1,5 +1,9 @@
-"""An incident of each fault: recorded in simulated time, packed, and opened again where no ROS can be imported.
+"""An incident of each fault: made, packed, and opened again, if asked for by another user without ROS.
 
+    sudo python -m trials incidents --user visitor
+
+What y, or x within a sample, shows is done to a simulated machine, and found by the watches of driver and controller;
+every other fault (a node that is gone, a full disk, an operator) has the words that its node has for it.
 Prints for each fault the size of its incident and its first line; the exit code is 1 if one does not name its fault,
 or opens with another line or other bits of the commands.
 """
@@ -7,10 +11,12 @@ or opens with another line or other bits of the commands.
 import argparse
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -21,94 +27,165 @@ from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.offline.incident import NO_REASON, pack
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.faults import Fault, Finding
+from straightcomp_ros.safety.watch import ErrorWatch, SampleWatch
+from trials.faulty_machine import FaultyHardware
 
 SUMMARY = "incidents of all faults, packed and opened"
 PURPOSE = "judge"
 _AT_S = 0.6
-"""Time of the fault in the run."""
-_REPORTED_BY = {Fault.MAP_MISSING: "feedforward", Fault.SAMPLE_TIMEOUT: "controller"}
-"""All others are reported by the driver, but for those that only a log has:"""
-_LOGGED = {
-    Fault.HEARTBEAT_LOST: ("cell", "[ERROR] [cell]: cycle failed: heartbeat_lost: no heartbeat of feedforward for 1 s"),
-    Fault.RECORDING_STOPPED: ("logger", "[ERROR] [logger]: recording stopped: bag run: 0 bytes are free on its disk"),
+"""Time of the disturbance in the run."""
+_ERROR_LIMIT = 50e-6
+"""m, of the following error."""
+_SAID = {
+    Fault.COMMAND_NOT_FINITE: ("driver", "command nan A"),
+    Fault.COMMAND_OUT_OF_RANGE: ("driver", "command 3 A; allowed: ±2 A"),
+    Fault.COMMAND_TIMEOUT: ("driver", "no command for 250 ms"),
+    Fault.TWO_CONTROLLERS: ("driver", "a command for a sample that this driver did not take"),
+    Fault.MAP_MISSING: ("feedforward", "x = 1.9 m is beyond the map"),
+    Fault.SAMPLE_TIMEOUT: ("controller", "no sample for 1 s"),
+    Fault.X_FROZEN: ("driver", "x stays at 12.3 mm; the stage was to move by +5.0 mm meanwhile"),
+    Fault.CLOCK_JUMP: ("driver", "the system's clock was stepped by +3.000 s"),
+    Fault.BOARD: ("driver", "the board has restarted"),
+    Fault.TRIPPED: ("driver", "emergency stop: panel"),
+    Fault.NOT_REFERENCED: ("driver", "x is not referenced: the board was switched off"),
+    Fault.CLIENT_GONE: ("driver", "the client that commissions the machine has ended"),
+}
+_INJECTED = {
+    Fault.SAMPLE_NOT_FINITE: "sample_nan",
+    Fault.X_JUMP: "x_jump",
+    Fault.Y_OUT_OF_RANGE: "y_out_of_range",
+    Fault.Y_FROZEN: "y_frozen",
+    Fault.FOLLOWING_ERROR: "y_out_of_range",
 }
 _TYPES = [("std_msgs", "Header"), ("builtin_interfaces", "Time")] + [
     ("diagnostic_msgs", name) for name in ("KeyValue", "DiagnosticStatus", "DiagnosticArray")
 ]
+_LOGGED = {
+    Fault.HEARTBEAT_LOST: ("cell", "[ERROR] [cell]: cycle failed: heartbeat_lost: no heartbeat of feedforward for 1 s"),
+    Fault.RECORDING_STOPPED: ("logger", "[ERROR] [logger]: recording stopped: bag run: 0 bytes are free on its disk"),
+}
 
 
-class _Fault(Exception):
-    """The fault's moment has come; with the sample."""
+class _Found(Exception):
+    """A fault was found, at a sample, with a reason."""
+
+
+class _Watched(FaultyHardware):
+    """The machine behind the driver's watch, which sees a sample before the law does; ``current``: last command."""
+
+    def __init__(self, machine: Any, watch: SampleWatch, wanted: Fault) -> None:
+        super().__init__(machine, lambda kind, time_ns: None)
+        self._watch, self._wanted, self.current = watch, wanted, 0.0
+
+    def read(self, now_ns: int) -> Any:
+        found = super().read(now_ns)
+        for sample, _ in found:
+            finding = self._watch.check(sample, self.current)
+            self._watch.hold()
+            if finding and finding[0] is self._wanted:
+                raise _Found(sample, finding[1])
+        return found
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    pass
+    parser.add_argument("--user", metavar="NAME", help="open the incidents as this user, without ROS (root only)")
 
 
 def run(options: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory(prefix="incidents_") as name:
-        rows = [one_incident(fault, Path(name)) for fault in Fault]
+        folder = Path(name)
+        folder.chmod(0o755)
+        rows = [one_incident(fault, folder, options.user) for fault in Fault]
     print_json({"incidents": rows})
     if wrong := [row["fault"] for row in rows if not row["named"] or not row["same"]]:
         raise CommandFailed(f"incidents that do not name their fault, or open otherwise: {', '.join(wrong)}")
 
 
-def one_incident(fault: Fault, folder: Path) -> dict[str, Any]:
+def one_incident(fault: Fault, folder: Path, user: str | None = None) -> dict[str, Any]:
     """Make, pack and open the incident of a fault in ``folder``; what came of it."""
-    own, file = folder / fault.label, folder / f"{fault.label}.zip"
-    record_fault(fault, own / "bag")
-    packed = pack(own / "bag", file, [])
+    own = folder / fault.label
+    bag, file = own / "bag", folder / f"{fault.label}.zip"
+    record_fault(fault, bag)
+    packed = pack(bag, file, [])
+    file.chmod(0o644)
+    opened = _opened(file, folder / f"{fault.label}_opened", user)
     shutil.rmtree(own)
-    # Whatever ROS this environment has, the other computer has none: its modules cannot be imported.
-    code = "import sys; sys.modules['rclpy'] = None; from straightcomp_ros.cli.main import main; sys.exit(main())"
-    words = ["incident", "open", str(file), "-o", str(folder / f"{fault.label}_opened"), "--json"]
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
-    if done.returncode:
-        raise CommandFailed(f"{file.name}: exit code {done.returncode}: {done.stderr}")
-    opened, first = json.loads(done.stdout), packed.cause
-    audit = opened["audit"]
+    first, there = packed.cause, opened["as_packed"]
     return {
         "fault": fault.label,
         "bytes": packed.size,
         "first_line": first,
         "named": first.startswith(f"fault {fault.label}: ") and not first.endswith(NO_REASON),
-        "same": (opened["cause"], opened["as_packed"]["audit"]) == (first, audit) and " 0 differ" in audit,
+        "same": (opened["cause"], opened["audit"]) == (first, there["audit"]) and " 0 differ" in opened["audit"],
         "verdict": opened["verdict"],
-        "audit": audit,
+        "audit": opened["audit"],
     }
+
+
+def _opened(file: Path, folder: Path, user: str | None) -> dict[str, Any]:
+    # Whatever ROS this environment has, the other computer has none: its modules cannot be imported.
+    code = "import sys; sys.modules['rclpy'] = None; from straightcomp_ros.cli.main import main; sys.exit(main())"
+    words = [sys.executable, "-c", code, "incident", "open", str(file), "-o", str(folder), "--json"]
+    if user:
+        folder = Path(f"/home/{user}") / f"{file.stem}_{time.time_ns()}"
+        words[words.index("-o") + 1] = str(folder)
+        path = os.pathsep.join(filter(None, sys.path))
+        words = ["runuser", "-u", user, "--", "env", f"PYTHONPATH={path}", "HOME=" + str(folder.parent), *words]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=folder.parent)
+    shutil.rmtree(folder, ignore_errors=True)
+    if done.returncode:
+        raise CommandFailed(f"{file.name}: exit code {done.returncode}: {done.stderr}")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
 
 
 def record_fault(fault: Fault, bag: Path) -> None:
     """Record a run in simulated time that ends with a fault, as the logger would have it."""
     values = shipped_parameters()
     values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1}
+    driver = node_parameters("driver", values)
+    machines, errors = list[_Watched](), ErrorWatch(_ERROR_LIMIT)
+    node, reason = _SAID.get(fault, ("driver", ""))
+    injected = False
+
+    def wiring(hardware: Any) -> Any:
+        machines.append(_Watched(hardware, SampleWatch(driver.watch, driver.stage), fault))
+        return machines[0]
 
     def observe(sample: Sample, truth: Any, reference: Any, command: Any, age: float) -> None:
-        if sample.stamp_ns >= _AT_S * 1e9:
-            raise _Fault(sample)
+        nonlocal injected
+        due = sample.stamp_ns >= _AT_S * 1e9
+        if fault is Fault.FOLLOWING_ERROR:
+            found: Finding | None = errors.check(reference[0] - sample.y, amplifier_on=True)
+        else:
+            found = (fault, reason) if due and fault not in _INJECTED else None
+        if found:
+            raise _Found(sample, found[1])
         run.add(sample, truth, reference, command, age)
+        machines[0].current = command.current
+        if due and fault in _INJECTED and not injected:
+            injected = True
+            machines[0].inject(_INJECTED[fault])
 
-    simulation = Simulation(values)
+    simulation = Simulation(values, wiring=wiring)
     bag.parent.mkdir(parents=True)
     with SimulatedRun(bag, by_node(values), simulation.delay) as run:
         run._bag.add_topic(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray")
         try:
             simulation.run(observe=observe)
-        except _Fault as found:
+        except _Found as found:
             # The sample of the fault has no answer; the node's next diagnostics name the fault.
-            (sample,) = found.args
+            sample, text = found.args
             stamp = START_NS + sample.stamp_ns
-            y = 5e-3 if fault is Fault.Y_OUT_OF_RANGE else sample.y
-            run._bag.write(
-                f"/{ENCODER.topic}", ENCODER.layout.pack(stamp, sample.x, y, math.nan, math.nan), stamp, stamp
-            )
+            columns = (sample.x, sample.y, math.nan, math.nan)
+            run._bag.write(f"/{ENCODER.topic}", ENCODER.layout.pack(stamp, *columns), stamp, stamp)
             if fault not in _LOGGED:
-                error = f"{fault.label}: found at x = {sample.x * 1e3:.1f} mm, y = {y * 1e6:.1f} µm"
-                node = _REPORTED_BY.get(fault, "driver")
-                run._bag.write(DIAGNOSTICS, _diagnostics(node, error, stamp), stamp, stamp)
+                run._bag.write(DIAGNOSTICS, _diagnostics(node, f"{fault.label}: {text}", stamp), stamp, stamp)
+        else:
+            raise CommandFailed(f"{fault.label}: was not found")
     if fault in _LOGGED:
         (bag.parent / "logs").mkdir()
         node, line = _LOGGED[fault]
@@ -119,6 +196,7 @@ def _diagnostics(node: str, error: str, stamp_ns: int) -> bytes:
     store = typestore()
     types = {name: store.types[f"{package}/msg/{name}"] for package, name in _TYPES}
     header = types["Header"](types["Time"](*divmod(stamp_ns, 10**9)), "")
-    status = types["DiagnosticStatus"](2, f"/{node}", error, "simulated", [types["KeyValue"]("error", error)])
+    values = [types["KeyValue"]("error", error)] if error else []
+    status = types["DiagnosticStatus"](2, f"/{node}", error, "simulated", values)
     message = types["DiagnosticArray"](header, [status])
     return bytes(store.serialize_cdr(message, "diagnostic_msgs/msg/DiagnosticArray"))
