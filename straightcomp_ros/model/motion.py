@@ -106,6 +106,10 @@ def move(start: Waypoint, goal: float, speed: float, acceleration: float, jerk: 
     peak = min(peak, speed)
     bend = min(build, math.sqrt(peak / jerk))
     hold = peak / (jerk * bend) - bend
+    if hold * _NS <= _SHORTEST_NS:
+        # Its corners would be one: the acceleration rises for longer instead, and no higher.
+        bend, hold = bend + hold, 0.0
+        jerk = peak / bend**2
     ramp, ramp_distance = 2.0 * bend + hold, 0.5 * peak * (2.0 * bend + hold)
     first = jerk * bend**3 / 6.0, 0.5 * jerk * bend * bend
     second = first[0] + first[1] * hold + 0.5 * jerk * bend * hold * hold, first[1] + jerk * bend * hold

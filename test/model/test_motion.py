@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from straightcomp_ros.model.motion import (
@@ -137,6 +137,7 @@ def test_the_limits_hold_the_described_strokes_and_the_guide():
 
 
 @given(st.floats(1e-4, 1.4), st.floats(0.001, 4 / 3), st.floats(0.01, 2.0), st.floats(1e-3, 0.1), st.booleans())
+@example(1.0, 0.001953125, 0.99609375, 0.001953125, False)  # the whole acceleration lasts 8 µs
 def test_an_s_curve_keeps_speed_acceleration_and_jerk_and_arrives_at_rest(distance, speed, acceleration, build, back):
     goal = -distance if back else distance
     first, limits = Waypoint(7, 0.0, 0.0), StageLimits(-1.5, 1.5, speed * 1.001, acceleration * 1.001)
