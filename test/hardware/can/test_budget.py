@@ -6,7 +6,7 @@ import pytest
 from can_boards import FOREIGN
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.doctor.stage_findings import (
+from straightcomp_ros.hardware.can.budget import (
     CLASSIC_1M,
     FD_1M_5M,
     classic_bits,
