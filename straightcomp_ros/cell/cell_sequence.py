@@ -297,6 +297,7 @@ class CellSequence:
                 raise WorkFailed(self.seen.occupied)
             if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
                 raise WorkFailed(self.seen.contradiction)
+            self.message = f"waits: {obstacle}" if obstacle else ""
             if obstacle:
                 ready_since = self.now
                 if self.seen.starting and not self._overdue(_STARTED_WITHIN_S):

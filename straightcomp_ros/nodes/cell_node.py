@@ -26,6 +26,8 @@ from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 _TICK_S = 0.05
 _REPORTED_S = 1.5
 """Every node publishes its next diagnostics within this time."""
+_SAID_EVERY_S = 5.0
+"""What a cycle waits for is said again after this time."""
 _GIVEN_UP = (State.STOPPING, State.STOPPED, State.ABORTING, State.ABORTED)
 _QUIET_S = 0.5
 """A node without a heartbeat for this time, of ten in a second, may have ended."""
@@ -135,9 +137,13 @@ class CellNode(Runnable):
         return self._seen.faults.get("driver", "another client switched it off")
 
     def _until(self, state: State) -> Iterator[None]:
+        said = time.monotonic()
         while self._sequence.state is not state:
             if self._sequence.state in _GIVEN_UP:
                 raise CycleFailed(self._sequence.message)
+            if self._sequence.message and time.monotonic() - said > _SAID_EVERY_S:
+                said = time.monotonic()
+                self.node.get_logger().info(self._sequence.message)
             yield
 
     def _tick(self) -> None:

@@ -214,7 +214,10 @@ def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_f
     bench.see(nodes={"driver": "starting"})
     assert not bench.sequence.command(Command.RESET)
     bench.ticks(6000)
-    assert bench.sequence.state is State.RESETTING
+    assert (bench.sequence.state, bench.sequence.message) == (
+        State.RESETTING,
+        "waits: nodes that do not work: driver (starting)",
+    )
     bench.see(nodes={"driver": "active"})
     bench.until(State.IDLE, 2.0)
     bench.see(nodes={"driver": "absent"})

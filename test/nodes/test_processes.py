@@ -1,5 +1,6 @@
 """Each node as a process: signals and exit codes; and, in this process, what ends a node before it starts."""
 
+import gc
 import json
 import os
 import signal
@@ -35,6 +36,8 @@ def refusal(capfd, monkeypatch):
         else:
             code = run_managed([MANAGED[node]], arguments=arguments)
         assert code == EXIT_CONFIGURATION
+        # Until then the node is part of its graph: a cell of a later test would wait for it.
+        gc.collect()
         return capfd.readouterr().err.splitlines()[-1]
 
     yield started
