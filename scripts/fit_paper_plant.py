@@ -1,6 +1,6 @@
 """Fits the simulated plant's friction to the paper's figure for linear control, and shows what smc needs for its own.
 
-Run `python scripts/fit_paper_plant.py`: a few minutes, the same numbers each time; docs/plant.md explains them.
+Run `python scripts/fit_paper_plant.py`: a few minutes, the same numbers; docs/evidence/plant.md explains them.
 Figures are true peak-to-peak errors in µm over the whole cycle: median of nine starts (min to max).
 """
 

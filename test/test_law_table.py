@@ -103,7 +103,7 @@ def test_every_machine_can_be_set_and_the_peer_holds_the_platform_on_the_referen
 @pytest.mark.nightly
 def test_the_published_figure_of_the_peer_is_what_the_benchmark_finds():
     """From one of the nine starts."""
-    page = (Path(__file__).resolve().parents[1] / "docs" / "accuracy.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[1] / "docs" / "evidence" / "accuracy.md").read_text(encoding="utf-8")
     published = re.search(r"gains searched: [\d.]+ \(([\d.]+) to ([\d.]+)\) µm with its extended state observer", page)
     shipped = with_values(shipped_parameters(), *peer.MACHINES["nominal"])
     name = "opensmc, ESO"

@@ -1,7 +1,7 @@
 """Measure how soon known wear of a simulated stage is found with its cause, how often a sound stage is accused, and how
 good a map is that is proposed from strokes.
 
-Stage-years are drawn from simulated strokes; docs/maintenance.md says how, and what is assumed. An alarm is a cause
+Stage-years are drawn from simulated strokes; docs/evidence/history.md says how and what is assumed. An alarm is a cause
 that is due and was not the day before, the same one again whenever it had lapsed: a year is gone through day by day,
 with what was known on the day."""
 

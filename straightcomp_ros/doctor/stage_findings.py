@@ -26,13 +26,13 @@ from straightcomp_ros.straightness.survey import SurveyError
 EASY, FEASIBLE = 0.5, 0.65
 """Of the unstable pole times the dead time: gains with usual margins exist below the first, none beyond the second."""
 FLOOR_COUNTS = 1.1
-"""Least p-p error in counts of the encoder that any law here with margins has left (docs/accuracy.md)."""
+"""Least p-p error in counts of the encoder that any law here with margins has left (docs/evidence/accuracy.md)."""
 _GRID = 0.1e-3
 """m; far below the pitch of any survey."""
 _GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 """Least gain margins of a loop that deserves trust, to either side."""
 _QUIET_STICTION = 1.3
-"""Static over Coulomb friction up to which dither leaves at most 0.3 µm on the shipped stage (docs/accuracy.md)."""
+"""Static over Coulomb friction up to which dither leaves at most 0.3 µm (shipped stage, docs/evidence/accuracy.md)."""
 _SHARE_OF_LIMIT = 0.7
 """Of the current limit for the largest steady demand: the rest is for the law's corrections."""
 _BUS_FULL = 0.8

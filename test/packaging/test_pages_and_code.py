@@ -174,7 +174,7 @@ def test_the_pages_build_without_a_warning_and_a_link_that_leads_nowhere_fails_t
     shutil.copytree(REPOSITORY / "docs", tmp_path / "docs")
     for part in ("straightcomp_ros", "scripts"):
         (tmp_path / part).symlink_to(REPOSITORY / part)
-    links = ["nowhere.md", "plant.md#nowhere", "../README.md", "images/nowhere.png"]
+    links = ["nowhere.md", "law.md#nowhere", "../README.md", "images/nowhere.png"]
     with (tmp_path / "docs" / "view.md").open("a", encoding="utf-8") as page:
         page.writelines(f"\n[text]({link})\n" for link in links)
     built = build(tmp_path, tmp_path / "site")

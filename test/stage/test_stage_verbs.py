@@ -167,7 +167,7 @@ def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, survey, printed):
 def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, printed, capsys):
     assert new(tmp_path / "one") == 0
     code, found, _ = printed("stage", "show", tmp_path / "one" / "stage.yaml")
-    # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/plant.md.
+    # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/evidence/plant.md.
     assert code == 0 and found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
     assert found["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
     assert found["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)

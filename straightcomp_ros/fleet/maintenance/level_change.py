@@ -8,7 +8,7 @@ Levels of days are compared with those of a baseline, the first four weeks. The 
 
 (Page, Biometrika 41, 1954) pass the threshold h soon after a lasting change, while days that scatter both ways leave
 them near zero. An alarm stands until the figure is back, then the sums begin anew; each day is judged by what was known
-on it. k and h are tuned on simulated sound stages, see docs/maintenance.md. The day of the change is where two
+on it. k and h are tuned on simulated sound stages, see docs/evidence/history.md. The day of the change is where two
 constants, or a constant and a slope, fit the levels best.
 
 A parabola over the whole length is left out of the guide's profiles: the sensor's straight edge may be put down anew,

@@ -43,7 +43,7 @@ _ROUNDED = 0.75
 """Standard deviation of the forces relative to the mass, per count of the encoder and RMS travel.
 
 The search takes rounding for white noise. It is not, and with a coarse encoder the acceleration is less well known than
-the spread of the prediction errors shows. Found on the machines 0 to 11 of docs/evidence/blind_trials.md.
+the spread of the prediction errors shows. Found on the machines 0 to 11 of docs/evidence/commissioning.md.
 """
 _WIDEST = 1e3
 DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}

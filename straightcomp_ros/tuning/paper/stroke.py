@@ -106,7 +106,7 @@ def sliding_mode_stroke(machine: Machine) -> PaperFigure:
 
     fed = (
         f"true error, with smc.feedforward; without it the lag 2ζ/ωn alone leaves {_lag_um(runs[0][0], machine):.2f} "
-        "µm; the shipped boundary layer is wider than the paper's figure asks for (docs/plant.md)"
+        "µm; the shipped boundary layer is wider than the paper's figure asks for (docs/evidence/plant.md)"
     )
     name = "Fig. 9: error under sliding-mode control, p-p"
     ratio = "the paper prints |y/y0|; half of its p-p over 0.00013 is a y0 of 1.5 mm"

@@ -1,4 +1,4 @@
-"""`straightcomp reproduce`: its claims and pictures; docs/paper.md and docs/plant.md print what is computed."""
+"""`straightcomp reproduce`: its claims and pictures; docs/paper.md, docs/evidence/plant.md print what it computes."""
 
 import importlib
 import math
@@ -13,7 +13,7 @@ from straightcomp_ros.tuning.paper.figure import Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.verbs import reproduce
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-PAPER, PLANT = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("paper.md", "plant.md"))
+PAPER, PLANT = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("paper.md", "evidence/plant.md"))
 
 
 @pytest.mark.parametrize("ours, within", [(1.0, True), (1.25, True), (0.75, True), (1.26, False), (math.nan, False)])
