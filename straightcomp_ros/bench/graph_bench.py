@@ -163,14 +163,14 @@ def bench_parameters(
     """Parameters of a measured run, made from ``values`` by node and dotted name; ParameterError if one is refused.
 
     The stage moves a little longer than the ``seconds`` of the window. All nodes get this SCHED_FIFO ``priority``, with
-    the CPUs kept awake and other programs kept off the loop's, as shipped; 0 for normal scheduling. Each has its place
-    on the CPUs, unless ``values`` have another.
+    other programs kept off the loop's CPU, as shipped; 0 for normal scheduling. The CPUs are kept awake. Each node has
+    its place on the CPUs, unless ``values`` have another.
     """
     chosen = {STAGE: {}, **{node: dict(section) for node, section in values.items()}}
     for node in NODE_PARAMETERS:
         chosen[node] = {"realtime.cpus": place(node), **chosen.get(node, {}), "realtime.priority": priority}
     driver = chosen["driver"]
-    driver["realtime.keep_awake"] = driver["realtime.exclusive"] = priority > 0
+    driver["realtime.keep_awake"], driver["realtime.exclusive"] = True, priority > 0
     if driver.get("hardware", "simulated") == "simulated":
         driver |= _FORGIVING
     chosen["cell"] |= _PATIENT

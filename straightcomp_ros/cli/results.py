@@ -130,7 +130,7 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
 
 def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
     """Each node's rate, lateness and longest time without a CPU; ``timing`` as in the figures of a demonstration."""
-    columns = ("rate\n[Hz]", "overruns", "stalls\n≥ 2 ms", "lost", "late\np99", "max\n[µs]", "no CPU\n[ms]")
+    columns = ("rate\n[Hz]", "overruns", "stalls", "lost", "late\np99", "max\n[µs]", "no CPU\n[ms]")
     table = titled_table("Timing of the nodes, from their diagnostics", "node", *columns)
     for node, values in timing.items():
         late = [values["timer_error_us"][key] for key in ("p99", "max")]

@@ -76,7 +76,7 @@ class PeriodicLoop:
         self._period_ns = period_ns
         self._most_early_ns = period_ns // 8 if punctual else 0
         self._early_ns = 0
-        self._wake_ns = self._slept_ns = 0
+        self._wake_ns = self._slept_ns = self._woken_late_ns = 0
         self._cycle = cycle
         self.missed = MissedPeriods(period_ns)
         self._timer_errors = Histogram()
@@ -100,13 +100,15 @@ class PeriodicLoop:
         behind_ns = monotonic_ns() - wake_ns
         if behind_ns > 0:
             periods = behind_ns // self._period_ns
-            self.missed.count(periods)
+            self.missed.count(periods, self._woken_late_ns)
             wake_ns += periods * self._period_ns
         wait_ns = wake_ns - self._early_ns - monotonic_ns()
+        self._woken_late_ns = 0
         if wait_ns > 0:
             time.sleep(wait_ns * 1e-9)
             self._slept_ns = monotonic_ns()
-            self._follow(self._slept_ns - (wake_ns - self._early_ns))
+            self._woken_late_ns = self._slept_ns - wake_ns
+            self._follow(self._woken_late_ns + self._early_ns)
         elif wake_ns - self._slept_ns > _MOST_AWAKE_NS:
             time.sleep(_NAP_S)
             self._slept_ns = monotonic_ns()

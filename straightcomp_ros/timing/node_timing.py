@@ -89,18 +89,19 @@ def written(name: str, distribution: Distribution) -> dict[str, str]:
 class MissedPeriods:
     """Counts missed periods of a loop by their cause.
 
-    Periods missed at once that last less than 2 ms together are overruns: the cycles took longer than a period. A
-    longer gap is a stall: other programs, the kernel or the hypervisor had the CPU.
+    A gap of 2 ms or more, or one that begins with a wake-up that came a period too late, is a stall: other programs,
+    the kernel or the hypervisor had the CPU. Periods missed in others are overruns: the cycles took longer than a
+    period.
     """
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self.overruns = self.stalls = self._stalled_ns = 0
 
-    def count(self, missed: int) -> None:
-        """Count ``missed`` periods that were missed at once, if any."""
+    def count(self, missed: int, woken_late_ns: int = 0) -> None:
+        """Count ``missed`` periods that were missed at once, if any, after a wake-up that came late by so much."""
         lasted_ns = missed * self._period_ns
-        if lasted_ns >= _STALL_NS:
+        if lasted_ns >= _STALL_NS or (missed and woken_late_ns >= self._period_ns):
             self.stalls += 1
             self._stalled_ns += lasted_ns
         else:
@@ -180,7 +181,7 @@ class NodeTiming:
 
     rate_hz: float  # samples processed per second; NaN with fewer than two reports
     overruns: int  # periods that its loop missed by its own work
-    stalls: int  # gaps of at least 2 ms in which the host held its loop up
+    stalls: int  # gaps in which the host held its loop up
     lost_samples: int  # that did not reach it
     timer_error: Distribution  # lateness of its loop's wake-ups
     latency: Distribution  # from a sample until its command arrived; driver only

@@ -102,7 +102,7 @@ def test_at_every_rate_the_stage_moves_all_the_while_and_all_nodes_have_the_prio
     duration = forward_and_back(cell.stage.motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
     assert {values[node]["realtime.priority"] for node in NODE_PARAMETERS} == {priority}
-    assert driver.realtime.keep_awake is driver.realtime.exclusive is (priority > 0)
+    assert driver.realtime.keep_awake and driver.realtime.exclusive is (priority > 0)
 
 
 @pytest.mark.parametrize(("name", "chosen"), [("realtime.priority", {"priority": 99}), ("stage.rate", {"rate": 1})])

@@ -72,6 +72,19 @@ def test_idle_work_waits_where_a_cycle_was_late_but_not_for_ever(monkeypatch):
     assert all(later - sooner <= 2 * IDLE_EVERY_NS // PERIOD for sooner, later in itertools.pairwise(turns))
 
 
+def test_periods_missed_because_the_loop_was_woken_late_are_the_hosts_and_those_of_long_cycles_its_own(monkeypatch):
+    clock, cycles = Clock(monkeypatch, lambda: 1_200_000 if len(cycles) % 10 == 0 else 0), []
+
+    def cycle(wake_ns):
+        cycles.append(wake_ns)
+        clock.now += 1_200_000 if len(cycles) % 10 == 5 else 100_000
+
+    loop = PeriodicLoop(PERIOD, cycle)
+    loop.run(lambda: len(cycles) >= 1000, idle=lambda: None)
+    # The first cycle is due at once.
+    assert (loop.missed.overruns, loop.missed.stalls) == (100, 99)
+
+
 def test_a_punctual_loop_begins_when_it_is_due_or_waits_for_an_eighth_of_a_period(monkeypatch):
     source = random.Random(3)
 
