@@ -116,6 +116,9 @@ class Stand:
             self.start(name)
         # A process that communicates with nodes of real-time priority needs the same priority.
         realtime.apply(self._realtime)
+        # Those that it starts choose theirs: a foreign publisher of real-time priority would stop the loop.
+        policy = os.sched_getscheduler(0) | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_getparam(0))
         return self
 
     def exit_code(self, name: str) -> int | None:
