@@ -111,7 +111,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self.realtime = parameters.realtime
         self._autostart = parameters.autostart
         self._changes = ParameterChanges(self, self._parameter_set, REFUSALS)
-        self._heartbeat = self.create_publisher(DiagnosticStatus, HEARTBEAT, 10)
+        self._send_beat = self.streams.sending(self.create_publisher(DiagnosticStatus, HEARTBEAT, 10))
         self.create_timer(_HEARTBEAT_S, self._beat)
         if self._autostart:
             self.trigger_configure()
@@ -250,7 +250,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
             # Serialise once: with cold caches that takes longer than publishing.
             beat = DiagnosticStatus(name=self.get_name(), message=state, hardware_id=self.get_fully_qualified_name())
             self._beats[state] = serialize_message(beat)
-        self._heartbeat.publish(self._beats[state])
+        self._send_beat(self._beats[state])
 
     def _turn(self) -> None:
         before, self.turn = self.turn, Future()

@@ -14,6 +14,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 from rclpy.duration import Duration
@@ -341,6 +342,8 @@ class Streams:
 
     def __init__(self, node: Any, shared: IntraProcess | None = None, place: int = 0) -> None:
         self._node, self._shared, self._place = node, shared, place
+        # rclpy takes some 50 µs to resolve a name.
+        self._full_name: Callable[[str], str] = cache(node.resolve_topic_name)
         self._memory: list[MemoryQueue] = []
         self._unspun: Node | None = None
 
@@ -415,7 +418,11 @@ class Streams:
         if not self._shared:
             return False
         own = sum(topic == stream.topic for _, topic, _ in self._shared.publishers)
-        return count_publishers(self._node, self._node.resolve_topic_name(stream.topic)) > own
+        return count_publishers(self._node, self._full_name(stream.topic)) > own
+
+    def sending(self, publisher: Publisher) -> Callable[[bytes], None]:
+        """A function that sends a serialised message: in a process of several nodes by the thread that sends."""
+        return _sending(publisher, self._shared.sender if self._shared else None)
 
     def _in_memory(self, stream: Stream) -> MemoryQueue | None:
         if not self._shared or stream.topic not in self._shared.queues:
