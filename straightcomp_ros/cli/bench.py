@@ -40,9 +40,7 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=float, default=20.0, help="length of the window (default: %(default)s)")
     soak = "use a window of this many minutes, to see whether memory grows; the bag takes about 1 MB/s"
     add("--soak", type=float, metavar="MINUTES", help=soak)
-    priority = (
-        "run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling; formerly --fifo)"
-    )
+    priority = "run all nodes at SCHED_FIFO priority N (default: normal scheduling; formerly --fifo)"
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
     against = "repeat with this parameter, e.g. controller.trigger=timer, and print the ratio of both"
     add_repeatable(parser, "--against", "NODE.NAME=VALUE", against)
