@@ -1,11 +1,13 @@
 """Which CPUs a process uses: a loop has one, long work leaves those of all loops, other programs can be kept off.
 
 Processes see each other's choices by claimed names: abstract sockets, which all users see and which a killed process
-releases. A container with a network of its own sees only its own claims.
+releases. A container with a network of its own sees only its own claims. Since all users may claim any name, what is not
+of our form is passed over.
 """
 
 import hashlib
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -25,6 +27,8 @@ _CHOICE = "straightcomp_ros/choice"
 """Claimed while a process chooses, so that two graphs which start together see each other."""
 _KEPT = "straightcomp_ros/exclusive/"
 """Claimed by the guard for each CPU that it keeps free."""
+_CLAIM = re.compile(r"[0-9]{1,4}(/\w{1,16}/[0-9]+)?", re.ASCII)
+"""What follows the prefix in a name: a CPU, of a loop also whose it is."""
 _TURN_S = 1.0
 """Longest wait for another process that chooses, or for the guard of a killed node to end."""
 
@@ -49,10 +53,11 @@ def claim(name: str, within: float = 0.0) -> socket.socket | None:
 
 
 def claimed(prefix: str) -> list[str]:
-    """What follows ``prefix`` in the names that are claimed now and begin with it."""
+    """What follows ``prefix`` in the names that are claimed now and begin with it, where it is of our form."""
     with suppress(OSError):
-        names = [line.partition("@")[2] for line in _SOCKETS.read_text().splitlines()]
-        return [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+        names = [line.partition("@")[2] for line in _SOCKETS.read_text(errors="replace").splitlines()]
+        found = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+        return [each for each in found if _CLAIM.fullmatch(each)]
     return []
 
 
@@ -88,8 +93,8 @@ def end_loop() -> None:
 
 
 def _loop_claims() -> list[tuple[int, str]]:
-    claims = (name.split("/") for name in claimed(_LOOPS))
-    return [(int(cpu), mark) for cpu, mark, _ in claims if mark not in _ended]
+    claims = [name.split("/") for name in claimed(_LOOPS)]
+    return [(int(claim[0]), claim[1]) for claim in claims if len(claim) > 1 and claim[1] not in _ended]
 
 
 @contextmanager
@@ -148,7 +153,7 @@ def keep_others_off(cpus: Set[int]) -> str:
 
 def kept_free() -> set[int]:
     """The CPUs that are kept free now. A node started meanwhile does not inherit them, but may use them."""
-    return set(map(int, claimed(_KEPT)))
+    return {int(name) for name in claimed(_KEPT) if name.isdecimal()}
 
 
 def use_kept_free(used: bool) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -221,6 +222,20 @@ def test_where_each_cpu_has_a_loop_a_graph_takes_the_permitted_one_with_the_fewe
     loops[-1].close()
     assert loop_cpu("h", CPUS) in (2, 3)
     assert loop_cpu("i", {0}) == 0
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [b"x/y/z", b"1", b"", b"-1/a/1", b"9999999/a/1", b"1/a/b/2", b"1/a/", b"\xff\xfe", b"\xd9\xa1/a/1", b"1/\x1b[2J/1"],
+)
+def test_a_name_of_another_form_which_any_user_may_claim_is_passed_over(own_names, monkeypatch, forged):
+    monkeypatch.setattr(cpus, "_KEPT", cpus._LOOPS)
+    before = socket.socket(socket.AF_UNIX)
+    before.bind(b"\0a\nb @" + cpus._LOOPS.encode() + forged)
+    with before, socket.socket(socket.AF_UNIX) as after:
+        after.bind(b"\0" + cpus._LOOPS.encode() + forged)
+        assert loop_cpus() == set() and cpus.kept_free() == ({1} if forged == b"1" else set())
+        assert loop_cpu("a", CPUS) == 3
 
 
 def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back(own_names):
