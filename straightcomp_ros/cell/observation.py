@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 ABSENT, STARTING, SILENT, PLAIN = "absent", "starting", "silent", "plain"
@@ -12,6 +12,8 @@ _WORKING = ("active", PLAIN)
 _LOOK_BACK_NS = 100_000_000
 _STILL_M = 50e-6
 """Smaller distances in the look-back time count as standstill: 0.5 mm/s, far above the encoder's noise."""
+_MOVEMENTS, _WAITING = 4, 20_000
+"""Newest movements, and errors without a position yet, that are kept: 10 s at 2 kHz."""
 
 
 @dataclass(frozen=True)
@@ -97,32 +99,59 @@ class Observation:
 class StrokeErrors:
     """Peak-to-peak error over each movement, from the streams of position and error.
 
-    The streams need not be synchronous: a tenth of a second at either end of a movement may be counted or not.
+    Errors belong to movements by their stamps: on a busy computer whole movements come at once, or an error before the
+    position of its time. A tenth of a second at either end of a movement may be counted or not.
     """
 
     def __init__(self) -> None:
         self.still = True  # the stage is at rest
-        self.last_pp = math.nan  # error over the last finished movement, m
         self._positions: deque[tuple[int, float]] = deque()
-        self._low, self._high = math.inf, -math.inf
+        self._errors: deque[tuple[int, float]] = deque(maxlen=_WAITING)
+        """Those that are newer than the newest position."""
+        self._movements: deque[_Movement] = deque(maxlen=_MOVEMENTS)
 
-    def add_position(self, stamp_ns: int, x: float) -> None:
-        """Add the stage's position ``x`` (m) at ``stamp_ns``."""
+    @property
+    def last_pp(self) -> float:
+        """Error over the last finished movement in m; NaN without one, or without an error of its time."""
+        finished = [one.highest - one.lowest for one in self._movements if one.end_ns < math.inf]
+        return finished[-1] if finished and finished[-1] >= 0.0 else math.nan
+
+    def add(self, positions: Iterable[tuple[int, float]], errors: Iterable[tuple[int, float]]) -> None:
+        """Add positions of the stage and compensation errors, each with its stamp in ns, in m."""
+        for stamp_ns, x in positions:
+            self._add_position(stamp_ns, x)
+        self._errors.extend(errors)
+        newest_ns = self._positions[-1][0] if self._positions else -math.inf
+        while self._errors and self._errors[0][0] <= newest_ns:
+            self._add_error(*self._errors.popleft())
+
+    def _add_position(self, stamp_ns: int, x: float) -> None:
         positions = self._positions
         if positions and stamp_ns <= positions[-1][0]:
             # The source restarted: its earlier positions are meaningless now.
             positions.clear()
+            self._errors.clear()
+            self._movements.clear()
         positions.append((stamp_ns, x))
         # One that is older stays: where samples are missing the stage has not stopped.
         while len(positions) > 1 and stamp_ns - positions[1][0] >= _LOOK_BACK_NS:
             positions.popleft()
         still = abs(x - positions[0][1]) < _STILL_M
-        if still and not self.still:
-            self.last_pp = self._high - self._low if self._high >= self._low else math.nan
-            self._low, self._high = math.inf, -math.inf
+        if self.still and not still:
+            self._movements.append(_Movement(stamp_ns))
+        elif still and not self.still and self._movements:
+            self._movements[-1].end_ns = stamp_ns
         self.still = still
 
-    def add_error(self, error: float) -> None:
-        """Add a compensation error in m."""
-        if not self.still and math.isfinite(error):
-            self._low, self._high = min(self._low, error), max(self._high, error)
+    def _add_error(self, stamp_ns: int, error: float) -> None:
+        of = next((one for one in reversed(self._movements) if one.begin_ns < stamp_ns), None)
+        if of and stamp_ns <= of.end_ns and math.isfinite(error):
+            of.lowest, of.highest = min(of.lowest, error), max(of.highest, error)
+
+
+@dataclass
+class _Movement:
+    begin_ns: int
+    end_ns: float = math.inf
+    lowest: float = math.inf
+    highest: float = -math.inf

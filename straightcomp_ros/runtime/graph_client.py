@@ -253,10 +253,10 @@ class GraphClient:
         """Take the messages that have arrived; call it at least ten times a second."""
         fetched: dict[Stream, Messages] = {stream: queue.fetch() for stream, queue in self._queues.items()}
         positions, controller = fetched[POSITION], fetched.get(CONTROLLER_STATE, ())
-        for stamp_ns, (x, _), _ in _giving_way(positions):
-            self._strokes.add_position(stamp_ns, x)
-        for _, numbers, _ in _giving_way(controller):
-            self._strokes.add_error(numbers[_ERROR])
+        self._strokes.add(
+            ((stamp_ns, x) for stamp_ns, (x, _), _ in _giving_way(positions)),
+            ((stamp_ns, numbers[_ERROR]) for stamp_ns, numbers, _ in _giving_way(controller)),
+        )
         seen = self._newest
         if positions:
             x, y = positions[-1][1]

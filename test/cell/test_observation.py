@@ -10,18 +10,28 @@ from straightcomp_ros.cell.observation import Observation, StrokeErrors
 MS = 1_000_000
 
 
-def run(strokes, positions, error):
-    for number, x in enumerate(positions):
-        strokes.add_position(number * 4 * MS, x)
-        strokes.add_error(error(number))
+def run(strokes, positions, error, position_at_once=1, error_at_once=1):
+    """Add them in turns, so many of each at once."""
+    samples = [(number * 4 * MS, x, error(number)) for number, x in enumerate(positions)]
+    for number in range(len(samples) + position_at_once + error_at_once):
+        at, late = number - number % position_at_once, number - number % error_at_once
+        strokes.add(
+            [(stamp, x) for stamp, x, _ in samples[at - position_at_once : at]] if number == at else [],
+            [(stamp, each) for stamp, _, each in samples[late - error_at_once : late]] if number == late else [],
+        )
 
 
-def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count():
+@pytest.mark.parametrize(("positions_at_once", "errors_at_once"), [(1, 1), (450, 450), (450, 1), (1, 450), (150, 45)])
+def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count(positions_at_once, errors_at_once):
     strokes = StrokeErrors()
     still, moving = 100, 250
     positions = [0.0] * still + [0.0002 * k for k in range(moving)] + [0.0002 * moving] * still
     inside = range(still + 50, still + moving - 50)
-    run(strokes, positions, lambda k: (1e-6 if k % 2 else -2e-6) if k in inside else (9e-6 if k < still else 0.0))
+
+    def error(number):
+        return (1e-6 if number % 2 else -2e-6) if number in inside else (9e-6 if number < still else 0.0)
+
+    run(strokes, positions, error, positions_at_once, errors_at_once)
     assert strokes.still
     assert strokes.last_pp == pytest.approx(3e-6)
 
@@ -29,8 +39,7 @@ def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count()
 def test_a_movement_of_which_samples_are_missing_is_one():
     strokes = StrokeErrors()
     for number in (*range(250, 300), *range(400, 450)):
-        strokes.add_position(number * 4 * MS, 0.0002 * number)
-        strokes.add_error(1e-6 * number)
+        strokes.add([(number * 4 * MS, 0.0002 * number)], [(number * 4 * MS, 1e-6 * number)])
         assert not strokes.still or number < 251
     assert math.isnan(strokes.last_pp)
 
