@@ -23,6 +23,7 @@ from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
 from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
+from straightcomp_ros.bags.recovery import RECOVERY_METADATA, UNFINISHED_FILES
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.parameters.declaration import ParameterError, declarations, from_mapping
@@ -138,6 +139,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         attachments = attachments_of(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
         finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
+        # What was recovered of a recording that was cut off ends where that does.
+        finished = finished and not any(
+            record.metadata.get(UNFINISHED_FILES)
+            for file in files
+            for record in file.metadata()
+            if record.name == RECOVERY_METADATA
+        )
     try:
         reports = reports_in(bag, diagnostics, encoder_topic)
     except BagError as error:

@@ -34,8 +34,9 @@ from straightcomp_ros.bags.reader import COMPRESSIONS
 from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 
-RECOVERY_METADATA = "recovery"
-"""Metadata record of a recovered bag: what it was made from, and what was lost."""
+RECOVERY_METADATA, UNFINISHED_FILES = "recovery", "unfinished_files"
+"""Metadata record of a recovered bag: what it was made from, and what was lost; its key of the files that the recording
+had not finished."""
 _PARSED = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -102,7 +103,8 @@ def recover(
                 result.lost = None
             missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
             facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
-            writer.add_metadata(RECOVERY_METADATA, {**facts, "gaps": str(len(result.gaps))})
+            facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
+            writer.add_metadata(RECOVERY_METADATA, facts)
     except BagError:
         if not result.saved:
             shutil.rmtree(output)

@@ -1,8 +1,8 @@
 """Which CPUs a process uses: a loop has one, long work leaves those of all loops, other programs can be kept off.
 
 Processes see each other's choices by claimed names: abstract sockets, which all users see and which a killed process
-releases. A container with a network of its own sees only its own claims. Since all users may claim any name, what is not
-of our form is passed over.
+releases. A container with a network of its own sees only its own claims. All users may claim any name: one of another
+form is passed over.
 """
 
 import hashlib

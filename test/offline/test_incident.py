@@ -73,9 +73,10 @@ def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_ou
         assert archive.read(f"bag/{file.name}") == file.read_bytes()
 
 
+@pytest.mark.parametrize("last", [0.0, 2.0])
 @pytest.mark.filterwarnings("ignore:.*was not finished")
-def test_a_run_that_was_cut_off_is_still_cut_off_in_its_incident(tmp_path):
-    found = pack(BAG.with_name("cut_off"), tmp_path / "a.zip", [])
+def test_a_run_that_was_cut_off_is_still_cut_off_in_its_incident(tmp_path, last):
+    found = pack(BAG.with_name("cut_off"), tmp_path / "a.zip", [], last=last)
     (tmp_path / "opened").mkdir()
     unpack(tmp_path / "a.zip", tmp_path / "opened")
     assert found.cause == judged(tmp_path / "opened" / "bag", {}).cause and "verdict interrupted: " in found.cause
