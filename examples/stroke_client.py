@@ -10,15 +10,14 @@ import time
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import SAFETY_STATE, STAGE_TRAJECTORY
 from straightcomp_ros.model.motion import MotionParameters, cycles
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+from straightcomp_ros.runtime.safety_panel import LATCHED
 
 
 class StrokeClient(Node):
@@ -48,8 +47,14 @@ class StrokeClient(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
+    if len(sys.argv) != 2 or not sys.argv[1].isdecimal() or not 1 <= int(sys.argv[1]) <= 1000:
+        sys.exit(f"{__doc__}\nThe number is that of the strokes, each forward and back: 1 to 1000.")
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # after Ctrl-C the amplifier can still be switched off
     client = StrokeClient()
     client.switch(True)
-    client.move(MotionParameters(), int(sys.argv[1]))  # of the shipped stage
-    client.switch(False)
+    try:
+        client.move(MotionParameters(), int(sys.argv[1]))  # of the shipped stage
+    except KeyboardInterrupt:
+        sys.exit("interrupted")
+    finally:
+        client.switch(False)

@@ -1,6 +1,10 @@
 """What nodes report of themselves, what their clients see of it, and that one client commissions at a time."""
 
+import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -12,6 +16,7 @@ from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterVal
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.task import Future
+from std_srvs.srv import SetBool
 from waiting import comes_true
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
@@ -128,6 +133,38 @@ def test_a_counter_of_a_status_that_is_no_number_counts_as_absent(seen):
     for lost, value in enumerate(("n/a", "", "-1", "1e400", "9" * 5000, "²"), 1):
         driver.report("controller", "no samples", samples=value, lost_samples=str(lost))
         assert until(lambda seen, lost=lost: seen.lost_samples == lost).samples == 0
+
+
+@pytest.mark.live
+def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
+    asked, driver = [], Driver()
+
+    def enable(request, response):
+        asked.append(request.data)
+        response.success = True
+        return response
+
+    participant.node.create_service(SetBool, "driver/enable", enable)
+    example = str(Path(__file__).parents[2] / "examples" / "stroke_client.py")
+
+    def ended(words, end=lambda client: None):
+        asked.clear()
+        with subprocess.Popen([sys.executable, example, *words], stderr=subprocess.PIPE, text=True) as client:
+            participant.until(lambda: asked or client.poll() is not None)
+            participant.spin(0.5)
+            end(client)
+            participant.until(lambda: client.poll() is not None)
+            return client.returncode, client.stderr.read().strip().splitlines()[-1], list(asked)
+
+    driver.say(Condition.ON)
+    for words in ([], ["0"]):
+        code, said, seen = ended(words)
+        assert code == 1 and seen == [] and "1 to 1000" in said
+    assert ended(["3"], lambda client: client.send_signal(signal.SIGINT)) == (1, "interrupted", [True, False])
+    fault = Latched(Fault.Y_FROZEN, "y stands", 0)
+    code, said, seen = ended(["3"], lambda client: driver.say(Condition.FAULT, fault))
+    assert (code, seen) == (1, [True, False]) and said.startswith("amplifier off: y_frozen")
+    driver.node.destroy_node()
 
 
 def test_a_node_is_silent_before_its_first_heartbeat_and_a_second_after_its_last_which_no_pause_of_the_observer_is(
