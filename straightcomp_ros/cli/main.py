@@ -204,6 +204,12 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(**options, allow_abbrev=False)
         self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """Refuse an empty word, as from a variable of the shell that is not set, unless it says what none says."""
+        if "" in arg_strings and action.default != "":
+            self.error(str(argparse.ArgumentError(action, "is empty")))
+        return super()._get_values(action, arg_strings)
+
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; the usage is in the help."""
         self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))

@@ -46,7 +46,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
         if path.exists() and not path.is_file():
             path.write_bytes(data)
             return
-        before = target.stat() if target.exists() else None
+        before = target.stat() if os.path.lexists(target) else None
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         with open(os.open(part, flags, _PRIVATE if private or before else _NEW), "wb") as file:
             if before is not None and not private:

@@ -1,5 +1,6 @@
 """What a verb is given by mistake: each is refused in one sentence that names it and says what is allowed."""
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,11 @@ CASES = [
     ("simulate --set driver.simulated.plant.mass=3", "'simulated.plant.mass' is unknown"),
     ("friction", "either a BAG or --excitation FILE"),
     ("map", "required: TOOL"),
+    ("evaluate ''", "argument BAG: is empty"),
+    ("map convert wrong_unit.csv -o ''", "argument --output/-o: is empty"),
+    ("can firmware '' -o x", "argument STAGE: is empty"),
+    ("simulate --bag loop", "bag loop cannot be made"),
+    ("map export -o loop --format aerotech", "loop: Too many levels of symbolic links"),
     (f"map build {SURVEY} --step nan", "straightcomp map build: --step nan; allowed: 0.01 to 1000"),
     ("map convert folder -o survey.csv", "the ending '' names no format"),
     ("map export -o table.cal --spacing -1", "--spacing -1; allowed: 0.1 to 1000 mm"),
@@ -65,6 +71,7 @@ CASES = [
 def folder_of_wrong_files(tmp_path, monkeypatch):
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty.mcap").touch()
+    (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
     (tmp_path / "wrong_unit.csv").write_text("x_kg,deviation_um\n0,1\n1,2\n")
     (tmp_path / "limits.yaml").write_text("true_pp_um: 1\ntrue_pp_um: 2\n")
@@ -74,7 +81,7 @@ def folder_of_wrong_files(tmp_path, monkeypatch):
 def refusal(words, capsys):
     """The only line that a refused command prints."""
     try:
-        code = main(words.split())
+        code = main(shlex.split(words) if "''" in words else words.split())
     except SystemExit as ended:  # argparse
         code = ended.code
     printed = capsys.readouterr()
