@@ -39,7 +39,7 @@ from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import json_text, write_whole
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
-from straightcomp_ros.safety.faults import LABELLED, explained
+from straightcomp_ros.safety.faults import LABELLED, explained, one_line
 
 SUMMARY, DETAILS, DOCTOR, BAG = "INCIDENT.txt", "incident.json", "doctor.json", "bag"
 LARGEST = 1 << 30
@@ -331,7 +331,7 @@ def _summary(details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], co
         "",
         "open it with: straightcomp incident open FILE",
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(one_line(line, LARGEST) for line in lines) + "\n"
 
 
 def incident_page(found: Judged, details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]]) -> str:

@@ -45,9 +45,10 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, CommissioningWatch, SafetyState
+from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningWatch, SafetyState
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import Streams
+from straightcomp_ros.safety.faults import one_line
 from straightcomp_ros.timing.node_timing import (
     DESCRIPTION,
     EXCITATION,
@@ -63,6 +64,7 @@ _TICK_S = 0.05
 _LOOK_EVERY_S = 0.5
 _WARN_EVERY_S = 5.0
 _REPORT_LASTS_S = 5.0
+_LONGEST_VALUE = 4000
 _MOST_WAITING = 4
 _YIELD_EVERY = 64
 _UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transition.TRANSITION_ACTIVATE}
@@ -321,8 +323,12 @@ class GraphClient:
             name = reporting_node(status.name, self.node.get_namespace())
             # Each name stays in memory, and any program may publish here.
             if name in NODE_PARAMETERS:
-                error = status.message[:LONGEST_REASON] if status.level == DiagnosticStatus.ERROR else None
-                self._reports[name] = (time.monotonic(), error, {value.key: value.value for value in status.values})
+                error = one_line(status.message) if status.level == DiagnosticStatus.ERROR else None
+                self._reports[name] = (
+                    time.monotonic(),
+                    error,
+                    {value.key: one_line(value.value, _LONGEST_VALUE) for value in status.values},
+                )
 
     def _on_stage_state(self, message: DiagnosticStatus) -> None:
         self.stage = StageState.of(message)

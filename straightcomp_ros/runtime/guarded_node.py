@@ -22,6 +22,7 @@ from rclpy.node import Node
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.safety.faults import one_line
 
 RUN_FAILURES = (BagError, HardwareError, OSError)
 """Raised while a node runs, when a bag, the machine or a file fails: no fault of a message, so they end the node."""
@@ -191,7 +192,7 @@ class ThrottledWarning:
 
     def log(self, error: object) -> str:
         """Log the ``error``, and how many were not logged before it; returns it in words."""
-        reason = (str(error) or type(error).__name__)[:_LONGEST_REASON]
+        reason = one_line(str(error) or type(error).__name__, _LONGEST_REASON)
         now = time.monotonic()
         if now < self._next:
             self._suppressed += 1

@@ -21,7 +21,7 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT, SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
-from straightcomp_ros.safety.faults import LABELLED, Fault
+from straightcomp_ros.safety.faults import LABELLED, Fault, one_line
 from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
 from straightcomp_ros.timing.node_timing import count
 
@@ -70,7 +70,7 @@ class CommissioningWatch:
         return self._reported if self._alive else ""
 
     def _on_report(self, message: DiagnosticStatus) -> None:
-        self._reported = message.message[:_LONGEST_TEXT]
+        self._reported = one_line(message.message, _LONGEST_TEXT)
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         before, self._alive = self._alive, event.alive_count
@@ -81,8 +81,6 @@ class CommissioningWatch:
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message too."""
-LONGEST_REASON = 500
-"""Characters of a reason that another node gives: it is logged, published and shown."""
 _CONDITION, _CODE = "condition", "code"
 
 
@@ -104,7 +102,7 @@ class SafetyState(NamedTuple):
         """Read a message. One without a known condition counts as a fault."""
         values = {value.key: value.value for value in message.values}
         condition = {known.value: known for known in Condition}.get(values.get(_CONDITION, ""), Condition.FAULT)
-        fault = f"{message.name}: {message.message}"[:LONGEST_REASON] if message.name else ""
+        fault = one_line(f"{message.name}: {message.message}") if message.name else ""
         return cls(condition, fault, count(values, _CODE))
 
     @property
@@ -206,7 +204,7 @@ class SafetyPanel:
             fault = LABELLED.get(message.name, Fault.TRIPPED)
             if fault is Fault.MAP_MISSING and not self._referenced():
                 return
-            self._safety.trip(fault, message.message[:LONGEST_REASON] or "no reason given", now_ns())
+            self._safety.trip(fault, one_line(message.message) or "no reason given", now_ns())
             self.report()
 
 

@@ -190,6 +190,17 @@ def explained(text: str) -> dict[str, str]:
     return shown
 
 
+LONGEST_REASON = 500
+"""Characters of a reason that another node gives: it is logged, published and shown."""
+
+
+def one_line(text: str, longest: int = LONGEST_REASON) -> str:
+    """At most the ``longest`` first characters of another program's text, those that steer a terminal or end a line as
+    escapes such as ``\\x1b``."""
+    shown = (one if one.isprintable() else one.encode("unicode_escape").decode() for one in text[:longest])
+    return "".join(shown)[:longest]
+
+
 Finding = tuple[Fault, str]
 """A fault, and the reason in words."""
 

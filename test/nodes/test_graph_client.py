@@ -23,9 +23,9 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
-from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, CommissioningSign, safety_status
+from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningSign, SafetyState, safety_status
 from straightcomp_ros.runtime.streams import StreamPublisher
-from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.faults import LONGEST_REASON, Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched
 from straightcomp_ros.timing.node_timing import SAMPLES
 from straightcomp_ros.tuning.commissioning import CommissioningError
@@ -122,9 +122,9 @@ def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_gr
     driver.say(Condition.OFF)
     for name in ("line_4/controller", "line_4/camera: frames", "camera_1", "camera_2"):
         driver.report(name, "no samples")
-    driver.report("logger", "disk full" * 1000)
+    driver.report("logger", "disk\x1b[2J\nfull" * 1000, samples="\r9")
     faults = until(lambda seen: seen.faults).faults
-    assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON
+    assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON and faults["logger"].isprintable()
 
 
 @pytest.mark.live
@@ -165,6 +165,14 @@ def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(parti
     code, said, seen = ended(["3"], lambda client: driver.say(Condition.FAULT, fault))
     assert (code, seen) == (1, [True, False]) and said.startswith("amplifier off: y_frozen")
     driver.node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    "text", ["\x1b[2J", "\n[FATAL] [driver]: on", "\r", "\x9b2J", "\u202e", "\u2028", "\t", "\x00"]
+)
+def test_a_reason_of_another_node_is_one_line_that_steers_no_terminal(text):
+    shown = SafetyState.of(DiagnosticStatus(name=f"tripped{text}", message=f"a{text}b")).fault
+    assert shown.isprintable() and shown.startswith("tripped\\") and shown.endswith("b")
 
 
 def test_a_node_is_silent_before_its_first_heartbeat_and_a_second_after_its_last_which_no_pause_of_the_observer_is(
