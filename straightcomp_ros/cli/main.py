@@ -206,7 +206,7 @@ class _Parser(argparse.ArgumentParser):
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
         """Refuse an empty word, as from a variable of the shell that is not set, unless it says what none says."""
-        if "" in arg_strings and action.default != "":
+        if "" in arg_strings and action.default != "" and action.nargs != argparse.PARSER:
             self.error(str(argparse.ArgumentError(action, "is empty")))
         return super()._get_values(action, arg_strings)
 
