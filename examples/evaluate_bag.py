@@ -10,13 +10,14 @@ import numpy as np
 
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError
 
 
 def main(bag: str) -> int:
     try:
         assessment = Assessment(Path(bag), evaluate_bag(Path(bag)))
-    except BagError as error:
+    except (BagError, MetricsError) as error:
         print(error, file=sys.stderr)
         return 2
     print(f"verdict: {assessment.verdict}")
@@ -37,4 +38,4 @@ def main(bag: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main(sys.argv[1]) if len(sys.argv) == 2 else __doc__)

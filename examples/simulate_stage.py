@@ -37,4 +37,7 @@ def main(stage: str | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    try:
+        sys.exit(main(*sys.argv[1:]) if len(sys.argv) <= 2 else __doc__)
+    except ValueError as refused:  # its message names the file, the parameter, the value and what is allowed
+        sys.exit(str(refused))

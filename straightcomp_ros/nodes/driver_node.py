@@ -32,7 +32,7 @@ from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
-from straightcomp_ros.runtime.guarded_node import Refused
+from straightcomp_ros.runtime.guarded_node import Refused, ThrottledWarning
 from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, from_monotonic, now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -97,6 +97,7 @@ class DriverComponent:
         self._newest: Sample | None = None
         self._lockstep: Lockstep | None = None
         self._stage_limits = stage_limits(parameters)
+        self._refused = ThrottledWarning(node, "a motion of the stage is refused")
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
         node.offer(SetBool, "~/hold", self._on_hold)
         node.offer(Trigger, "~/end_motion", self._on_end_motion)
@@ -310,11 +311,12 @@ class DriverComponent:
         return self._paced("the motion ends", end=True)
 
     def _paced(self, done: str, **changes: bool) -> str:
+        before = self._hardware.motion.condition
         try:
             self._ask_pace(**changes)
         except ParameterError as error:
             raise Refused(str(error)) from error
-        if self._hardware.motion.condition != "rest":
+        if self._hardware.motion.condition != before:
             self._node.get_logger().info(done)
         return done
 
@@ -345,7 +347,7 @@ class DriverComponent:
         try:
             self._begin(Trajectory.from_columns(*read_trajectory(message, STAGE)))
         except (ValueError, HardwareError) as error:
-            self._node.get_logger().error(f"stage trajectory refused: {error}")
+            self._refused.log(error)
 
     def _begin(self, trajectory: Trajectory) -> None:
         """Begin a motion of the stage now; ValueError or HardwareError if it is refused."""

@@ -96,6 +96,11 @@ class Judged:
 def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
     """Judge a bag, whatever is wrong with it; ``logs`` are the nodes' by name."""
     found = Judged("", "", "")
+
+    def without_place(error: Exception) -> str:
+        """Where the bag was copied to, or unpacked, says nothing."""
+        return str(error).replace(f"{bag.parent}/", "")
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -108,13 +113,13 @@ def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
             found.assessment = Assessment(bag, found.evaluation)
             found.verdict = str(found.assessment.verdict)
         except (BagError, MetricsError, ParameterError) as error:
-            found.verdict = f"none: {error}"
+            found.verdict = f"none: {without_place(error)}"
         try:
             one = audit(bag)
             counts = f"{one.different} differ in a bit, {one.unverified} cannot be verified"
             found.audit = f"{one.commands} commands computed again: {counts}"
         except (BagError, ParameterError) as error:
-            found.audit = f"none: {error}"
+            found.audit = f"none: {without_place(error)}"
     found.cause = _cause(found, logs)
     found.remedy = explained(found.cause)["remedy"]
     return found

@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, SAFETY_STATE, TRIP
-from straightcomp_ros.runtime.guarded_node import Refused
+from straightcomp_ros.runtime.guarded_node import Refused, ThrottledWarning
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault, one_line
@@ -153,6 +153,7 @@ class SafetyPanel:
         node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
         self._client = CommissioningWatch(node, self._on_client_gone)
         self._on_for_client = False
+        self._refused = ThrottledWarning(node, "enable is refused")
         self.report()
 
     def report(self) -> None:
@@ -168,7 +169,7 @@ class SafetyPanel:
 
     def _on_enable(self, on: bool) -> str:
         """Switch the amplifier on (refused while a fault is latched or fresh commands are missing), or off."""
-        refusal = ""
+        refusal, before = "", self._safety.condition
         if not on:
             self._safety.disable()
         else:
@@ -177,8 +178,11 @@ class SafetyPanel:
                 self._anew()
                 refusal = self._safety.enable()
                 self._on_for_client = bool(self._client.doing)
-        message = refusal or f"amplifier {'on' if on else 'off'}"
-        self._node.get_logger().info(f"enable: {message}")
+        message = f"amplifier {'on' if on else 'off'}"
+        if refusal:
+            self._refused.log(refusal)
+        elif self._safety.condition is not before:
+            self._node.get_logger().info(f"enable: {message}")
         self.report()
         if refusal:
             raise Refused(refusal)

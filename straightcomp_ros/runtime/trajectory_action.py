@@ -22,6 +22,7 @@ from straightcomp_ros.model.trajectory_goal import (
     TrajectoryGoal,
     begins_after,
 )
+from straightcomp_ros.runtime.guarded_node import ThrottledWarning
 from straightcomp_ros.runtime.inside_rclpy import set_executing
 from straightcomp_ros.runtime.loops import now_ns
 
@@ -51,6 +52,7 @@ class TrajectoryAction:
         end: Callable[[], object],
     ) -> None:
         self._node, self._joint, self._begin, self._end = node, joint, begin, end
+        self._refused = ThrottledWarning(node, "a goal is refused")
         self.goal: TrajectoryGoal | None = None
         self._handle: Any = None
         self._server: Any = None
@@ -76,8 +78,8 @@ class TrajectoryAction:
             times, *rest = read_trajectory(serialize_message(request.trajectory), self._joint)
             goal = self._begin(Trajectory.from_columns(times + wait_ns, *rest), tolerances)
         except (ValueError, HardwareError) as error:
-            self._node.get_logger().error(f"goal refused: {error}")
-            self._finish(handle, Outcome("abort", getattr(error, "code", INVALID_GOAL), f"refused: {error}"))
+            self._refused.log(error)
+            self._answer(handle, Outcome("abort", getattr(error, "code", INVALID_GOAL), f"refused: {error}"))
             return
         self.abandon("another goal has taken its place")
         self.goal, self._handle = goal, handle
@@ -117,9 +119,12 @@ class TrajectoryAction:
             self._server = None
 
     def _finish(self, handle: Any, outcome: Outcome) -> None:
+        self._node.get_logger().info(f"goal: {outcome.how}, {outcome.text}")
+        self._answer(handle, outcome)
+
+    def _answer(self, handle: Any, outcome: Outcome) -> None:
         def finished(handle: Any) -> Any:
             getattr(handle, outcome.how)()
             return FollowJointTrajectory.Result(error_code=outcome.code, error_string=outcome.text)
 
-        self._node.get_logger().info(f"goal: {outcome.how}, {outcome.text}")
         self._server.notify_execute(handle, finished)

@@ -119,6 +119,18 @@ def test_trajectories_that_no_stage_can_follow_are_refused_and_samples_still_com
     peer.until(lambda: peer.samples[-1][1][0] == pytest.approx(1e-3))
 
 
+def test_no_client_fills_the_log_with_what_is_refused_or_changes_nothing(peer, shared_graph):
+    peer.until(lambda: len(peer.samples) > 20 and peer.trajectory.get_subscription_count())
+    peer.current = None
+    peer.until(lambda: "no fresh command" in peer.enable().message)
+    lines, began = shared_graph.log("driver").read_text().count("\n"), time.monotonic()
+    for _ in range(30):
+        peer.trajectory.publish(message_from_waypoints([Waypoint(0, 0.0, 0.0), Waypoint(10**9, 1e300, 0.0)]))
+        assert not peer.enable().success and peer.enable(False).success
+    most = 2 * (2 + (time.monotonic() - began) // 5.0)
+    assert shared_graph.log("driver").read_text().count("\n") - lines <= most
+
+
 def test_a_motion_is_held_slowed_down_let_go_on_and_ended_with_the_amplifier_on(peer):
     peer.switch_on()
     states = []
