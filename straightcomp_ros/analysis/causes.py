@@ -77,6 +77,8 @@ velocity: 0.16 of noise. It was 0.4 to 0.9 with stiction, 0.1 to 0.25 without.""
 _JUMPS = 4.5
 """Least kurtosis of the velocity then, 3 of noise. It was 5 to 20 with stiction, 1.5 to 4.6 without; an oscillation
 that comes and goes has as much, but stands less."""
+UNKNOWN = "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
+"""What there is to say of an error of which no cause shows."""
 _VELOCITY_OVER = 0.002
 """Time in s over which the velocity is taken: a slip lasts some milliseconds."""
 
@@ -131,14 +133,18 @@ def mode_of(frequency: float, modes: Sequence[float]) -> float | None:
 
 def stick_slip(error: Array, period: float) -> bool:
     """Whether the platform stands and jumps: ``error`` (n,) in m of samples ``period`` s apart without a gap."""
+    kurtosis, stands = _jumps(error, period)
+    return kurtosis >= _JUMPS and stands >= _STANDS
+
+
+def _jumps(error: Array, period: float) -> tuple[float, float]:
+    """Kurtosis of the velocity, and the share of the time in which it is next to none."""
     span = max(1, round(_VELOCITY_OVER / period))
     velocity = error[span:] - error[:-span]
     square = float(np.mean(velocity**2)) if velocity.size else 0.0
     if square == 0.0:
-        return False
-    kurtosis = float(np.mean(velocity**4)) / square**2
-    stands = float(np.mean(np.abs(velocity) < _STANDING * math.sqrt(square)))
-    return kurtosis >= _JUMPS and stands >= _STANDS
+        return 0.0, 1.0
+    return float(np.mean(velocity**4)) / square**2, float(np.mean(np.abs(velocity) < _STANDING * math.sqrt(square)))
 
 
 def of_map(
@@ -234,7 +240,12 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     # The law answers to the rate of a force that is locked to x, which has the other sign on the way back.
     if all(map(any, of_way)) and float(np.abs(alike[np.ix_(*of_way)]).min()) > _REPEATS:
         return same_place
-    return "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
+    if strokes and min(_jumps(error[one.samples], period)[0] for one in strokes) >= _JUMPS:
+        return (
+            "it comes in jumps: friction is not as described (stage.friction.bristle_stiffness, static); straightcomp "
+            "friction BAG estimates it"
+        )
+    return UNKNOWN
 
 
 def _strongest(time: Array, error: Array, stroke: Stroke) -> Line:

@@ -325,8 +325,22 @@ def _inaccurate(motion: JudgedMotion) -> str:
         return ""
     still = f"a platform that stands still would leave {_um(motion.uncompensated)}"
     promised = f"the described stage leaves {_um(motion.promised.smooth)}, and {still}" if motion.promised else still
-    cause = causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
-    return f"the error is {_um(motion.pp)} p-p where {promised}; allowed: {_um(motion.largest)}; {cause}"
+    return f"the error is {_um(motion.pp)} p-p where {promised}; allowed: {_um(motion.largest)}; {_cause(motion)}"
+
+
+def _cause(motion: JudgedMotion) -> str:
+    return causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
+
+
+def _more_than_promised(motion: JudgedMotion) -> str:
+    """What a run says that is in order, but far from its description; empty unless a cause shows."""
+    if motion.pp <= FEW_COUNTS * motion.count or motion.stalls or not motion.promised:
+        return ""
+    promised = motion.promised.smooth
+    if motion.pp <= HARM * promised or motion.pp <= (motion.promised.largest() or 0.0):
+        return ""
+    cause = _cause(motion)
+    return "" if cause == causes.UNKNOWN else f"; the described stage leaves {_um(promised)}: {cause}"
 
 
 _REASONS: Sequence[tuple[str, Callable[[JudgedMotion], str]]] = (
@@ -347,7 +361,8 @@ def _in_order(motion: JudgedMotion) -> str:
     if (calm := motion.calm(mask)) < motion.pp:
         stalls = f"the stalls of the host ({len(motion.stalls)})"
         raised = f", {_um(calm)} without {stalls}" if motion.judgeable(mask) else f", with {stalls}: {_TOO_LITTLE}"
-    return f"error {_um(motion.pp)} p-p{raised}; a platform that stands still would leave {_um(motion.uncompensated)}"
+    still = f"a platform that stands still would leave {_um(motion.uncompensated)}"
+    return f"error {_um(motion.pp)} p-p{raised}; {still}{_more_than_promised(motion)}"
 
 
 def _um(length: float) -> str:

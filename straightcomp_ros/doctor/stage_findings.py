@@ -33,6 +33,8 @@ _GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 """Least gain margins of a loop that deserves trust, to either side."""
 _QUIET_STICTION = 1.3
 """Static over Coulomb friction up to which dither leaves at most 0.3 µm (shipped stage, docs/evidence/accuracy.md)."""
+_KNOWN_FRICTION = 1.3
+"""Factor within which friction must be known for that, and an identification leaves it (docs/evidence/accuracy.md)."""
 _SHARE_OF_LIMIT = 0.7
 """Of the current limit for the largest steady demand: the rest is for the law's corrections."""
 _BUS_FULL = 0.8
@@ -284,7 +286,15 @@ def stiction(stage: StageParameters, control: ControlParameters) -> Finding:
         remedy = f"Law smc_observer with control.smc_observer.dither 1.5 keeps the platform sliding. {remedy}"
         return Finding("stiction", "fail", f"{detail}: the platform will hunt", remedy)
     detail += f": a dither of {dither * 1e3:.3g} mA keeps it sliding in motion, at the price of work of the coils"
-    return judged("stiction", friction.static <= _QUIET_STICTION * friction.coulomb, detail, remedy)
+    known = stage.uncertainty.friction
+    if known > _KNOWN_FRICTION:
+        detail += f"; its size is that of stage.friction.coulomb, which may be off by a factor of {known:g}"
+        remedy = (
+            "A dither of the wrong size may leave twice the error: let straightcomp commission or friction find "
+            f"stage.friction.coulomb within a factor of {_KNOWN_FRICTION:g} (stage.uncertainty.friction). {remedy}"
+        )
+    quiet = friction.static <= _QUIET_STICTION * friction.coulomb and known <= _KNOWN_FRICTION
+    return judged("stiction", quiet, detail, remedy)
 
 
 def _instability(stage: StageParameters, found: Consequences) -> Finding:

@@ -212,6 +212,13 @@ CASES = {
             "the same at each place of x.*learning.learn",
             motion(OF_PLACE, x=THERE_AND_BACK, promise=promised(0.05)),
         ),
+        ("inaccurate", "comes in jumps.*bristle_stiffness", motion(STEPS + NOISE, promise=promised(0.05))),
+    ],
+    "a run in order that leaves twice what was promised says what that goes with": [
+        ("in_order", "the described stage leaves 0.2 µm: it changes slowly", motion(0.7 * SLOW, promise=promised(0.2))),
+        ("in_order", "^(?!.*described stage)", motion(0.7 * SLOW, promise=promised(0.29))),
+        ("in_order", "^(?!.*described stage)", motion(0.7 * SLOW, promise=promised(0.2, largest=0.6))),
+        ("in_order", "^(?!.*described stage)", motion(1.2 * NOISE, promise=promised(0.2))),
     ],
     "a sensor's own noise is no error of the map": [
         ("in_order", "", motion(fit=GuideFit(20e-6, 0.3e-6, "", 0.04e-6))),
