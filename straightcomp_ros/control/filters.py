@@ -2,9 +2,11 @@
 
     i = L(z) N_1(z) N_2(z) i_law + Σ h_n
 
-A notch is (s² + 2 d ζ ω s + ω²)/(s² + 2 ζ ω s + ω²), with the width 2 ζ and the depth d; the roll-off is a low-pass of
-second order. Both are sampled by Tustin's rule with ω kept, and 1 at frequency zero. A law with an observer is told the
-filtered command: it predicts what truly acts, so that only the law waits for the filters, and its observer does not.
+A notch is (s² + 2 d ζ ω s + ω²)/(s² + 2 ζ ω s + ω²), with the width 2 ζ and the depth d; its poles may lie at another ω
+than its zeros, at p times it, so that what it costs in phase below its frequency becomes gain above it. The roll-off is
+a low-pass of second order. All are sampled by Tustin's rule with each ω kept, and 1 at frequency zero. A law with an
+observer is told the filtered command: it predicts what truly acts, so that only the law waits for the filters, and its
+observer does not.
 
 An oscillator h_n turns by its angular frequency from sample to sample and is driven by the error y − r:
 
@@ -23,6 +25,8 @@ from typing import NamedTuple
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.parameters.declaration import group, parameter
 
+_HIGHEST = 0.45
+"""Of the rate: highest frequency of a filter."""
 _LEAK = 0.02
 """Of the width: an oscillator forgets so much faster than an ideal one, so that nothing stays for ever."""
 
@@ -33,7 +37,8 @@ class NotchParameters:
 
     frequency: float = parameter(0.0, "Frequency; 0: no notch", "[0, 10000] Hz")
     width: float = parameter(0.5, "Width relative to the frequency", "[0.001, 10]")
-    depth: float = parameter(0.05, "Gain at the frequency", "[0, 1]")
+    depth: float = parameter(0.05, "Gain at the frequency, of a notch whose poles are there", "[0, 1]")
+    poles: float = parameter(1.0, "Frequency of the poles relative to that of the notch", "[0.2, 5]")
 
 
 @dataclass(frozen=True)
@@ -120,27 +125,30 @@ EMPTY = Memory(*(Pair(0.0, 0.0),) * 6)
 """Nothing filtered yet."""
 
 
-def _section(frequency: float, period: float, numerator: tuple[float, float], damping: float) -> Section:
-    """(p s² + q ω s + ω²)/(s² + 2 ζ ω s + ω²) with (p, q) the ``numerator``, sampled; as it is from 0.45 of the rate
-    on, where nothing is left to filter."""
-    if not 0.0 < frequency * period < 0.45:
+def _section(
+    frequency: float, period: float, numerator: tuple[float, float], damping: float, poles: float = 1.0
+) -> Section:
+    """(p s² + q ω s + ω²)/(s² + 2 ζ ω s + ω²) with (p, q) the ``numerator``, sampled, and 1 at frequency zero; ω of the
+    denominator is ``poles`` times that, at most `_HIGHEST`. As it is from there on, where nothing is left to filter."""
+    if not 0.0 < frequency * period < _HIGHEST:
         return _THROUGH
     k = math.tan(math.pi * frequency * period)
+    m = math.tan(min(math.pi * (poles * frequency) * period, math.pi * _HIGHEST))
     p, q = numerator
-    scale = 1.0 + 2.0 * damping * k + k * k
+    gain, scale = (m / k) ** 2, 1.0 + 2.0 * damping * m + m * m
     return Section(
-        (p + q * k + k * k) / scale,
-        2.0 * (k * k - p) / scale,
-        (p - q * k + k * k) / scale,
-        2.0 * (k * k - 1.0) / scale,
-        (1.0 - 2.0 * damping * k + k * k) / scale,
+        gain * (p + q * k + k * k) / scale,
+        gain * 2.0 * (k * k - p) / scale,
+        gain * (p - q * k + k * k) / scale,
+        2.0 * (m * m - 1.0) / scale,
+        (1.0 - 2.0 * damping * m + m * m) / scale,
     )
 
 
 def filters_of(parameters: FilterParameters, period: float, gains: tuple[complex, ...] = ()) -> Filters:
     """The filters, sampled; ``gains`` are those of the oscillators in A/m, as :func:`tuned_gains` finds them."""
     notches = [
-        _section(one.frequency, period, (1.0, one.depth * one.width), 0.5 * one.width)
+        _section(one.frequency, period, (1.0, one.depth * one.width), 0.5 * one.width, one.poles)
         for one in (parameters.first, parameters.second)
     ]
     roll_off = _section(parameters.roll_off.frequency, period, (0.0, 0.0), parameters.roll_off.damping)
@@ -154,9 +162,9 @@ def filters_of(parameters: FilterParameters, period: float, gains: tuple[complex
 
 
 def oscillators_of(parameters: FilterParameters, rate: float) -> int:
-    """How many oscillators there are below 0.45 of the ``rate``, Hz."""
+    """How many oscillators there are below `_HIGHEST` of the ``rate``, Hz."""
     mains = parameters.mains
-    return sum(0.0 < n * mains.frequency < 0.45 * rate for n in range(1, mains.multiples + 1))
+    return sum(0.0 < n * mains.frequency < _HIGHEST * rate for n in range(1, mains.multiples + 1))
 
 
 def turned_gain(parameters: FilterParameters, number: int, period: float, tried: float, pole: complex) -> complex:

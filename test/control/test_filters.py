@@ -56,6 +56,15 @@ def test_a_notch_takes_out_its_frequency_and_leaves_what_is_slow():
     assert side == pytest.approx(1.0 / (1.0 - 1j), rel=1e-3) or side == pytest.approx(1.0 / (1.0 + 1j), rel=1e-3)
 
 
+def test_a_notch_whose_poles_lie_above_its_zeros_costs_less_phase_below_and_gain_above():
+    one, skewed = (FilterParameters(first=NotchParameters(180.0, 0.5, 0.0, poles)) for poles in (1.0, 1.4))
+    zero, below, at = response(skewed, [0.0, 60.0, 180.0])
+    assert zero == pytest.approx(1.0, rel=1e-6) and abs(at) < 1e-6
+    assert 0.0 > np.angle(below) > 0.7 * np.angle(response(one, [60.0])[0])
+    warped = (math.tan(math.pi * 1.4 * 180.0 * PERIOD) / math.tan(math.pi * 180.0 * PERIOD)) ** 2
+    assert abs(response(skewed, [0.5 / PERIOD])[0]) == pytest.approx(warped, rel=1e-6)
+
+
 def test_a_roll_off_is_a_low_pass_of_second_order():
     gain = response(FilterParameters(roll_off=RollOffParameters(200.0, 0.7)), [0.0, 200.0])
     np.testing.assert_allclose(gain, [1.0, -1j / 1.4], atol=1e-6)

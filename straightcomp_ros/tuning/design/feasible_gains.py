@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.margins import closed_loop, linearised, spectral_radius
+from straightcomp_ros.control.margins import closed_loop, linearised, spectral_radius, with_modes_off
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
 from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
@@ -31,7 +31,7 @@ from straightcomp_ros.tuning.design.gains import (
     with_gains,
 )
 from straightcomp_ros.tuning.design.judged_gains import prepared_stroke, shortened
-from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corners_of
+from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corner_at, corners_of
 
 T = TypeVar("T")
 
@@ -43,6 +43,8 @@ _MISSED = 3
 LAW = "linear"
 _LEAST_DECAY = 0.004
 """Of the slowest mode at the worst corner, in 1/T_d."""
+_KEPT = 0.5
+"""Of a mode's own decay, least damped, that the safe law leaves it."""
 _SAFE_EVALUATIONS, _SAFE_IN_BISECTION = 600, 200
 _SAFE_STEP = 0.4
 _SHORT = 6.0
@@ -197,7 +199,7 @@ def safe_law(scenario: Scenario, progress: Callable[[float], None] = lambda frac
         ParameterError: a machine within the uncertainty is impossible.
     """
     stage = scenario.description
-    corners = corners_of(stage)
+    corners = _corners(stage)
     gains, growth = _calmest(scenario, corners, _SAFE_EVALUATIONS)
     progress(0.3)
     if growth > _allowed(stage):
@@ -227,15 +229,32 @@ def _allowed(stage: StageParameters) -> float:
     return -_LEAST_DECAY * stage.period / stage.dead_time
 
 
+def _corners(stage: StageParameters) -> list[Corner]:
+    """The corners of the uncertainty, and the stage with its modes at the ends of theirs."""
+    rung = with_modes_off(stage).items()
+    return [*corners_of(stage), *(corner_at(f"modes at {name}", one, one.plant) for name, one in rung)]
+
+
 def growths(scenario: Scenario, corners: Sequence[Corner], gains: Values) -> list[float]:
-    """Logarithm of the largest pole's radius at each corner; infinite where the law is refused or not linear."""
+    """Logarithm of the largest pole's radius at each corner; infinite where the law is refused or not linear.
+
+    A mode that the law leaves alone decays as it does by itself: where the whole keeps `_KEPT` of that, what counts is
+    the platform without modes.
+    """
     try:
         # A gain beyond its range is refused, as a node would.
         control = from_mapping(ControlParameters, to_mapping(with_gains(scenario.controls[LAW], LAW, gains)))
         law = linearised(make_law(control, scenario.description))
     except ValueError:
         return [math.inf] * len(corners)
-    return [math.log(spectral_radius(closed_loop(corner.sampled, law))) for corner in corners]
+    found = [math.log(spectral_radius(closed_loop(corner.sampled, law))) for corner in corners]
+    if not (modes := scenario.description.platform.modes.present):
+        return found
+    least = -_KEPT * min(2.0 * math.pi * mode.frequency * mode.damping / mode.damping_factor for mode in modes)
+    allowed = _allowed(scenario.description)
+    left = max(least * scenario.description.period, allowed)
+    rigid = [math.log(spectral_radius(closed_loop(corner.rigid, law))) for corner in corners]
+    return [one if whole <= left else max(one, allowed + whole - left) for whole, one in zip(found, rigid, strict=True)]
 
 
 def _calmest(scenario: Scenario, corners: Sequence[Corner], evaluations: int) -> tuple[dict[str, float], float]:
@@ -284,7 +303,7 @@ def _safe_refusal(scenario: Scenario, growth: float) -> DesignError:
         def possible(share: float, _: bool | None, names: Sequence[str] = names) -> bool | None:
             changed = dataclasses.replace(stage, uncertainty=_narrowed(stage.uncertainty, names, 1.0 - share))
             try:
-                corners = corners_of(changed)
+                corners = _corners(changed)
             except ParameterError:
                 return None
             calmest = _calmest(scenario.on(changed), corners, _SAFE_IN_BISECTION)[1]

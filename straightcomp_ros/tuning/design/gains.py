@@ -75,6 +75,7 @@ SHAPES = (
             ("frequency", (1.0, 20_000.0), 0.1),
             ("width", (0.02, 4.0), 1.0),
             ("depth", (0.001, 0.9), 1.0),
+            ("poles", (0.5, 3.0), 0.5),
         )
     ),
     SearchedGain(_FILTERS + "roll_off.frequency", 1.0, 20_000.0, power=0),
@@ -162,13 +163,14 @@ def with_gains(control: ControlParameters, law: str, values: Values) -> ControlP
 def shapes_for(stage: StageParameters) -> dict[str, dict[str, float]]:
     """Filters that may answer the modes of ``stage``, by a name in words: a start of each; none without modes.
 
-    A collocated mode may be left alone by any loop that is slow enough, and so may none: that is among them.
+    Poles above a notch's zeros cost less phase, at the price of gain above both. A collocated mode may be left alone by
+    any loop that is slow enough, and so may none: that is among them.
     """
     modes = stage.platform.modes.present
     notches = {
         f"{_FILTERS}{notch}.{name}": value
         for notch, mode in zip(("first", "second"), modes, strict=False)
-        for name, value in (("frequency", mode.frequency), ("width", 0.3), ("depth", 0.05))
+        for name, value in (("frequency", mode.frequency), ("width", 0.3), ("depth", 0.05), ("poles", 1.4))
     }
     lowest = min((mode.frequency for mode in modes), default=0.0)
     roll_off = {_FILTERS + "roll_off.frequency": 0.7 * lowest}

@@ -101,9 +101,8 @@ class StabilityCheck:
             )
 
         # A mode that the loop leaves alone decays as it does by itself: it must be stable, and no more.
-        rigid = dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=ModesParameters()))
         self._quiet = (
-            _Case("nominal", _sampled(rigid), decay=demands.decay),
+            _Case("nominal", _rigid(stage), decay=demands.decay),
             *cases(demands.gain_low, demands.gain_high, demands.amplifier_gain, demands.spare_delay),
             *(_Case(f"corner {one.name}", one.sampled) for one in corners_of(stage, MECHANICS)),
         )
@@ -147,13 +146,26 @@ def _sampled(stage: StageParameters, delay: float | None = None) -> StateSpace:
     return sampled_plant(stage, (stage.drive.delay if delay is None else delay) * stage.period)
 
 
+def _rigid(stage: StageParameters) -> StateSpace:
+    """The plant without modes."""
+    return _sampled(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=ModesParameters())))
+
+
 class Corner(NamedTuple):
-    """A machine at a corner of the uncertainty: in words, as a description of its own, as a plant, and that sampled."""
+    """A machine at a corner of the uncertainty: in words, as a description of its own, as a plant, and that sampled,
+    with and without its modes."""
 
     name: str
     stage: StageParameters
     plant: PlantParameters
     sampled: StateSpace
+    rigid: StateSpace
+
+
+def corner_at(name: str, stage: StageParameters, plant: PlantParameters) -> Corner:
+    """A machine that is described by ``stage``, and is the ``plant``."""
+    sampled = _sampled(stage)
+    return Corner(name, stage, plant, sampled, _rigid(stage) if stage.platform.modes.present else sampled)
 
 
 def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "amplifier", "delay")) -> list[Corner]:
@@ -173,7 +185,7 @@ def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "ampl
         drive = dataclasses.replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
         corner = dataclasses.replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
         name = ", ".join(f"{fact} × {factor:g}" for fact, factor in at.items())
-        found.append(Corner(name, corner, plant, _sampled(corner)))
+        found.append(corner_at(name, corner, plant))
     return found
 
 

@@ -1,6 +1,7 @@
 """What is not as described is named at the identification; the excitation stays within the travel; margins count."""
 
 import dataclasses
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
-from straightcomp_ros.tuning.commissioning import closed_loop
+from straightcomp_ros.tuning.commissioning import LeftTravel, closed_loop
 from straightcomp_ros.tuning.commissioning.closed_loop import (
     facts_found,
     frequency_response,
@@ -104,6 +105,22 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     monkeypatch.setattr(closed_loop, "_measured", fails)
     facts, words = closed_loop._resonances(work)
     assert not facts and "resonances were not looked for: the excitation was ended early" in words
+
+
+def test_a_platform_that_swings_out_of_its_travel_is_said_to_ring_at_that_frequency(tmp_path, monkeypatch):
+    time = np.arange(2000) * STAGE.period
+    swings = 1e-9 * np.exp(20.0 * time) * np.sin(2.0 * np.pi * 93.0 * time)
+
+    def left(values, bag, travel, count=1):
+        raise LeftTravel("the platform left its reference")
+
+    def said(y):
+        monkeypatch.setattr(closed_loop, "recorded_series", lambda bag: SimpleNamespace(y=y))
+        work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=left))
+        return identification(work).sentence
+
+    assert re.search(r"left its reference; it swung at 9[345] Hz then.*stage.platform.modes.first", said(swings))
+    assert said(1e-9 * np.exp(12.0 * time)) == "the platform left its reference"
 
 
 @pytest.mark.nightly

@@ -21,9 +21,9 @@ HARDLY_KNOWN = {**dict.fromkeys(("mass", "force", "air_gap"), 0.4), "friction": 
 DELAYS = {"shortest_delay": 0.6, "longest_delay": 1.4}
 
 
-def scenario(**changed):
+def scenario(facts=(), **changed):
     values = shipped_parameters()
-    values["stage"]["platform.stop"] = 8e-4
+    values["stage"] |= {"platform.stop": 8e-4, **dict(facts)}
     ranges = {**HARDLY_KNOWN, **DELAYS, **changed}
     values["stage"] |= {f"uncertainty.{name}": value for name, value in ranges.items()}
     return make_scenario(values, [LAW])
@@ -64,6 +64,20 @@ def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go_and_g
 def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help():
     with pytest.raises(DesignError, match=r"must be known better: the mass within ± 0\.\d+ of it, or the air gap"):
         safe_law(scenario(mass=0.7, force=0.7, longest_delay=2.4))
+
+
+def test_a_mode_that_the_safe_law_leaves_alone_does_not_count_however_slowly_it_decays_and_one_that_it_excites_does(
+    found,
+):
+    def decay(frequency, encoder):
+        mode = {"frequency": frequency, "damping": 0.001, "coil": 0.1, "encoder": encoder}
+        ringing = scenario({f"platform.modes.first.{name}": value for name, value in mode.items()})
+        corners = module._corners(ringing.description)
+        assert len(corners) == 32 + 3
+        return -max(growths(ringing, corners, found.values)) * ringing.description.rate
+
+    assert decay(500.0, 0.02) == pytest.approx(found.decay, rel=1e-6)
+    assert decay(80.0, -1.0) < 0.0
 
 
 def test_known_facts_are_no_corners():
