@@ -25,10 +25,10 @@ class Actuator(NamedTuple):
 class ActuatorParameters:
     """Opposed electromagnets with a common bias current."""
 
-    turns: float = parameter(400.0, "Turns N of each coil", "(0, 100000]")
-    pole_area: float = parameter(5e-4, "Pole area A of each magnet", "(0, 1] m²")
-    air_gap: float = parameter(1.5e-3, "Air gap y0, platform in the middle", "(0, 0.1] m")
-    bias_current: float = parameter(1.0, "Bias current I0 of both coils", "(0, 100] A")
+    turns: float = parameter(400.0, "Turns N of each coil", "[1, 100000]")
+    pole_area: float = parameter(5e-4, "Pole area A of each magnet", "[1e-9, 1] m²")
+    air_gap: float = parameter(1.5e-3, "Air gap y0, platform in the middle", "[1e-6, 0.1] m")
+    bias_current: float = parameter(1.0, "Bias current I0 of both coils", "[0.001, 100] A")
     current_limit: float = parameter(
         0.9,
         "Largest control current |i_c|; a command beyond it is a fault that switches the amplifier off",

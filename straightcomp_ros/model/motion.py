@@ -26,6 +26,9 @@ _FARTHEST = 100.0
 """Largest position in m, as of the parameter `start`."""
 _MOST_POSITIONS = 1000
 """Of a file: as many as of equal steps."""
+_LEAST_JERK = 1e-6
+_LONGEST_S = 1e6
+"""Of a cycle: a week and a half."""
 _HEADROOM = 1.5
 """Least ratio of the speed that the stage cannot reach to its cruising speed."""
 _MOST_ACCELERATION = 10.0
@@ -53,7 +56,7 @@ class MotionParameters:
     file: str = parameter(
         "", "File of positions that the stage goes to in turn, one number in m a line, in place of the stroke's"
     )
-    speed: float = parameter(0.3, "Cruising speed", "(0, 20] m/s")
+    speed: float = parameter(0.3, "Cruising speed", "[1e-9, 20] m/s")
     highest_speed: float = parameter(
         2.0, "Speed that the stage cannot reach: a faster change of x is a wrong reading", "(0, 100] m/s"
     )
@@ -67,6 +70,8 @@ class MotionParameters:
     def __post_init__(self) -> None:
         if self.stroke == 0.0:
             raise RefusedParameter("stroke", "0.0 m is no stroke; allowed: a length other than 0")
+        if 0.0 < self.jerk < _LEAST_JERK:
+            raise RefusedParameter("jerk", f"{self.jerk!r} m/s³; allowed: 0, or >= {_LEAST_JERK:g} m/s³")
         if self.highest_speed < _HEADROOM * self.speed:
             raise RefusedParameter(
                 "highest_speed",
@@ -161,12 +166,17 @@ def reach(motion: MotionParameters) -> tuple[float, float]:
 
 
 def forward_and_back(motion: MotionParameters) -> list[Waypoint]:
-    """Waypoints of one cycle, from time 0; it ends at rest where it began. ParameterError as of :func:`goals`."""
+    """Waypoints of one cycle, from time 0; it ends at rest where it began. ParameterError as of :func:`goals`, and for
+    one that takes more than 1e6 s."""
     points = [Waypoint(0, motion.start, 0.0)]
     for number, goal in enumerate(goals(motion)):
         rest = motion.pause if number else motion.settle
         points.append(points[-1]._replace(time_ns=points[-1].time_ns + round(rest * _NS)))
         points += move(points[-1], goal, motion.speed, motion.acceleration, motion.jerk)
+    if points[-1].time_ns > _LONGEST_S * _NS:
+        raise ParameterError(
+            f"parameters 'stage.motion.*': a cycle takes {points[-1].time_ns / _NS:.3g} s; allowed: <= {_LONGEST_S:g} s"
+        )
     return [*points, points[-1]._replace(time_ns=points[-1].time_ns + round(motion.settle * _NS))]
 
 

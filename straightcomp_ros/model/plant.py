@@ -121,7 +121,7 @@ class Plant(NamedTuple):
 class PlatformParameters:
     """The platform on the slider."""
 
-    mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
+    mass: float = parameter(3.0, "Moving mass M of the platform", "[1e-6, 10000] kg")
     stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", "(0, inf) m")
     stiffness: float = parameter(
         0.0, "Stiffness along y of a flexure that guides the platform, at rest at y = 0; 0: none", "[0, 1e9] N/m"

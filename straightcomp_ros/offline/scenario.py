@@ -161,6 +161,9 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
 LOWEST_RATE = 100
 """Hz; below, a period comes near the gap after which the Servo restarts a law, which the kernel does not model."""
 
+_MOST_SAMPLES = 20_000_000
+"""Of a cycle: they are in memory at once, some 3 GB."""
+
 
 class NodeSet(NamedTuple):
     """Parameters of the simulated nodes."""
@@ -347,6 +350,12 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
             f"node driver: parameter 'simulated.command_timeout': {driver.simulated.command_timeout!r} s; "
             f"allowed in a sweep: >= {oldest:.4g} s, a period and twice the jitter"
         )
+    trajectory = nodes.trajectory
+    if trajectory.end_ns > _MOST_SAMPLES * stage.period_ns:
+        raise ParameterError(
+            f"parameters 'stage.motion.*': a cycle of {trajectory.end_ns * 1e-9:.3g} s has "
+            f"{trajectory.end_ns / stage.period_ns:.3g} samples; allowed offline: <= {_MOST_SAMPLES}"
+        )
     return Scenario(
         driver=driver,
         description=stage,
@@ -354,7 +363,7 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
         feedforward=feedforward.feedforward,
         followed=feedforward.stage,
         lead_ns=controller.lead_ns,
-        trajectory=nodes.trajectory,
+        trajectory=trajectory,
         survey=nodes.survey(),
     )
 

@@ -148,10 +148,16 @@ def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iter
             yield dataclasses.replace(one, description=f"{about}: {one.description}") if about else one
 
 
+_MANY = 20
+"""Names; of more, a sentence lists the groups."""
+
+
 def instead(name: str, known: Iterable[str]) -> str:
     """End of the sentence that refuses a name: the nearest of the ``known`` ones, or all of them."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
+    if len(names) > _MANY:
+        names = list(dict.fromkeys(re.sub(r"\..*", ".…", one) for one in names))
     return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(names) or 'none'}"
 
 
@@ -200,7 +206,9 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Convert nested mappings, as in a YAML parameter file, to dotted names; ParameterError for one given twice."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
-        given = flatten(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+        # An empty mapping stands in place of a value, which is then refused.
+        inside = isinstance(value, Mapping) and value
+        given = flatten(value, f"{prefix}{key}.") if inside else {f"{prefix}{key}": value}
         twice = next(iter(given.keys() & flat.keys()), None)
         if twice is not None:
             raise ParameterError(f"parameter '{twice}' is given twice")

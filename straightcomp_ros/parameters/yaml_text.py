@@ -128,6 +128,8 @@ for _kind in ("bool", "null", "merge"):
 # A number of more digits than an integer has is a floating-point number, as for rcl.
 _INT = r"[-+]?(0x[0-9a-fA-F]{1,16}|0[0-7]{0,21}|[1-9][0-9]{0,18})"
 _FLOAT = r"[-+]?((\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|\.(inf|Inf|INF))|\.(nan|NaN|NAN)"
+# In place of a value it is a text, as any other.
+_Loader.add_constructor(_TAG + "merge", _FAST.construct_yaml_str)
 _Loader.add_implicit_resolver(_TAG + "int", re.compile(f"(?:{_INT})$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(_TAG + "float", re.compile(f"(?:{_FLOAT})$"), list("-+.0123456789"))
 

@@ -26,6 +26,9 @@ T = TypeVar("T", ActuatorParameters, LuGreParameters)
 _CHANGEABLE = ("motion.", "guide.", "actuator.current_limit", "serial")
 """Facts that may differ between nodes: the strokes, what a single node may be given anew while it runs, and what no
 node computes with."""
+_FASTEST_POLE = 20.0
+"""Of the magnets' negative stiffness, √(K̄_y/M), per sampling period: none is controllable beyond 0.65, and much faster
+ones are no numbers after a sample."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,13 @@ class StageParameters:
             raise RefusedParameter(
                 "platform.stop",
                 f"{stop!r} m is not inside the air gap; allowed: < {gap!r} m ('{{group}}actuator.air_gap')",
+            )
+        magnets, mass = self.actuator.position_stiffness, self.platform.mass
+        if magnets > mass * (_FASTEST_POLE * self.rate) ** 2:
+            raise RefusedParameter(
+                "platform.mass",
+                f"{mass!r} kg leaves the middle within a sample: the magnets' stiffness is {magnets:.3g} N/m "
+                f"('{{group}}actuator.air_gap' …); allowed: >= {magnets / (_FASTEST_POLE * self.rate) ** 2:.3g} kg",
             )
 
     @property

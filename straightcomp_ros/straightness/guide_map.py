@@ -38,7 +38,7 @@ class MapParameters:
     max_gap: float = parameter(0.05, "Widest distance between neighbouring points", "(0, 1] m")
     travel: float = parameter(100e-6, "Usable travel of the platform, to each side", "(0, 0.01] m")
     runout: float = parameter(
-        0.02, "Length beyond the survey over which the reference runs out to a constant", "(0, 1] m"
+        0.02, "Length beyond the survey over which the reference runs out to a constant", "[1e-6, 1] m"
     )
     smooth: str = parameter(
         "auto",

@@ -330,14 +330,17 @@ def read_survey(
     groups: Groups = {}
     for line, cells, x, deviation in table.rows:
         direction = cells["direction"].lower() if "direction" in cells else None
+        direction = {"fwd": "forward", "bwd": "backward"}.get(direction or "", direction)
         if direction not in (None, "forward", "backward"):
-            raise SurveyError(f"survey {path}, line {line}: direction {direction!r}; allowed: forward or backward")
+            raise SurveyError(
+                f"survey {path}, line {line}: direction {direction!r}; allowed: forward or backward, fwd or bwd"
+            )
         key = (cells.get("run", "1"), cast(Direction | None, direction))
         groups.setdefault(key, []).append((line, x, deviation))
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
-    if not {"run", "direction"} & set(table.header):
-        groups = _passages(groups, min_points)
+    if "run" not in table.header:
+        groups = _repeated(groups, min_points) if "direction" in table.header else _passages(groups, min_points)
     runs = []
     for (name, way), points in groups.items():
         where = f"survey {path}, run '{name}'{f' {way}' if way else ''}"
@@ -346,6 +349,22 @@ def read_survey(
         runs.append(orient(where, name, way, points))
         check_run(where, runs[-1], max_gap, table.columns)
     return Survey(tuple(runs), str(path), table.facts)
+
+
+def _repeated(groups: Groups, min_points: int) -> Groups:
+    """The runs of a file that names directions alone, each split where x begins anew.
+
+    As they are where a part is too short: there x does not begin anew, it is wrong.
+    """
+    found: Groups = {}
+    for (_, way), points in groups.items():
+        parts = [points[:1]]
+        for before, point in itertools.pairwise(points):
+            if (point[1] < before[1]) is not (points[1][1] < points[0][1]):
+                parts.append([])
+            parts[-1].append(point)
+        found |= {(str(number), way): part for number, part in enumerate(parts, 1)}
+    return groups if min(map(len, found.values())) < min_points else found
 
 
 def _passages(groups: Groups, min_points: int) -> Groups:

@@ -67,6 +67,7 @@ def test_a_file_without_an_end_is_refused_and_aliases_of_a_usual_size_are_read()
     assert load_yaml("a: &x {b: 1, c: 2}\nd: *x\ne: {<<: *x, b: 3}")["e"] == {"b": 3, "c": 2}
     merges = load_yaml("b: &b {mass: 2}\nd: {e: {x: &a {<<: *b, mass: 3}}}\ny: {<<: *a}")
     assert merges["y"] == merges["d"]["e"]["x"] == {"mass": 3}
+    assert load_yaml("[=, <, <<]") == ["=", "<", "<<"]
     assert load_yaml("\ufeffa: 1".encode()) == {"a": 1}
 
 

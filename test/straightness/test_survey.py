@@ -169,6 +169,12 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
 
 
+def test_where_directions_are_named_alone_x_that_begins_anew_is_another_run(tmp_path):
+    rows = [row for _ in range(2) for row in (*_rows(OUT, "fwd,"), *_rows(BACK, "BWD,"))]
+    runs = read_survey(_write(tmp_path, rows, "direction,x_mm,deviation_um")).runs
+    assert sorted((run.name, run.direction) for run in runs) == sorted(WAYS)
+
+
 X = np.arange(24) * 10.0  # mm
 UM = np.round(5.0 * np.sin(X / 36.0), 3)
 
