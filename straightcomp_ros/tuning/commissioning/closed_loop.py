@@ -13,6 +13,7 @@
 
 import dataclasses
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
-from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
+from straightcomp_ros.tuning.commissioning import LOOP, CommissioningError, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Outcome, Work, recorded_series
 from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
 from straightcomp_ros.tuning.design.automatic_design import design_gains
@@ -46,7 +47,7 @@ from straightcomp_ros.tuning.identification.estimate import DERIVED, Estimate, e
 LAW = "smc_observer"
 LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
 """Smallest phase margin in degrees and gain margin that `frequency_response` accepts."""
-_KNOWN = "platform.mass"
+_KNOWN, _FILTERS = "platform.mass", "control.filters."
 _LENGTH = 0.5
 """m; of the excitation's stroke, at most."""
 _STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
@@ -54,8 +55,8 @@ _STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "a
 _DELAY_STAYS = 0.1
 _BEFORE = 0.25
 """s in which an oscillation is looked for when the platform leaves its travel."""
-_SWUNG = 0.01
-"""Least amplitude of it relative to the way: a growing one of 93 Hz has that up to 50 1/s; a smooth way, 0.0004."""
+_SWUNG = 0.0015
+"""Least amplitude of it relative to the way: one of 93 Hz that grows with 100 1/s has 0.0024, a smooth way 0.0004."""
 _SEARCH_DRAWS = 16
 """Of the excitation that looks for modes: the response of the designed law has more, and is judged."""
 _IN_SIMULATION = 0.7
@@ -100,7 +101,11 @@ def identification(work: Work) -> Outcome:
         work.progress(0.1)
         found = estimate_from_bag(bag, stage, [_KNOWN], lambda fraction: work.progress(0.1 + 0.9 * fraction))
     except LeftTravel as error:
-        return Outcome(False, f"{error}{_swinging(bag, stage)}")
+        f = _swinging(bag, stage)
+        swung = (
+            f"; it swung at {f:.0f} Hz then: if it rings there, describe that mode (stage.platform.modes)" if f else ""
+        )
+        return Outcome(False, f"{error}{swung}")
     except IdentificationError as error:
         return Outcome(False, str(error))
     figures = {
@@ -126,16 +131,16 @@ def identification(work: Work) -> Outcome:
     )
 
 
-def _swinging(bag: Path, stage: StageParameters) -> str:
-    """At which line the platform swung when it left its travel, and what that may be; empty without one."""
-    y = recorded_series(bag).y[-round(_BEFORE * stage.rate) :]
+def _swinging(bag: Path, stage: StageParameters) -> float:
+    """Frequency in Hz at which the platform swung when it left its travel; 0 if it did not."""
+    samples, y = round(_BEFORE * stage.rate), np.empty(0)
+    with suppress(CommissioningError):
+        y = recorded_series(bag).y[-samples:]
+    if not y.size:
+        return 0.0
+    y = np.pad(y, (samples - y.size, 0), mode="edge")
     line = sustained_oscillation(y, np.zeros_like(y), stage.period)
-    if line.amplitude < _SWUNG * float(np.ptp(y)):
-        return ""
-    return (
-        f"; it swung at {line.frequency:.0f} Hz then: if the platform rings there, describe that mode "
-        "(stage.platform.modes.first), so that the safe law leaves it alone"
-    )
+    return line.frequency if line.amplitude >= _SWUNG * float(np.ptp(y)) else 0.0
 
 
 def _resonances(work: Work) -> tuple[dict[str, float], str]:
@@ -229,7 +234,10 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
 
 def design(work: Work) -> Outcome:
     """Search the gains; nothing moves."""
-    scenario = make_scenario(work.described(), [LAW])
+    # The safe law's notch is not the design's.
+    safe = work.outcomes["safe_loop"].gains if "safe_loop" in work.outcomes else {}
+    unset = {name: 0.0 for name in safe if name.startswith(_FILTERS) and name.endswith("frequency")}
+    scenario = make_scenario(with_values(work.described(), "controller", unset), [LAW])
     try:
         found = design_gains(
             scenario,
@@ -253,7 +261,7 @@ def design(work: Work) -> Outcome:
         return Outcome(False, f"the designed law is not in order on all machines that are left: {verdict}", figures)
     sentence = f"{pp:.3f} µm p-p predicted, at {step:.2f} mA from sample to sample"
     sentence = "; ".join([sentence, *found.warnings])
-    return Outcome(True, sentence, figures, gains={"control.law": LAW, **found.values})
+    return Outcome(True, sentence, figures, gains={"control.law": LAW, **unset, **found.values})
 
 
 def frequency_response(work: Work) -> Outcome:

@@ -20,6 +20,7 @@ from straightcomp_ros.tuning.commissioning.closed_loop import (
     margins_missed,
     strangeness,
 )
+from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded, response_plot
 from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, Interval
 from straightcomp_ros.tuning.frequency_response.measured_response import ResponseMargins, response_margins
@@ -107,20 +108,31 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     assert not facts and "resonances were not looked for: the excitation was ended early" in words
 
 
-def test_a_platform_that_swings_out_of_its_travel_is_said_to_ring_at_that_frequency(tmp_path, monkeypatch):
-    time = np.arange(2000) * STAGE.period
-    swings = 1e-9 * np.exp(20.0 * time) * np.sin(2.0 * np.pi * 93.0 * time)
+@pytest.mark.parametrize(("growth", "rings", "after"), [(20.0, 93.0, "; it swung at 9[345] Hz then"), (12.0, 0.0, "$")])
+def test_a_platform_that_swings_out_of_its_travel_is_said_to_swing(tmp_path, monkeypatch, growth, rings, after):
+    time = np.arange(400) * STAGE.period
+    y = 1e-9 * np.exp(growth * time) * np.cos(2.0 * np.pi * rings * time)
 
-    def left(values, bag, travel, count=1):
+    def left(values, bag, travel):
         raise LeftTravel("the platform left its reference")
 
-    def said(y):
-        monkeypatch.setattr(closed_loop, "recorded_series", lambda bag: SimpleNamespace(y=y))
-        work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=left))
-        return identification(work).sentence
+    monkeypatch.setattr(closed_loop, "recorded_series", lambda bag: SimpleNamespace(y=y))
+    work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=left))
+    assert re.search(f"left its reference{after}", identification(work).sentence)
 
-    assert re.search(r"left its reference; it swung at 9[345] Hz then.*stage.platform.modes.first", said(swings))
-    assert said(1e-9 * np.exp(12.0 * time)) == "the platform left its reference"
+
+def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch):
+    notch = "control.filters.first.frequency"
+    work = work_on(values_of(), tmp_path)
+    work.values["controller"][notch] = 94.0
+    safe = {"safe_loop": closed_loop.Outcome(True, "", gains={notch: 94.0})}
+
+    def designed(scenario, law, **_):
+        assert next(iter(scenario.controls.values())).filters.first.frequency == 0.0
+        raise DesignError("far enough")
+
+    monkeypatch.setattr(closed_loop, "design_gains", designed)
+    assert closed_loop.design(dataclasses.replace(work, outcomes=safe)).sentence == "far enough"
 
 
 @pytest.mark.nightly
