@@ -31,7 +31,7 @@ from straightcomp_ros.nodes.view_node import SHOWN, SLOT_S
 from straightcomp_ros.safety.faults import Fault, explained
 from straightcomp_ros.view.page_server import Board, Series, ViewServer, distribution
 from trials.incidents import record_fault
-from trials.worn_stage import stroke_pool, write_store
+from trials.wear import stroke_pool, write_store
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 BAG = REPOSITORY / "bags" / "smc"

@@ -5,10 +5,7 @@ from collections.abc import Sequence
 
 from straightcomp_ros.cli.main import main
 
-RIGS = (
-    *("bags", "can", "faults", "incidents", "motions", "noise"),
-    *("power_cuts", "soak", "strokes", "verdict", "wear"),
-)
+RIGS = ("can", "faults", "incidents", "motions", "noise", "power_cuts", "soak", "strokes", "verdict", "wear")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

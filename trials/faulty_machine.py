@@ -43,7 +43,7 @@ class FaultyHardware:
     def __init__(self, inner: Hardware, began: Callable[[str, int], None]) -> None:
         self._inner, self._began = inner, began
         self._first: Sample | None = None
-        self._kind = self._fault = ""
+        self.kind = self._fault = ""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
@@ -52,7 +52,7 @@ class FaultyHardware:
         """Begin with the next sample; an empty text ends it. ValueError for an unknown kind."""
         if kind and kind != BOARD and kind not in KINDS:
             raise ValueError(f"fault '{kind}' is unknown; allowed: {BOARD}, {', '.join(KINDS)}")
-        self._kind, self._first = kind, None
+        self.kind, self._first = kind, None
 
     def replace(self, inner: Hardware) -> None:
         """Continue with another machine, whatever state this one is in, and without a fault."""
@@ -61,15 +61,15 @@ class FaultyHardware:
 
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
         samples = self._inner.read(now_ns)
-        if not self._kind or not samples:
+        if not self.kind or not samples:
             return samples
         if self._first is None:
             self._first = samples[0][0]
-            self._began(self._kind, now_ns)
-            if self._kind == BOARD:
+            self._began(self.kind, now_ns)
+            if self.kind == BOARD:
                 self._fault = "the board reports: overcurrent"
                 self._inner.disable()
-        change = KINDS.get(self._kind)
+        change = KINDS.get(self.kind)
         return [(change(sample, self._first), truth) for sample, truth in samples] if change else samples
 
     def reset_fault(self) -> None:

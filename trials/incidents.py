@@ -3,7 +3,7 @@
     sudo python -m trials incidents --user visitor
 
 What y, or x within a sample, shows is done to a simulated machine, and found by the watches of driver and controller;
-every other fault (a node that is gone, a full disk, an operator) has the words that its node has for it.
+every other fault (a node that is gone, a full disk, an operator) has the reason that the table of faults has for it.
 Prints for each fault the size of its incident and its first line; the exit code is 1 if one does not name its fault,
 or opens with another line or other bits of the commands.
 """
@@ -39,20 +39,8 @@ _AT_S = 0.6
 """Time of the disturbance in the run."""
 _ERROR_LIMIT = 50e-6
 """m, of the following error."""
-_SAID = {
-    Fault.COMMAND_NOT_FINITE: ("driver", "command nan A"),
-    Fault.COMMAND_OUT_OF_RANGE: ("driver", "command 3 A; allowed: ±2 A"),
-    Fault.COMMAND_TIMEOUT: ("driver", "no command for 250 ms"),
-    Fault.TWO_CONTROLLERS: ("driver", "a command for a sample that this driver did not take"),
-    Fault.MAP_MISSING: ("feedforward", "x = 1.9 m is beyond the map"),
-    Fault.SAMPLE_TIMEOUT: ("controller", "no sample for 1 s"),
-    Fault.X_FROZEN: ("driver", "x stays at 12.3 mm; the stage was to move by +5.0 mm meanwhile"),
-    Fault.CLOCK_JUMP: ("driver", "the system's clock was stepped by +3.000 s"),
-    Fault.BOARD: ("driver", "the board has restarted"),
-    Fault.TRIPPED: ("driver", "emergency stop: panel"),
-    Fault.NOT_REFERENCED: ("driver", "x is not referenced: the board was switched off"),
-    Fault.CLIENT_GONE: ("driver", "the client that commissions the machine has ended"),
-}
+_REPORTING = {Fault.MAP_MISSING: "feedforward", Fault.SAMPLE_TIMEOUT: "controller"}
+"""The node whose diagnostics name a fault, where it is not the driver."""
 _INJECTED = {
     Fault.SAMPLE_NOT_FINITE: "sample_nan",
     Fault.X_JUMP: "x_jump",
@@ -60,9 +48,9 @@ _INJECTED = {
     Fault.Y_FROZEN: "y_frozen",
     Fault.FOLLOWING_ERROR: "y_out_of_range",
 }
-_TYPES = [("std_msgs", "Header"), ("builtin_interfaces", "Time")] + [
-    ("diagnostic_msgs", name) for name in ("KeyValue", "DiagnosticStatus", "DiagnosticArray")
-]
+_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+_PARTS = ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "diagnostic_msgs/msg/KeyValue")
+_PARTS += ("diagnostic_msgs/msg/DiagnosticStatus",)
 _LOGGED = {
     Fault.HEARTBEAT_LOST: ("cell", "[ERROR] [cell]: cycle failed: heartbeat_lost: no heartbeat of feedforward for 1 s"),
     Fault.RECORDING_STOPPED: ("logger", "[ERROR] [logger]: recording stopped: bag run: 0 bytes are free on its disk"),
@@ -146,36 +134,32 @@ def record_fault(fault: Fault, bag: Path) -> None:
     """Record a run in simulated time that ends with a fault, as the logger would have it."""
     values = shipped_parameters()
     values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1}
-    driver = node_parameters("driver", values)
-    machines, errors = list[_Watched](), ErrorWatch(_ERROR_LIMIT)
-    node, reason = _SAID.get(fault, ("driver", ""))
-    injected = False
+    driver, errors = node_parameters("driver", values), ErrorWatch(_ERROR_LIMIT)
+    machines = list[_Watched]()
 
     def wiring(hardware: Any) -> Any:
         machines.append(_Watched(hardware, SampleWatch(driver.watch, driver.stage), fault))
         return machines[0]
 
     def observe(sample: Sample, truth: Any, reference: Any, command: Any, age: float) -> None:
-        nonlocal injected
         due = sample.stamp_ns >= _AT_S * 1e9
+        found: Finding | None = (fault, fault.value.means) if due and fault not in _INJECTED else None
         if fault is Fault.FOLLOWING_ERROR:
-            found: Finding | None = errors.check(reference[0] - sample.y, amplifier_on=True)
-        else:
-            found = (fault, reason) if due and fault not in _INJECTED else None
+            found = errors.check(reference[0] - sample.y, amplifier_on=True)
         if found:
             raise _Found(sample, found[1])
         run.add(sample, truth, reference, command, age)
         machines[0].current = command.current
-        if due and fault in _INJECTED and not injected:
-            injected = True
+        if due and not machines[0].kind:
             machines[0].inject(_INJECTED[fault])
 
     simulation = Simulation(values, wiring=wiring)
     bag.parent.mkdir(parents=True)
     with SimulatedRun(bag, by_node(values), simulation.delay) as run:
-        run._bag.add_topic(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray")
+        run._bag.add_topic(DIAGNOSTICS, _ARRAY)
         try:
             simulation.run(observe=observe)
+            raise CommandFailed(f"{fault.label}: was not found")
         except _Found as found:
             # The sample of the fault has no answer; the node's next diagnostics name the fault.
             sample, text = found.args
@@ -183,9 +167,8 @@ def record_fault(fault: Fault, bag: Path) -> None:
             columns = (sample.x, sample.y, math.nan, math.nan)
             run._bag.write(f"/{ENCODER.topic}", ENCODER.layout.pack(stamp, *columns), stamp, stamp)
             if fault not in _LOGGED:
-                run._bag.write(DIAGNOSTICS, _diagnostics(node, f"{fault.label}: {text}", stamp), stamp, stamp)
-        else:
-            raise CommandFailed(f"{fault.label}: was not found")
+                diagnostics = _diagnostics(_REPORTING.get(fault, "driver"), f"{fault.label}: {text}", stamp)
+                run._bag.write(DIAGNOSTICS, diagnostics, stamp, stamp)
     if fault in _LOGGED:
         (bag.parent / "logs").mkdir()
         node, line = _LOGGED[fault]
@@ -194,9 +177,6 @@ def record_fault(fault: Fault, bag: Path) -> None:
 
 def _diagnostics(node: str, error: str, stamp_ns: int) -> bytes:
     store = typestore()
-    types = {name: store.types[f"{package}/msg/{name}"] for package, name in _TYPES}
-    header = types["Header"](types["Time"](*divmod(stamp_ns, 10**9)), "")
-    values = [types["KeyValue"]("error", error)] if error else []
-    status = types["DiagnosticStatus"](2, f"/{node}", error, "simulated", values)
-    message = types["DiagnosticArray"](header, [status])
-    return bytes(store.serialize_cdr(message, "diagnostic_msgs/msg/DiagnosticArray"))
+    time, header, pair, status, array = (store.types[name] for name in (*_PARTS, _ARRAY))
+    one = status(2, f"/{node}", error, "simulated", [pair("error", error)])
+    return bytes(store.serialize_cdr(array(header(time(*divmod(stamp_ns, 10**9)), ""), [one]), _ARRAY))

@@ -5,6 +5,7 @@ and on a ground guide; or the straightness that strokes by these maps leave."""
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,8 @@ JOINT, KINK = 0.9, 5e-5
 """x in m of the joint, and the change of the guide's slope there in m/m: about the largest slope of the guide."""
 WAYS: tuple[Direction, ...] = ("forward", "backward")
 SPACINGS_MM, NOISES_UM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), (0.02, 0.05, 0.2, 0.5)
+_TRAVEL = 5e-3
+"""m, wide enough for the slopes that noise leaves at the ends."""
 Array = NDArray[np.float64]
 
 
@@ -49,6 +52,16 @@ class Kind(NamedTuple):
         """δ in m of the guide at ``x`` in m on the way."""
         half = 0.5 if way == "forward" else -0.5
         return guide(x, self.kink, self.base) + half * self.hysteresis * settling(x)
+
+    @property
+    def fine(self) -> Array:
+        """x in m in steps of 0.1 mm."""
+        return np.linspace(*self.base.span, round(np.ptp(self.base.span) / 1e-4) + 1)
+
+    @property
+    def direction(self) -> str:
+        """Tables of a map of this guide, as parameter."""
+        return "both" if self.hysteresis else "mean"
 
 
 def _of_stage(stage: str, survey: str, hysteresis: float = 0.0) -> Kind:
@@ -88,72 +101,63 @@ def run(options: argparse.Namespace) -> None:
     print_json({"rows": rows})
 
 
-def _surveyed(kind: Kind, spacing_mm: float, noise_um: float, seed: int) -> Survey:
+def maps_of(
+    kind: Kind, base: MapParameters, spacing_mm: float, noise_um: float, seed: int
+) -> dict[str, tuple[Survey, MapParameters]]:
+    """Survey and parameters of the maps by name: through every mean, smoothed, and by the best spline for one who knows
+    the guide, where there is hysteresis of the runs of each way."""
+    base, fine = replace(base, travel=_TRAVEL), kind.fine
     chosen = {"kink": kind.kink, "hysteresis": kind.hysteresis, "base": kind.base}
-    return surveyed(spacing_mm * 1e-3, noise_um * 1e-6, seed=seed, **chosen)
+    survey, runs = surveyed(spacing_mm * 1e-3, noise_um * 1e-6, seed=seed, **chosen), []
+    for way in WAYS:
+        ours = [run.deviation for run in survey.runs if run.direction == way or not kind.hysteresis]
+        best = best_spline(survey.runs[0].x, np.mean(ours, axis=0), fine, kind.true(fine, way))
+        runs.append(Run("1", way, fine[::10], best(fine[::10])))
+    through = replace(base, smooth="none")
+    return {
+        "interpolated": (survey, through),
+        "auto": (survey, base),
+        "best": (Survey(tuple(runs)), replace(through, direction=kind.direction)),
+    }
 
 
 def errors(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
     """Medians over ``draws`` surveys and both ways, by name; the coverage is at the survey's own points."""
-    fine, rows = _fine(kind), []
+    found, coverage = defaultdict[str, list[float]](list), []
     for seed in range(draws):
-        survey = _surveyed(kind, spacing_mm, noise_um, seed)
-        through, smoothed = (mapped(survey, how) for how in ("none", "auto"))
-        x = survey.runs[0].x
+        maps = maps_of(kind, MapParameters(), spacing_mm, noise_um, seed)
+        x = maps["auto"][0].runs[0].x
         for way in WAYS:
-            true = kind.true(fine, way)
-            left = smoothed.deviations(x, way) - kind.true(x, way)
-            rows.append(
-                {
-                    "interpolated": float(np.ptp(through.deviations(fine, way) - true)) * 1e6,
-                    "auto": float(np.ptp(smoothed.deviations(fine, way) - true)) * 1e6,
-                    "best": float(np.ptp(_best(kind, survey, fine, way)(fine) - true)) * 1e6,
-                    "coverage": float(np.mean(np.abs(left) <= NORMAL_95 * smoothed.noise.band(x))),
-                }
-            )
-    mean = float(np.mean([row.pop("coverage") for row in rows]))
-    return {name: float(np.median([row[name] for row in rows])) for name in rows[0]} | {"coverage": mean}
+            for name, (survey, parameters) in maps.items():
+                straightness = StraightnessMap(survey, parameters)
+                error = straightness.deviations(kind.fine, way) - kind.true(kind.fine, way)
+                found[name].append(float(np.ptp(error)) * 1e6)
+                if name == "auto":
+                    left = np.abs(straightness.deviations(x, way) - kind.true(x, way))
+                    coverage.append(float(np.mean(left <= NORMAL_95 * straightness.noise.band(x))))
+    return {name: float(np.median(pp)) for name, pp in found.items()} | {"coverage": float(np.mean(coverage))}
 
 
 def residuals(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
-    """Residual straightness in µm of a cycle, the median over ``draws`` surveys and nine starts, with the map through
-    every mean, smoothed, and by the best spline for one who knows the guide. The hysteresis of the true guide changes
-    sides within a quarter of the travel that the reference takes for it."""
+    """Residual straightness in µm of a cycle, the median over ``draws`` surveys and nine starts, with these maps. The
+    hysteresis of the true guide changes sides within a quarter of the travel that the reference takes for it."""
     values, law = by_node(shipped_parameters(stage=kind.stage or None)), "smc_observer"
-    scenario, fine = make_scenario(values, [law]), _fine(kind)
-    smooth = replace(scenario.followed.guide, travel=5e-3)
-    truth = Survey(tuple(Run("1", way, fine[::10], kind.true(fine[::10], way)) for way in WAYS))
-    exact = replace(smooth, smooth="none", direction="both" if kind.hysteresis else "mean")
-    true = StraightnessMap(truth, replace(exact, reversal=smooth.reversal / 4.0))
-    found = dict[str, list[float]]()
+    scenario, found = make_scenario(values, [law]), defaultdict[str, list[float]](list)
+    base, points = scenario.followed.guide, kind.fine[::10]
+    truth = Survey(tuple(Run("1", way, points, kind.true(points, way)) for way in WAYS))
+    exact = replace(base, travel=_TRAVEL, smooth="none", direction=kind.direction, reversal=base.reversal / 4.0)
+    true = StraightnessMap(truth, exact)
     for seed in range(draws):
-        survey = _surveyed(kind, spacing_mm, noise_um, seed)
-        best = Survey(tuple(Run("1", way, fine[::10], _best(kind, survey, fine, way)(fine[::10])) for way in WAYS))
-        through = replace(smooth, smooth="none")
-        for name, own, guide_parameters in (
-            ("interpolated", survey, through),
-            ("auto", survey, smooth),
-            ("best", best, exact),
-        ):
-            one = replace(scenario, followed=replace(scenario.followed, guide=guide_parameters), survey=own)
+        for name, (survey, parameters) in maps_of(kind, base, spacing_mm, noise_um, seed).items():
+            one = replace(scenario, followed=replace(scenario.followed, guide=parameters), survey=survey)
             stroke = one.stroke()
             deviation = true.offset - along(true, stroke.true_x)[0]
             for offset in offsets():
                 simulated = replace(one.driver.simulated, initial_y=offset)
                 cycle = replace(one, driver=replace(one.driver, simulated=simulated)).cycle(laws_of(one)[law], stroke)
                 record = stroke.record(stroke.stamps * 1e-9, cycle, deviation, law)
-                found.setdefault(name, []).append(float(np.ptp(straightness_over(record, stroke.map)[2])) * 1e6)
+                found[name].append(float(np.ptp(straightness_over(record, stroke.map)[2])) * 1e6)
     return {name: float(np.median(pp)) for name, pp in found.items()}
-
-
-def _fine(kind: Kind) -> Array:
-    return np.linspace(*kind.base.span, round(np.ptp(kind.base.span) / 1e-4) + 1)
-
-
-def _best(kind: Kind, survey: Survey, fine: Array, way: Direction) -> Callable[[Array], Array]:
-    """The spline with the least error p-p of the mean of the runs, where there is hysteresis of those of the way."""
-    runs = [run.deviation for run in survey.runs if run.direction == way or not kind.hysteresis]
-    return best_spline(survey.runs[0].x, np.mean(runs, axis=0), fine, kind.true(fine, way))
 
 
 def best_possible(x: Array, mean: Array, true: Array) -> float:
@@ -202,5 +206,5 @@ def surveyed(
 
 
 def mapped(survey: Survey, smooth: str = "auto") -> StraightnessMap:
-    """The map, whose travel is wide enough for the slopes that noise leaves at the ends."""
-    return StraightnessMap(survey, MapParameters(smooth=smooth, travel=5e-3))
+    """The map of a survey."""
+    return StraightnessMap(survey, MapParameters(smooth=smooth, travel=_TRAVEL))

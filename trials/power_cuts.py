@@ -14,9 +14,10 @@ import os
 import random
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.contract import ENCODER
+from trials.rig import tracked
 
 SUMMARY = "what a power cut leaves of a bag"
 PURPOSE = "judge"
@@ -35,99 +37,85 @@ _PERIOD_S = 0.5e-3
 ALLOWED_S = 1.0
 
 
-class Event(NamedTuple):
-    """What reached the operating system, in the order of time: a write (offset, data), a truncation (offset), a sync
-    of a file or of a folder's names (begun at ``begun``), or a new name."""
+class Disk:
+    """What reached the operating system, with times in s since the epoch: the creation of each file, its writes, each
+    behind the last one, and the syncs of files and folders, begin and end."""
 
-    time: float
-    kind: str
-    path: str
-    offset: int = 0
-    data: bytes = b""
-    begun: float = 0.0
+    def __init__(self) -> None:
+        self.created: dict[str, float] = {}
+        self.writes = defaultdict[str, list[tuple[float, bytes]]](list)
+        self.syncs = defaultdict[str, list[tuple[float, float]]](list)
+
+    def durable(self, path: str, cut: float) -> float:
+        """Until when what was written of a file, or of a folder's names, was surely on the disk at the time ``cut``."""
+        return max((begun for begun, ended in self.syncs[path] if ended <= cut), default=-1.0)
+
+    def left(self, cut: float, chance: random.Random) -> dict[str, bytes]:
+        """The files that a power cut at the time ``cut`` leaves, by path."""
+        found = {}
+        for path, created in self.created.items():
+            named = self.durable(str(Path(path).parent), cut) >= created
+            if created > cut or not (named or chance.random() < 0.5):
+                continue
+            durable, content, least = self.durable(path, cut), bytearray(), 0
+            for at, data in self.writes[path]:
+                if at <= durable:
+                    content += data
+                    least = len(content)
+                elif at <= cut:
+                    for start in range(0, len(data), _SECTOR):
+                        part = data[start : start + _SECTOR]
+                        content += part if chance.random() < 0.5 else bytes(len(part))
+            # The length is brought to the disk with the data, or is that of an earlier moment.
+            found[path] = bytes(content[: chance.randint(least, len(content))])
+        return found
 
 
-class LoggedFile:
-    """A raw file whose writes are logged."""
-
-    def __init__(self, file: Any, events: list[Event]) -> None:
-        self._file, self._events = file, events
-        events.append(Event(time.time(), "name", str(file.name)))
+class _LoggedFile:
+    def __init__(self, file: Any, disk: Disk) -> None:
+        self._file, self._disk = file, disk
+        disk.created[str(file.name)] = time.time()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._file, name)
 
     def write(self, data: Any) -> int:
-        offset, done = self._file.tell(), int(self._file.write(data))
-        self._events.append(Event(time.time(), "write", str(self._file.name), offset, bytes(data[:done])))
+        done = int(self._file.write(data))
+        self._disk.writes[str(self._file.name)].append((time.time(), bytes(data[:done])))
         return done
-
-    def truncate(self, size: int) -> None:
-        self._file.truncate(size)
-        self._events.append(Event(time.time(), "truncate", str(self._file.name), size))
 
 
 @contextlib.contextmanager
-def logged() -> Iterator[list[Event]]:
+def logged() -> Iterator[Disk]:
     """Log what the block's recorders write and sync."""
-    events: list[Event] = []
-    raw: Any = open
-    calls = {name: getattr(os, name) for name in ("fsync", "fdatasync")}
+    disk, raw, calls = Disk(), open, {name: getattr(os, name) for name in ("fsync", "fdatasync")}
 
     def logging(call: Any) -> Any:
         def sync(descriptor: int) -> None:
             begun, path = time.time(), os.readlink(f"/proc/self/fd/{descriptor}")
             call(descriptor)
-            events.append(Event(time.time(), "sync", path, begun=begun))
+            disk.syncs[path].append((begun, time.time()))
 
         return sync
 
-    mcap_output.open = lambda *words, **options: LoggedFile(raw(*words, **options), events)  # type: ignore[attr-defined]
+    setattr(mcap_output, "open", lambda *words, **options: _LoggedFile(raw(*words, **options), disk))  # noqa: B010
     for name, call in calls.items():
         setattr(os, name, logging(call))
     try:
-        yield events
+        yield disk
     finally:
-        del mcap_output.open  # type: ignore[attr-defined]
+        delattr(mcap_output, "open")
         for name, call in calls.items():
             setattr(os, name, call)
 
 
-def left_on_disk(events: list[Event], cut: float, chance: random.Random) -> dict[str, bytes]:
-    """The files that a power cut at the time ``cut`` leaves, by path."""
-    before = [one for one in events if one.time <= cut]
-    found = {}
-    for path in dict.fromkeys(one.path for one in before if one.kind == "name"):
-        created = next(one.time for one in before if one.kind == "name" and one.path == path)
-        synced = [one.begun for one in before if one.kind == "sync" and one.path == str(Path(path).parent)]
-        if not any(begun >= created for begun in synced) and chance.random() >= 0.5:
-            continue
-        durable = max((one.begun for one in before if one.kind == "sync" and one.path == path), default=0.0)
-        content = bytearray()
-        for one in (one for one in before if one.path == path and one.kind in ("write", "truncate")):
-            if one.kind == "truncate":
-                del content[one.offset :]
-                continue
-            content += bytes(max(0, one.offset + len(one.data) - len(content)))
-            for start in range(0, len(one.data), _SECTOR):
-                if one.time <= durable or chance.random() < 0.5:
-                    part = one.data[start : start + _SECTOR]
-                    content[one.offset + start : one.offset + start + len(part)] = part
-        # The length is brought to the disk with the data, or is that of an earlier moment.
-        least = max(
-            (one.offset + len(one.data) for one in before if one.path == path and one.time <= durable), default=0
-        )
-        found[path] = bytes(content[: chance.randint(min(least, len(content)), len(content))])
-    return found
-
-
-def record(folder: Path, seconds: float) -> tuple[list[Event], float]:
-    """Record encoder messages to the bag ``folder`` in real time; the events, and when the recording began."""
+def record(folder: Path, seconds: float) -> tuple[Disk, float, float]:
+    """Record encoder messages to the bag ``folder`` in real time; when the recording began and ended."""
     topic = Topic(f"/{ENCODER.topic}", ENCODER.layout.type_name, TopicQos("best_effort", depth=1000))
     recorder = Recorder(RecorderParameters(output=str(folder)), [topic.name], lambda bag, at_end: True)
     recorder.announce(topic)
     chance, number = np.random.default_rng(0), 0
-    with logged() as events:
+    with logged() as disk:
         recorder.start()
         began = time.time()
         while (now := time.time()) < began + seconds:
@@ -137,39 +125,35 @@ def record(folder: Path, seconds: float) -> tuple[list[Event], float]:
                 recorder.intake.add(topic.name, data, stamp, stamp)
                 number += 1
             time.sleep(0.02)
-        taken = len(events)
+        ended = time.time()
         recorder.stop()
-    return events[:taken], began
+    return disk, began, ended
 
 
 def cut_off(folder: Path, seconds: float, cuts: int, seed: int) -> dict[str, Any]:
     """Record for some seconds, cut at ``cuts`` moments, and recover; what was lost."""
-    events, began = record(folder / "bag", seconds)
+    disk, began, ended = record(folder / "bag", seconds)
     chance, lost, gaps, unreadable = random.Random(seed), [], 0, 0
-    syncs = [one.time - one.begun for one in events if one.kind == "sync" and one.path.endswith(".mcap")]
-    for _ in range(cuts):
-        cut = began + chance.random() * (events[-1].time - began)
-        left = left_on_disk(events, cut, chance)
+    syncs = [end - begun for path, spans in disk.syncs.items() if path.endswith(".mcap") for begun, end in spans]
+    for _ in tracked(range(cuts), "cuts"):
+        cut = began + chance.random() * (ended - began)
         with tempfile.TemporaryDirectory(dir=folder) as place:
-            damaged = Path(place) / "bag"
+            damaged, recovered = Path(place) / "bag", Path(place) / "recovered"
             damaged.mkdir()
-            for path, data in left.items():
+            for path, data in disk.left(cut, chance).items():
                 (damaged / Path(path).name).write_bytes(data)
-            try:
-                result = recover(damaged, Path(place) / "recovered")
-                found = read_messages(Path(place) / "recovered", f"/{ENCODER.topic}")
-                stamps = np.sort(np.array(found.log_time, np.int64))
-            except BagError:
-                result, stamps = None, np.empty(0)
-            if result is None or not stamps.size:
-                lost.append(cut - began)
-                unreadable += cut - began > ALLOWED_S
-                continue
-            steps = np.diff(stamps) * 1e-9
-            whole = int(np.argmax(steps > 1.5 * _PERIOD_S)) if (steps > 1.5 * _PERIOD_S).any() else stamps.size - 1
-            # Chunks behind a lost one may be there by chance.
-            lost.append(cut - float(stamps[whole]) * 1e-9)
-            gaps += round(float(stamps[0]) * 1e-9 - began, 3) > _PERIOD_S
+            stamps = np.empty(0, np.int64)
+            with contextlib.suppress(BagError):
+                recover(damaged, recovered)
+                stamps = np.sort(np.array(read_messages(recovered, f"/{ENCODER.topic}").log_time, np.int64))
+        if not stamps.size:
+            lost.append(cut - began)
+            unreadable += cut - began > ALLOWED_S
+            continue
+        # Chunks behind a lost one may be there by chance.
+        missing = np.flatnonzero(np.diff(stamps) * 1e-9 > 1.5 * _PERIOD_S)
+        lost.append(cut - float(stamps[missing[0] if missing.size else -1]) * 1e-9)
+        gaps += round(float(stamps[0]) * 1e-9 - began, 3) > _PERIOD_S
     quantiles = {f"lost_p{q}_s": round(float(np.percentile(lost, q)), 3) for q in (50, 99, 100)}
     return {
         "cuts": cuts,

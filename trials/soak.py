@@ -2,41 +2,74 @@
 
 Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
 amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each action the
-safety state and the work of the whole graph are checked; at the end bags, descriptors, threads and memory.
-Exit code 0 only if nothing failed."""
+safety state and the work of the whole graph are checked; at the end bags, descriptors, threads and memory. Half of the
+processes are killed in the first half, and only the others in the second, so that each node has a process that lives
+for half of the time. Exit code 0 only if nothing failed."""
+
+from __future__ import annotations
 
 import argparse
 import itertools
 import random
 import shutil
+import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
+from functools import partial
 from typing import Any
 
-import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+from rclpy.time import Time
+from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.bags.recovery import default_output, recover
-from straightcomp_ros.cell.launcher import LaunchError
-from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
-from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.cell.launcher import COMPOSED, LaunchError
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.output import notes, print_json, require_ros
+from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.safety.faults import HELD_UP, Fault
 from straightcomp_ros.straightness.guide_map import find_survey
-from trials.faults import trial_parameters
-from trials.rig import Progress, add_output, output, progress
-from trials.soak_actions import ACTIONS, Scene
-from trials.soak_verdict import Life, Soak, gaps, look
-from trials.stalls import Stalls
+from straightcomp_ros.timing.node_timing import SAMPLES
+from trials import stalls
+from trials.faults import trial_parameters, trials_of_processes
+from trials.rig import add_output, output
+from trials.soak_verdict import Look, grown, look, missing_in_bags
 from trials.stand import Stand
 
 SUMMARY = "run the graph for a long time under random actions and check it after each"
 WARM_UP_S = 10.0
 """Age from which a process is checked for growth: until then it allocates what it keeps."""
 _PAUSE_S = (0.2, 2.0)
+_STALL_MS, _STALL_S = 80.0, 1.0
+"""Total duration of stalls, in the time before a fault, that may have caused it."""
+_BACK_S, _PATIENCE_S = 15.0, 10.0
+_MOVED = 50e-6
+"""m by which a stage has moved that moves."""
+_WHOLE = 0.9
+"""Fraction of the samples that a logger must receive from report to report to count as connected."""
+ENABLE_LIMIT_S = 2.0
+"""Longest time from a request for the amplifier to 'on', with no fault latched and fresh commands."""
+_TAKEN_BY_A_KILL_S = 0.5
+"""Longest part of a recording that SIGKILL may lose."""
+_FADE_S = 0.7
+"""The feedforward refuses a change of its map during the previous one, which takes 0.5 s."""
+_REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
+    ("controller", {"control.law": "linear", "control.smc_observer.surface": -1.0}),
+    ("controller", {"control.smc_observer.surface": 500.0, "control.law": "no such law"}),
+    ("controller", {"control.smc_observer.surface": 510.0, "stage.rate": 1000}),
+    ("controller", {"control.law": "smc", "control.smc.rho": 1e-6}),
+    ("feedforward", {"stage.guide.runout": 0.03, "stage.guide.file": "no_such_file.csv"}),
+    ("driver", {"stage.actuator.current_limit": 0.95, "stage.rate": 1000}),
+    ("logger", {"min_free_bytes": 1000, "output": "elsewhere"}),
+)
+"""By node, parameters of which the second is invalid."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,152 +82,380 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     require_ros()
-    if not 0.0 < options.minutes <= 7 * 24 * 60:
-        raise CommandFailed(f"--minutes {options.minutes:g}: allowed: above 0, up to a week", exit_code=2)
-    values = trial_parameters(chosen_parameters(options))
-    with output(options) as folder, progress() as advance:
-        soak = run_soak(values, folder, 60.0 * options.minutes, options.seed, advance, options.composed)
-        figures = soak.to_display()
+    check_range("--minutes", options.minutes, 0.0, 7 * 24 * 60.0)
+    values, rng, begin = trial_parameters(chosen_parameters(options)), random.Random(options.seed), time.monotonic()
+    stage, priority = node_parameters("feedforward", values).stage, values["driver"].get("realtime.priority", 0)
+    with output(options) as folder:
+        # A copy of the map: a different one might lead the platform out of its travel.
+        copy = shutil.copyfile(find_survey(stage.guide.file), folder / "another_map.csv")
+        with Stand(folder, values, options.composed) as stand, stalls.watched(folder / "stalls.txt", priority):
+            stalled = partial(stalls.total_ms, folder / "stalls.txt")
+            soak = Soak(stand, rng, stage.rate, stalled, (stage.guide.file, str(copy)))
+            soak.run(60.0 * options.minutes)
+        bags, missing = missing_in_bags(folder, soak.recorded)
+    figures = {"seed": options.seed, "seconds": time.monotonic() - begin, "bags": bags, **soak.figures(missing)}
     print_json(figures)
     return int(not figures["passed"])
 
 
-def run_soak(
-    values: Mapping[str, Mapping[str, Any]],
-    folder: Path,
-    seconds: float,
-    seed: int,
-    advance: Progress = lambda kind, fraction: None,
-    composed: bool = False,
-) -> Soak:
-    """Run the graph with actions for ``seconds``, then check what it left.
-
-    Half of the processes are killed in the first half, and only the others in the second, so that each node has a
-    process that lives for half of the time. All kinds of action are done equally often, in random order.
+class Soak:
+    """The stand in a soak run: it observes the logger's work, checks what must follow an action, restores normal
+    operation, and counts.
 
     Args:
-        values: from :func:`trials.faults.trial_parameters`.
-        folder: for bags and logs.
-        seconds: duration of the actions; start, end and reading of the bags take extra time.
-        seed: of the random choices. Their effects differ from run to run.
-        advance: called before each action with its kind and the elapsed fraction of the time.
-        composed: driver, feedforward and controller run in one process.
+        stand: with the graph started.
+        rng: makes the random choices. Their effects differ from run to run.
+        rate: samples per second.
+        stalled: says for how many ms this computer stalled from a time to another, ns since the epoch.
+        maps: map files between which the feedforward may change.
 
-    Raises:
-        LaunchError: the graph does not start.
+    Attributes:
+        killable: processes that may be killed now.
+        recorded: times (begin, end) during which the recording was known to be complete, ns since the epoch: the
+            driver was active, the logger's reports said that it recorded, and neither was stopped, paused, killed,
+            deactivated or restarted.
+        counts: how often each kind of action was done; faults latched as required or permitted, and those that the
+            graph latched by itself while this computer stalled (without a stall they are failures), by name.
+        enable_s, back_s: times from a request for the amplifier to 'on', and from an action to normal operation.
+        looks: at each process from the end of its warm-up on, by its name and id, while the whole graph works.
     """
-    rng = random.Random(seed)
-    result, lives = Soak(seed), dict[int, Life]()
-    begin = time.monotonic()
-    priority = values["driver"].get("realtime.priority", 0)
-    with Stand(folder, values, composed) as stand, Stalls(folder, priority) as stalls:
-        stage = node_parameters("feedforward", values).stage
-        # A copy of the map: a different one might lead the platform out of its travel.
-        copy = shutil.copyfile(find_survey(stage.guide.file), folder.absolute() / "another_map.csv")
-        maps = (stage.guide.file, str(copy))
-        scene = Scene(stand, rng, stage.rate, result, stalls, folder / "actions.log", maps)
-        scene.back_to_work()
+
+    def __init__(
+        self,
+        stand: Stand,
+        rng: random.Random,
+        rate: int,
+        stalled: Callable[[int, int], float],
+        maps: tuple[str, ...],
+    ) -> None:
+        self.stand, self.rng, self.maps = stand, rng, maps
+        self._rate, self._stalled = rate, stalled
+        self.killable: Sequence[str] = ()
+        self.recorded: list[tuple[int, int]] = []
+        self.counts = {name: Counter[str]() for name in ("actions", "faults", "faults_in_stalls")}
+        self.enable_s, self.back_s = list[float](), list[float]()
+        self.looks: dict[tuple[str, int], list[Look]] = {}
+        self._interrupted_ns = self._recording_ns = 0
+        self._report: tuple[int, int, int] | None = None
+        stand.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
+
+    def run(self, seconds: float) -> None:
+        """Act for so long: all kinds equally often, in random order. Then stop the nodes like an operator."""
+        stand, rng = self.stand, self.rng
+        self.back_to_work()
         killed = rng.sample(stand.names, len(stand.names))
-        half = len(killed) // 2
+        half, started = len(killed) // 2, time.monotonic()
         # Every kind once, in random order, again and again.
-        kinds = (kind for _ in itertools.count() for kind in rng.sample(list(ACTIONS), len(ACTIONS)))
-        started, recovered = time.monotonic(), True
-        while (fraction := (time.monotonic() - started) / seconds) < 1.0 and recovered:
-            scene.killable = tuple(killed[:half] if fraction < 0.5 else killed[half:])
-            kind = next(kinds)
-            advance(kind, fraction)
-            recovered = _done(scene, kind)
-            _look(scene, lives)
-            stand.spin(rng.uniform(*_PAUSE_S))
-            _nothing_by_itself(scene, kind)
-        advance("stopping", 1.0)
-        _end(scene, lives)
-    _judge_bags(folder, scene.recorded, result)
-    result.seconds = time.monotonic() - begin
-    return result
+        for kind in (kind for _ in itertools.count() for kind in rng.sample(list(ACTIONS), len(ACTIONS))):
+            passed = time.monotonic() - started
+            self.killable = killed[:half] if passed < 0.5 * seconds else killed[half:]
+            if passed >= seconds or not self._done(kind):
+                break
+        stand.about = ""
+        self._look()
+        self.interrupt()
+        for name, code in stand.stop().items():
+            if code != 0:
+                stand.fail(f"{name} stopped with exit code {code}")  # None: it did not stop
 
-
-def _done(scene: Scene, kind: str) -> bool:
-    """Do one action and restore normal operation; returns whether that was possible."""
-    scene.note(kind)
-    back, scene.about = True, ""
-    try:
-        ACTIONS[kind](scene)
-        scene.back_to_work()
-    except (LaunchError, ProcessLookupError) as error:
-        scene.fail(f"not back to work: {error}")
-        back = False
-    scene.result.actions[kind] += 1
-    _take_failures(scene, kind)
-    return back
-
-
-def _take_failures(scene: Scene, kind: str) -> None:
-    for words in scene.stand.failures:
-        scene.note(f"FAILED: {words}")
-        scene.result.failures.append(f"{kind}: {words}")
-    scene.stand.failures.clear()
-
-
-def _look(scene: Scene, lives: dict[int, Life]) -> None:
-    now, stand = time.monotonic(), scene.stand
-    warm = {name: pid for name, pid in stand.processes.items() if now - stand.started[name] >= WARM_UP_S}
-    # A node that has ended by itself, or does not answer, is found by the next action.
-    with suppress(OSError):
-        for name, pid in warm.items():
-            lives.setdefault(pid, Life(name, pid)).looks.append(look(pid))
-
-
-def _nothing_by_itself(scene: Scene, kind: str) -> None:
-    """Check that the amplifier stays on between two actions."""
-    scene.may_latch()
-    _take_failures(scene, f"{kind}: later, with nothing done")
-    if scene.stand.condition != "on":
-        # Restore also after a permitted fault: the next action must not find it.
-        with suppress(LaunchError):
-            scene.back_to_work()
-
-
-def _end(scene: Scene, lives: dict[int, Life]) -> None:
-    """Stop the nodes like an operator."""
-    _look(scene, lives)
-    for pid in scene.stand.processes.values():
-        if pid in lives:
-            lives[pid].survived = True
-    scene.result.lives = [life for life in lives.values() if len(life.looks) > 1]
-    scene.interrupt()
-    codes = scene.stand.stop()  # None: the node did not stop
-    scene.result.failures += [f"{name} stopped with exit code {code}" for name, code in codes.items() if code != 0]
-
-
-def _judge_bags(folder: Path, recorded: Sequence[tuple[int, int]], result: Soak) -> None:
-    stamps = [np.empty(0, np.int64)]
-    for bag in sorted(path for path in folder.glob("bag_*") if path.is_dir()):
+    def _done(self, kind: str) -> bool:
+        """Do one action and restore normal operation; returns whether that was possible."""
+        stand = self.stand
+        stand.about = f"{kind}: "
+        self.note(kind)
+        self.counts["actions"][kind] += 1
         try:
-            whole = readable(bag)
-            result.bags["finished" if whole == bag else "recovered"] += 1
-            streams = read_streams(whole, {ENCODER.topic: ENCODER.layout})
-            stamps += [stream.stamp for stream in streams.values()]
-        except BagError as error:
-            result.failures.append(str(error))
-    result.recorded_s = sum(end - begin for begin, end in recorded) * 1e-9
-    if not recorded:
-        result.failures.append("the recording was never known to be whole")
-    result.failures += [
-        f"no bag has the {length_s:.1f} s from {begin_ns * 1e-9:.3f} s since the epoch on"
-        for begin_ns, length_s in gaps(np.concatenate(stamps), recorded)
-    ]
+            ACTIONS[kind](self)
+            self.back_to_work()
+        except (LaunchError, ProcessLookupError) as error:
+            stand.fail(f"not back to work: {error}")
+            return False
+        self._look()
+        stand.spin(self.rng.uniform(*_PAUSE_S))
+        stand.about = f"{kind}: later, with nothing done: "
+        self.may_latch()
+        if stand.condition != "on":
+            # Restore also after a permitted fault: the next action must not find it.
+            with suppress(LaunchError):
+                self.back_to_work()
+        return True
+
+    def _look(self) -> None:
+        # A node that has ended by itself, or does not answer, is found by the next action.
+        with suppress(OSError):
+            for name, pid in self.stand.processes.items():
+                if time.monotonic() - self.stand.started[name] >= WARM_UP_S:
+                    self.looks.setdefault((name, pid), []).append(look(pid))
+
+    def figures(self, failures: Sequence[str]) -> dict[str, Any]:
+        """Values by name; with further ``failures``. A run has passed if at least one action was done and nothing
+        failed."""
+        processes = [grown(*who, looks) for who, looks in self.looks.items() if len(looks) > 1]
+        failed = [*self.stand.failures, *failures, *(words for _, found in processes for words in found)]
+        return {
+            **self.counts,
+            "answers_lost": self.stand.answers_lost,
+            "longest_enable_s": max(self.enable_s, default=None),
+            "longest_back_to_work_s": max(self.back_s, default=None),
+            "recorded_s": sum(end - begin for begin, end in self.recorded) * 1e-9,
+            "processes": [shown for shown, _ in processes],
+            "failures": failed,
+            "passed": bool(self.counts["actions"]) and not failed,
+        }
+
+    def note(self, words: str) -> None:
+        """Say what is done, and when, on standard error."""
+        notes.print(f"{time.time():.3f} {words}")
+
+    def interrupt(self, before_s: float = 0.0) -> None:
+        """Note that from now on, or since a little before, the recording is not known to be complete."""
+        self._interrupted_ns, self._report = time.time_ns(), None
+        end_ns = self._interrupted_ns - round(before_s * 1e9)
+        if 0 < self._recording_ns < end_ns:
+            self.recorded.append((self._recording_ns, end_ns))
+        self._recording_ns = 0
+
+    def ask(self, kind: Any, service: str, **request: Any) -> Any:
+        """Call a service; its answer. LaunchError without one."""
+        return _answered(self.stand.call(kind, service, kind.Request(**request)), service)
+
+    def set(self, node: str, values: Mapping[str, Any]) -> Any:
+        """Set parameters of a node; its result. LaunchError without an answer."""
+        self.note(f"  {node}: {values}")
+        return _answered(self.stand.set(node, values), node)
+
+    def values(self, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
+        """The parameters of these names that a node has."""
+        answer = self.ask(GetParameters, f"{node}/get_parameters", names=list(names))
+        return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
+
+    def change(self, node: str, values: Mapping[str, Any]) -> None:
+        """Change parameters of a node; the amplifier must stay on."""
+        result = self.set(node, values)
+        if not result.successful:
+            self.stand.fail(f"{node} refused {values}: {result.reason}")
+        elif (now := self.values(node, values)) != values:
+            self.stand.fail(f"{node} took {values}, and has {now}")
+        self.stand.spin(_FADE_S)
+        self.may_latch()
+
+    def chosen(self, names: Sequence[str], lost_s: float = 0.0) -> str:
+        """One of the processes, to be stopped or killed now, of whose recording the last ``lost_s`` may be lost."""
+        name = self.rng.choice(names)
+        self.stand.about += f"{name}: "
+        self.note(f"  {name}")
+        if name in ("driver", COMPOSED, "logger"):
+            self.interrupt(lost_s)
+        return name
+
+    def may_latch(self, *allowed: Fault) -> None:
+        """Check that the amplifier is on, or off with one of these faults."""
+        if self.stand.condition == "fault" and self.stand.fault is not None:
+            self._count(allowed)
+        elif self.stand.condition != "on":
+            self.stand.fail(f"the amplifier is '{self.stand.condition}' and no fault is latched")
+
+    def back_to_work(self) -> None:
+        """Restore normal operation after any action: amplifier on, stage moving, everything recorded.
+
+        Raises:
+            LaunchError: the graph does not reach that state; the message says what is missing.
+        """
+        begin, stand = time.monotonic(), self.stand
+        stand.switch_on()
+        x = stand.x
+        # The trajectory may have been published before the driver was connected.
+        self._until(lambda: abs(stand.x - x) > _MOVED, "the stage does not move", then=stand.move)
+        self._until(lambda: self._recording_ns > 0, "the logger does not record every stream")
+        self.back_s.append(time.monotonic() - begin)
+
+    def _until(self, condition: Callable[[], bool], refusal: str, then: Callable[[], None] = lambda: None) -> None:
+        deadline = time.monotonic() + _BACK_S
+        while not self.stand.until(condition, 1.5):
+            if time.monotonic() > deadline:
+                raise LaunchError(f"{refusal} {_BACK_S:g} s after the amplifier was switched on")
+            then()
+
+    def _count(self, allowed: Sequence[Fault]) -> None:
+        assert self.stand.fault is not None
+        fault, at_ns = self.stand.fault
+        stall_ms = self._stalled(at_ns - round(_STALL_S * 1e9), at_ns)
+        if fault in allowed:
+            self.counts["faults"][fault.label] += 1
+        elif fault in HELD_UP and stall_ms >= _STALL_MS:
+            self.counts["faults_in_stalls"][fault.label] += 1
+        else:
+            others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
+            words = f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)"
+            self.stand.fail(words)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {value.key: value.value for value in status.values}
+            time_ns = Time.from_msg(message.header.stamp).nanoseconds
+            if status.name != "logger" or time_ns <= self._interrupted_ns or values["recording"] != "True":
+                continue
+            report = time_ns, int(values[SAMPLES]), int(values["written"])
+            before, self._report = self._report, report
+            if before is not None and not self._recording_ns:
+                passed_ns, samples, written = (new - old for new, old in zip(report, before, strict=True))
+                if samples >= _WHOLE * self._rate * passed_ns * 1e-9 and written >= samples:
+                    self._recording_ns = before[0]
 
 
-def readable(bag: Path) -> Path:
-    """The bag itself if it was finished, otherwise what `recover` makes of it.
+def _answered(answer: Any, who: str) -> Any:
+    if answer is None:
+        raise LaunchError(f"'{who}' does not answer")
+    return answer
 
-    Raises:
-        BagError: nothing in it can be recovered.
-    """
-    if (bag / "metadata.yaml").exists():
-        return bag
-    output = default_output(bag)
-    if not recover(bag, output).saved:
-        raise BagError(f"bag {bag}: no message could be saved")
-    return output
+
+def amplifier_off_and_on(soak: Soak) -> None:
+    """Amplifier off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
+    stand = soak.stand
+    soak.ask(SetBool, "driver/enable", data=False)
+    if not stand.until(lambda: stand.condition == "off", 1.0):
+        if stand.condition == "fault":
+            # A fault was latched before the request arrived; no action caused it.
+            soak.may_latch()
+            return
+        stand.fail(f"the amplifier is '{stand.condition}' after it was switched off")
+    stand.spin(soak.rng.uniform(0.0, 0.5))
+    begin = time.monotonic()
+    answer = soak.ask(SetBool, "driver/enable", data=True)
+    on = stand.until(lambda: stand.condition == "on", ENABLE_LIMIT_S)
+    seconds = time.monotonic() - begin
+    if on and seconds <= ENABLE_LIMIT_S:
+        soak.enable_s.append(seconds)
+    else:
+        words = answer.message or f"fault {stand.fault}"
+        stand.fail(f"'{stand.condition}' {seconds:.2f} s after enable; allowed: on within 2 s ({words})")
+
+
+def reload_map(soak: Soak) -> None:
+    """Read the map's file again; the amplifier must stay on."""
+    soak.stand.spin(_FADE_S)
+    ask_trigger(("feedforward/reload_map",), soak)
+    soak.stand.spin(_FADE_S)
+    soak.may_latch()
+
+
+def another_map(soak: Soak) -> None:
+    """Change the feedforward to another map file."""
+    soak.stand.spin(_FADE_S)
+    soak.change("feedforward", {"stage.guide.file": soak.rng.choice(soak.maps)})
+
+
+def another_law(soak: Soak) -> None:
+    """Change the controller to another law and gains, all of which hold the platform."""
+    between = soak.rng.uniform
+    gains = {
+        "control.smc_observer.surface": between(450.0, 600.0),
+        "control.smc_observer.bandwidth": between(380.0, 460.0),
+        "control.smc.natural_frequency": between(32.0, 38.0),
+    }
+    soak.change("controller", {"control.law": soak.rng.choice(LAWS), **gains})
+
+
+def refused_parameters(soak: Soak) -> None:
+    """Set parameters with one wrong value: the request must be refused as a whole, with all values unchanged."""
+    node, values = soak.rng.choice(_REFUSED)
+    before = soak.values(node, values)
+    result = soak.set(node, values)
+    if result.successful:
+        soak.stand.fail(f"{node} took {values}")
+    elif not result.reason:
+        soak.stand.fail(f"{node} refused {values} without a reason")
+    after = soak.values(node, values)
+    if after != before:
+        soak.stand.fail(f"{node} refused {values}, and has {after} in place of {before}")
+    soak.may_latch()
+
+
+def ask_trigger(services: Sequence[str], soak: Soak, between_s: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Call services one after the other, none of which may refuse; two of the recorder end a recording and begin it
+    again. A split of the bag alone loses nothing, so the recording does not count as interrupted."""
+    if len(services) > 1:
+        soak.interrupt()
+    for place, service in enumerate(services):
+        if place:
+            soak.stand.spin(soak.rng.uniform(*between_s))
+        lost = soak.stand.answers_lost
+        answer = soak.ask(Trigger, service)
+        # A request whose answer was lost was executed all the same; the repeated request is then refused.
+        if not answer.success and soak.stand.answers_lost == lost:
+            soak.stand.fail(f"{service} was refused: {answer.message}")
+    soak.may_latch()
+
+
+def kill(soak: Soak) -> None:
+    """Kill a process with SIGKILL, and start it again."""
+    _as_in_trials(soak, f"{soak.chosen(soak.killable, _TAKEN_BY_A_KILL_S)} SIGKILL")
+
+
+def stop_for_long(soak: Soak) -> None:
+    """SIGSTOP for longer than the timeouts."""
+    _as_in_trials(soak, f"{soak.chosen(soak.stand.names)} SIGSTOP")
+
+
+def _as_in_trials(soak: Soak, name: str) -> None:
+    """What the trials of faults ask for, or another fault that comes of it: the platform may be at its stop before.
+    Without the logger the loop must keep running."""
+    stand = soak.stand
+    (trial,) = (one for one in trials_of_processes(COMPOSED in stand.names) if one.name == name)
+    trial.make(stand)
+    if name.startswith("logger"):
+        stand.spin(1.0)
+        soak.may_latch()
+    elif trial.judge(stand, [trial.fault, *HELD_UP]) is None:
+        stand.fail(f"{trial.fault.label} was not found; '{stand.condition}', {stand.fault}, {stand.tripped}")
+    elif stand.fault is not None:
+        soak.counts["faults"][stand.fault.fault.label] += 1
+    trial.restore(stand)
+
+
+def stop_for_short(soak: Soak) -> None:
+    """SIGSTOP for less than the timeouts: on a busy computer a fault may be latched all the same."""
+    name = soak.chosen(soak.stand.names)
+    soak.stand.signal(name, signal.SIGSTOP)
+    soak.stand.spin(soak.rng.uniform(0.01, 0.1))
+    soak.stand.signal(name, signal.SIGCONT)
+    soak.stand.spin(0.3)
+    soak.may_latch(*(() if name == "logger" else HELD_UP))
+
+
+def down_and_up(soak: Soak) -> None:
+    """Amplifier off, all nodes inactive in the order of the signals, and back: no fault, all active again."""
+    stand, order = soak.stand, tuple(soak.stand.heartbeats.states)
+    soak.interrupt()
+    soak.ask(SetBool, "driver/enable", data=False)
+    for transition, state, names in (
+        (Transition.TRANSITION_DEACTIVATE, "inactive", order[::-1]),
+        (Transition.TRANSITION_ACTIVATE, "active", order),
+    ):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        for name in names:
+            # Check the node's reported state: the answer may be lost, and a repeated request is then refused.
+            stand.call(ChangeState, f"{name}/change_state", request, repeated=False)
+            if not stand.until(lambda: stand.heartbeats.states[name] == state, _PATIENCE_S):  # noqa: B023
+                stand.fail(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")
+        stand.spin(soak.rng.uniform(0.0, 0.3))
+    if stand.condition == "fault":
+        # With the amplifier off nothing can cause a fault, and before that only a stall of the whole computer.
+        soak.may_latch()
+
+
+ACTIONS: Mapping[str, Callable[[Soak], None]] = {
+    "amplifier off and on": amplifier_off_and_on,
+    "map reloaded": reload_map,
+    "another map": another_map,
+    "another law": another_law,
+    "refused parameters": refused_parameters,
+    "pause and resume": partial(ask_trigger, ("logger/pause", "logger/resume"), between_s=(0.1, 0.5)),
+    "split": partial(ask_trigger, ("logger/split",)),
+    "another bag": partial(ask_trigger, ("logger/stop", "logger/start"), between_s=(0.0, 0.3)),
+    "SIGKILL": kill,
+    "SIGSTOP, long": stop_for_long,
+    "SIGSTOP, short": stop_for_short,
+    "deactivate, activate": down_and_up,
+}
+"""All kinds of action, by name. Each finds the graph at work."""

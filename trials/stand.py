@@ -23,14 +23,14 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
-from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.contract import POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
 from straightcomp_ros.model.motion import Waypoint, trapezoid
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import Heartbeats, ServiceClient, message_from_waypoints
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.streams import StreamPublisher, Streams, SubscriptionQueue, subscribe
+from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -45,7 +45,7 @@ _ANSWER_S = 3.0
 _REPLY_S = 1.0
 """Time limit of one request: it is lost if it goes to a killed node that is still known."""
 _SETTLE_S = 0.1
-_REFUSALS = 2
+_REQUESTS, _REFUSALS = 3, 2
 _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 _STROKES, _STROKE, _SPEED, _ACCELERATION = 600, 0.1, 0.1, 0.4
@@ -69,10 +69,11 @@ class Stand:
         composed: driver, feedforward and controller run in one process.
 
     Attributes:
-        failures: what was not as it must be, in words.
+        failures: what was not as it must be, in words; ``about`` begins those that follow.
         condition, fault: of the driver's safety state; ``tripped``: the fault for which the controller asked to switch
             off; ``injected_ns``: when the driver began an injected fault.
-        farthest, hard_stop: largest |y| in m since foreign commands began, and |y| at the mechanical stop.
+        x, farthest, hard_stop: x in m, largest |y| in m since foreign commands began, and |y| at the mechanical stop.
+        answers_lost: service requests that were not answered in time.
 
     Raises:
         LaunchError: the graph does not start.
@@ -86,15 +87,15 @@ class Stand:
         os.environ.update(isolated_environment())
         self._graph = Graph(folder)
         self.failures: list[str] = []
+        self.about = ""
         self.process_of = {name: COMPOSED if composed and name in IN_THE_LOOP else name for name in RECORDED}
         self.names = tuple(dict.fromkeys(self.process_of.values()))
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
         self.condition, self.fault, self.tripped = "", None, None
-        self.injected_ns = self._bags = self._sends = 0
-        self._echoed: SubscriptionQueue | None = None
+        self.injected_ns = self.answers_lost = self._bags = self._sends = 0
         self._foreign: subprocess.Popen[str] | None = None
-        self.farthest, self.hard_stop = 0.0, node_parameters("driver", values).stage.platform.stop
+        self.x, self.farthest, self.hard_stop = 0.0, 0.0, node_parameters("driver", values).stage.platform.stop
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             self.node = Node("fault_stand")
@@ -106,10 +107,8 @@ class Stand:
         self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
         self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self._command: StreamPublisher | None = None
         subscribe(self.node, POSITION, self._on_position)
         self._clients: dict[str, ServiceClient] = {}
-        self._streams = Streams(self.node)
 
     def __enter__(self) -> Stand:
         for name in self.names:
@@ -157,14 +156,14 @@ class Stand:
     def restart(self, name: str) -> None:
         """Start a killed node again once its process has ended; a new driver's amplifier must be off."""
         if any(self.exit_code(other) is not None for other in self.names if other != name):
-            self.failures.append("another node has ended too")
+            self.fail("another node has ended too")
         self.until(lambda: self.exit_code(name) is not None, STOP_S)
         drives = name == self.process_of["driver"]
         if drives:
             self.condition = ""
         self.start(name)
         if drives and (not self.until(lambda: self.condition != "", _NEW_DRIVER_S) or self.condition == "on"):
-            self.failures.append(f"the new driver's amplifier is '{self.condition}'")
+            self.fail(f"the new driver's amplifier is '{self.condition}'")
 
     def stop(self) -> dict[str, int | None]:
         """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
@@ -200,24 +199,7 @@ class Stand:
             if time.monotonic() > deadline:
                 return False
             self._executor.spin_once(timeout_sec=0.01)
-            if self._echoed is not None:
-                for stamp_ns, numbers, _ in self._echoed.fetch():
-                    self.injected_ns = self.injected_ns or time.time_ns()
-                    if self._command is not None:
-                        self._command(stamp_ns, numbers[0])
         return True
-
-    def echo(self, on: bool) -> None:
-        """Start or stop acting as a second controller that repeats each command."""
-        if on:
-            self._echoed = self._streams.queue(COMMAND)
-            self._command = StreamPublisher(self.node, COMMAND, at_once=True)
-        elif self._echoed is not None:
-            self._echoed = self._command = None
-            self._streams.close()
-            topic = self.node.resolve_topic_name(COMMAND.topic)
-            for publisher in [one for one in self.node.publishers if one.topic_name == topic]:
-                self.node.destroy_publisher(publisher)
 
     def foreign(self, words: str = "") -> int:
         """Let a process of its own publish commands as ``words`` say, see :mod:`trials.foreign_publisher`; returns when
@@ -226,9 +208,9 @@ class Stand:
             command, pipe = [sys.executable, "-m", "trials.foreign_publisher", *words.split()], subprocess.PIPE
             self._foreign = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
             self.farthest = 0.0
-            assert self._foreign.stdout is not None
+        assert self._foreign is not None and self._foreign.stdout is not None
+        if words:
             return int(self._foreign.stdout.readline())
-        assert self._foreign is not None
         answer, _ = self._foreign.communicate()
         self._foreign = None
         return int(answer)
@@ -239,13 +221,17 @@ class Stand:
 
     def enable(self) -> bool:
         """Request the amplifier; returns whether it was switched on."""
-        answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True))
+        answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True), repeated=False)
         return answer is not None and answer.success
+
+    def fail(self, words: str) -> None:
+        """Note what is not as it must be."""
+        self.failures.append(self.about + words)
 
     def must_not_switch_on(self) -> None:
         """Check that a fault is latched."""
         if self.enable():
-            self.failures.append("the fault was not latched: the amplifier could be switched on")
+            self.fail("the fault was not latched: the amplifier could be switched on")
 
     def move(self, motion: JointTrajectory | None = None) -> None:
         """Start a motion, by default the forth and back. The driver refuses one that begins where the stage is not."""
@@ -265,7 +251,7 @@ class Stand:
                 self._graph.check(self.names)
                 continue
             self.spin(0.03)
-            self.call(Trigger, "driver/reset_fault", Trigger.Request())
+            self.call(Trigger, "driver/reset_fault", Trigger.Request(), repeated=False)
             if self._sends:
                 self._sends -= 1
                 self.move()
@@ -289,15 +275,29 @@ class Stand:
     def _all_active(self) -> bool:
         return not self.heartbeats.silent() and set(self.heartbeats.states.values()) == {"active"}
 
-    def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Call a service of a node; returns its answer, or None without one, at once from a node that has ended."""
+    def call(self, kind: Any, service: str, request: Any, repeated: bool = True) -> Any:
+        """Call a service of a node, up to :data:`_REQUESTS` times: one that has just started may lose the request or
+        its answer. Returns that, or None without one, at once from a node that has ended."""
         if service not in self._clients:
             client = self._clients[service] = ServiceClient(self.node, kind, service)
             self.until(lambda: client.ready, _ANSWER_S)
-        future = self._clients[service].call(request)
         process = self.process_of[service.split("/")[0]]
-        self.until(lambda: future.done() or self.exit_code(process) is not None, _REPLY_S)
-        return future.result() if future.done() else None
+        for _ in range(_REQUESTS if repeated else 1):
+            future = self._clients[service].call(request)
+            self.until(lambda: future.done() or self.exit_code(process) is not None, _REPLY_S)  # noqa: B023
+            if future.done():
+                return future.result()
+            if self.exit_code(process) is not None:
+                break
+            self.answers_lost += 1
+        return None
+
+    def set(self, node: str, values: Mapping[str, Any]) -> Any:
+        """Set parameters of a node, all or none; returns the node's result, or None without an answer."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        answer = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
+        return answer and answer.result
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}
@@ -306,7 +306,7 @@ class Stand:
             self.fault = Seen(LABELLED[message.name], int(values["time_ns"]))
 
     def _on_position(self, _: int, numbers: Sequence[float]) -> None:
-        self.farthest = max(self.farthest, abs(numbers[1]))
+        self.x, self.farthest = numbers[0], max(self.farthest, abs(numbers[1]))
 
     def _on_trip(self, message: DiagnosticStatus) -> None:
         self.tripped = Seen(LABELLED[message.name], time.time_ns())
@@ -319,12 +319,6 @@ def _leave_real_time() -> None:
     """With real-time priority, the end of a child can starve another process that looks at it in /proc, for which the
     kernel waits: for ever, with all of normal priority on this CPU."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-def request_of(values: Mapping[str, Any]) -> SetParametersAtomically.Request:
-    """The request to set parameters of a node, all or none."""
-    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    return SetParametersAtomically.Request(parameters=parameters)
 
 
 _points = [Waypoint(0, 0.0, 0.0)]

@@ -14,10 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +29,7 @@ from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
+from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import read_stage_file
 from straightcomp_ros.stage.description import StageParameters
@@ -38,7 +37,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.tuning.design.gains import closed_form
 from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times
-from trials.rig import progress
+from trials.rig import tracked
 
 SUMMARY = "false alarms, missed faults and named causes of the verdict"
 WORSE, COUNTS = 4.0, 4.0
@@ -47,16 +46,34 @@ _ATTEMPTS = 6
 _IDENTIFIED = 0.25
 """Part of the described uncertainty in which a machine lies after its identification."""
 _TRUTH = "simulated.truth."
-Values = dict[str, dict[str, Any]]
+_LAW = "smc_observer"
 
 
 class Drawn(NamedTuple):
     """A run to simulate: parameters, the survey of its map with the noise in it, and what is random while it runs."""
 
-    values: Values
+    values: dict[str, dict[str, Any]]
     survey: Survey
     seed: int
     late: float  # share of the commands that are late
+
+    @property
+    def stage(self) -> StageParameters:
+        """As it is described."""
+        return make_scenario(self.values, [_LAW]).description
+
+    @property
+    def dry(self) -> float:
+        """Coulomb friction in N, or a hundredth of the mass without any: the measure of a force that matters."""
+        return max(self.stage.friction.coulomb, 1e-2 * self.stage.platform.mass)
+
+    def of(self, node: str, changes: Mapping[str, Any]) -> Drawn:
+        """The run with changes of parameters of a node."""
+        return self._replace(values=with_values(self.values, node, changes))
+
+    def true(self, prefix: str = "", **changes: Any) -> Drawn:
+        """The run with changes of the machine's truth, whose names begin with ``prefix``."""
+        return self.of("driver", {f"{_TRUTH}{prefix}{name}": value for name, value in changes.items()})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,38 +88,34 @@ def run(options: argparse.Namespace) -> None:
     check_range("--sound", options.sound, 0)
     check_range("--unsound", options.unsound, 0)
     accused, table, others = [], {}, []
-    with tempfile.TemporaryDirectory() as folder, progress() as report:
-        for number in range(options.sound):
-            drawn = sound(default_rng([options.seed, 0, number]))
-            verdict = judged(drawn, *simulated(drawn))
-            if not verdict.in_order:
-                accused.append({"run": number, "stage": drawn.values["stage"]["name"], **verdict._asdict()})
-            report("sound runs", (number + 1) / options.sound)
-        for place, (cause, spoil) in enumerate(CAUSES.items(), 1):
-            named: Counter[str] = Counter()
-            for number in range(options.unsound):
-                random = default_rng([options.seed, place, number])
-                found = unsound(random, spoil, Path(folder))
-                if found is not None:
-                    name = named_cause(found[1])
-                    named[name] += 1
-                    if name != EXPECTED.get(cause, cause):
-                        stage = found[0].values["stage"]["name"]
-                        others.append({"cause": cause, "run": number, "stage": stage, **found[1]._asdict()})
-            report(cause, place / len(CAUSES))
-            table[cause] = dict(named)
+    for number in tracked(range(options.sound), "sound runs"):
+        drawn = sound(default_rng([options.seed, 0, number]))
+        verdict = judged(drawn, *simulated(drawn))
+        if not verdict.in_order:
+            accused.append({"run": number, "stage": drawn.values["stage"]["name"], **verdict._asdict()})
+    for place, cause in enumerate(tracked(CAUSES, "unsound runs"), 1):
+        table[cause] = Counter[str]()
+        for number in range(options.unsound):
+            found = unsound(default_rng([options.seed, place, number]), CAUSES[cause])
+            if found is not None:
+                drawn, verdict = found
+                name = named_cause(verdict)
+                table[cause][name] += 1
+                if name != EXPECTED.get(cause, cause):
+                    where = {"cause": cause, "run": number, "stage": drawn.values["stage"]["name"]}
+                    others.append(where | verdict._asdict())
     print_json({"sound": options.sound, "accused": accused, "named_by_cause": table, "others": others})
 
 
 def sound(random: Generator) -> Drawn:
     """A run of a stage as identified."""
     name = str(random.choice([name for name in stage_names() if name != "infeasible"]))
-    values: Values = {node: {} for node in ("driver", "feedforward", "controller", "stage")}
+    values: dict[str, dict[str, Any]] = {node: {} for node in ("driver", "feedforward", "controller", "stage")}
     for node, section in read_stage_file(STAGES / f"{name}.yaml").items():
         values.setdefault(node, {}).update(section)
-    scenario = make_scenario(values, ["smc_observer"])
+    scenario = make_scenario(values, [_LAW])
     designed = json.loads((STAGES / "found_gains.json").read_text(encoding="utf-8")).get(name)
-    values["controller"] |= designed or closed_form(scenario, "smc_observer")
+    values["controller"] |= designed or closed_form(scenario, _LAW)
     stage = scenario.description
     length = stage.motion.stroke * float(random.uniform(0.15, 0.6))
     values["stage"] |= {
@@ -125,7 +138,7 @@ def sound(random: Generator) -> Drawn:
 
 def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
     """The run, and the map that it followed; ValueError if the platform is lost."""
-    scenario = make_scenario(drawn.values, ["smc_observer"])
+    scenario = make_scenario(drawn.values, [_LAW])
     random, stage, period = default_rng(drawn.seed), scenario.description, scenario.period_ns
     stamps = sample_times(stage.uncertainty.jitter * stage.period, period, scenario.samples, random)
     noise = stage.encoder.y_resolution * stage.uncertainty.sensor_noise * random.uniform()
@@ -138,22 +151,21 @@ def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
     if cycle.y.size < stamps.size:
         raise ValueError("the platform is lost")
     guide = scenario.driver.guide().deviations(stroke.true_x)
-    return stroke.record(stamps * 1e-9, cycle, guide, "smc_observer"), stroke.map
+    return stroke.record(stamps * 1e-9, cycle, guide, _LAW), stroke.map
 
 
 def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:
     return judged_run(record, straightness, by_node(drawn.values), straightness)
 
 
-Spoil = Callable[[Drawn, Generator, Path], Drawn]
+Spoil = Callable[[Drawn, Generator], Drawn]
 
 
-def unsound(random: Generator, spoil: Spoil, folder: Path) -> tuple[Drawn, Verdict] | None:
+def unsound(random: Generator, spoil: Spoil) -> tuple[Drawn, Verdict] | None:
     """A run with the cause, and the verdict on it; None if the cause did nothing on `_ATTEMPTS` runs."""
     for _ in range(_ATTEMPTS):
         drawn = sound(random)
-        count = make_scenario(drawn.values, ["smc_observer"]).description.encoder.y_resolution
-        spoilt = spoil(drawn, random, folder)
+        count, spoilt = drawn.stage.encoder.y_resolution, spoil(drawn, random)
         try:
             found = simulated(spoilt)
             before, after = evaluate(*simulated(drawn)), evaluate(*found)
@@ -167,33 +179,11 @@ def unsound(random: Generator, spoil: Spoil, folder: Path) -> tuple[Drawn, Verdi
     return None
 
 
-def changed(drawn: Drawn, node: str, **given: Any) -> Drawn:
-    """The run with parameters of a node, dots as double underscores."""
-    values = {name: dict(section) for name, section in drawn.values.items()}
-    values[node] |= {name.replace("__", "."): value for name, value in given.items()}
-    return drawn._replace(values=values)
+def _another_guide(change: Callable[[Any, Any, Generator], tuple[Any, Any]]) -> Spoil:
+    """The map is made from a survey that was ``change``\\ d: x and deviation of each run, in m, all alike."""
 
-
-def disturbed(drawn: Drawn, **given: Any) -> Drawn:
-    return changed(drawn, "driver", **{f"{_TRUTH}disturbances.{name}": value for name, value in given.items()})
-
-
-def described(drawn: Drawn) -> StageParameters:
-    return make_scenario(drawn.values, ["smc_observer"]).description
-
-
-def dry(drawn: Drawn) -> float:
-    """Coulomb friction in N, or a thousandth of the weight without any: the measure of a force that matters."""
-    stage = described(drawn)
-    return max(stage.friction.coulomb, 1e-2 * stage.platform.mass)
-
-
-def another_guide(change: Callable[[np.ndarray, np.ndarray, Generator], tuple[np.ndarray, np.ndarray]]) -> Spoil:
-    """The map is made from a survey that was ``change``\\ d: x and deviation of each run, in m."""
-
-    def spoil(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
-        state = random.bit_generator.state
-        runs = []
+    def spoil(drawn: Drawn, random: Generator) -> Drawn:
+        state, runs = random.bit_generator.state, []
         for one in drawn.survey.runs:
             random.bit_generator.state = state
             runs.append(Run(one.name, one.direction, *change(one.x, one.deviation, random)))
@@ -220,77 +210,82 @@ def _bowed(x: Any, deviation: Any, random: Generator) -> Any:
     return x, deviation + float(random.uniform(0.1, 0.5)) * np.ptp(deviation) * along**2
 
 
-def _noisy(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+def _noisy(drawn: Drawn, random: Generator) -> Drawn:
     (one, *_), step = drawn.survey.runs, float(random.choice([0.5e-3, 1e-3]))
     x = np.arange(one.x.min(), one.x.max(), step)
     noise = float(random.uniform(0.1e-6, 0.5e-6)) * random.standard_normal(x.size)
     survey = Survey((Run("1", "forward", x, np.interp(x, one.x, one.deviation) + noise),))
-    return changed(drawn._replace(survey=survey), "stage", guide__smooth="none")
+    return drawn._replace(survey=survey).of("stage", {"guide.smooth": "none"})
 
 
-def _sticky(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
-    stage = described(drawn)
-    coulomb = stage.friction.coulomb
-    truth = {
-        f"{_TRUTH}contact.model": "maxwell_slip",
-        f"{_TRUTH}contact.maxwell_slip.blocks": 1,
-        f"{_TRUTH}contact.maxwell_slip.attraction": 1e9,
-        "stage.friction.bristle_stiffness": float(10.0 ** random.uniform(7.5, 8.5)),
-        "stage.friction.static": coulomb * float(random.uniform(1.5, 2.0)),
-    }
-    return changed(drawn, "driver", **{name.replace(".", "__"): value for name, value in truth.items()})
+def _mains(drawn: Drawn, random: Generator) -> Drawn:
+    frequency = float(random.choice([50.0, 60.0]) + random.uniform(-0.1, 0.1))
+    force, second = (float(random.uniform(*ends)) * drawn.dry for ends in ((0.5, 3.0), (0.0, 0.2)))
+    return drawn.true("disturbances.mains.", frequency=frequency, force=force, second=second)
 
 
-def _of_loop(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
+def _cogging(drawn: Drawn, random: Generator) -> Drawn:
+    force, pitch = float(random.uniform(1.0, 5.0)) * drawn.dry, float(random.uniform(0.008, 0.032))
+    return drawn.true("disturbances.cogging.", force=force, pitch=pitch)
+
+
+def _drift(drawn: Drawn, random: Generator) -> Drawn:
+    current = float(random.uniform(1.0, 5.0)) * drawn.dry / drawn.stage.actuator.current_stiffness
+    drawn = drawn.true("disturbances.drift.", current=current, time=float(random.uniform(0.3, 2.0)))
+    return drawn.true("disturbances.", seed=int(random.integers(1000)))
+
+
+def _sticky(drawn: Drawn, random: Generator) -> Drawn:
+    drawn = drawn.true("contact.", model="maxwell_slip")
+    drawn = drawn.true("contact.maxwell_slip.", blocks=1, attraction=1e9)
+    stiffness = float(10.0 ** random.uniform(7.5, 8.5))
+    static = drawn.stage.friction.coulomb * float(random.uniform(1.5, 2.0))
+    return drawn.of("driver", {"stage.friction.bristle_stiffness": stiffness, "stage.friction.static": static})
+
+
+def _loose(drawn: Drawn, random: Generator) -> Drawn:
+    return drawn.true(friction=float(random.uniform(20.0, 60.0)))
+
+
+def _of_loop(drawn: Drawn, random: Generator) -> Drawn:
     if random.uniform() < 0.5:
-        return changed(drawn, "driver", **{_TRUTH + "mass": float(random.uniform(2.5, 5.0))})
-    return changed(drawn, "driver", stage__drive__delay=described(drawn).drive.delay + float(random.uniform(2.0, 5.0)))
+        return drawn.true(mass=float(random.uniform(2.5, 5.0)))
+    return drawn.of("driver", {"stage.drive.delay": drawn.stage.drive.delay + float(random.uniform(2.0, 5.0))})
 
 
-def _mode(drawn: Drawn, random: Generator, folder: Path) -> Drawn:
-    highest = 0.3 * described(drawn).rate
-    frequency = float(random.uniform(60.0, min(600.0, highest)))
+def _mode(drawn: Drawn, random: Generator) -> Drawn:
+    frequency = float(random.uniform(60.0, min(600.0, 0.3 * drawn.stage.rate)))
     mode = {"frequency": frequency, "damping": float(random.uniform(0.005, 0.03)), "coil": 1.0}
     mode["encoder"] = float(random.choice([-1.0, 1.0]))
-    true = {f"{_TRUTH}modes.first.{name}": value for name, value in mode.items()}
-    drawn = changed(drawn, "driver", **{name.replace(".", "__"): value for name, value in true.items()})
+    drawn = drawn.true("modes.first.", **mode)
     # Described, so that the verdict can know it; the gains are not designed for it.
-    return changed(drawn, "controller", **{f"stage__platform__modes__first__{k}": v for k, v in mode.items()})
+    return drawn.of("controller", {f"stage.platform.modes.first.{name}": value for name, value in mode.items()})
 
 
 CAUSES: Mapping[str, Spoil] = {
-    "shift": another_guide(_shifted),
-    "sign": another_guide(lambda x, deviation, random: (x, -deviation)),
-    "bow": another_guide(_bowed),
-    "points": another_guide(_sparse),
+    "shift": _another_guide(_shifted),
+    "sign": _another_guide(lambda x, deviation, random: (x, -deviation)),
+    "bow": _another_guide(_bowed),
+    "points": _another_guide(_sparse),
     "noise": _noisy,
-    "mains": lambda drawn, random, folder: disturbed(
-        drawn,
-        mains__frequency=float(random.choice([50.0, 60.0]) + random.uniform(-0.1, 0.1)),
-        mains__force=float(random.uniform(0.5, 3.0)) * dry(drawn),
-        mains__second=float(random.uniform(0.0, 0.2)) * dry(drawn),
-    ),
-    "cogging": lambda drawn, random, folder: disturbed(
-        drawn,
-        cogging__force=float(random.uniform(1.0, 5.0)) * dry(drawn),
-        cogging__pitch=float(random.uniform(0.008, 0.032)),
-    ),
-    "drift": lambda drawn, random, folder: disturbed(
-        drawn,
-        drift__current=float(random.uniform(1.0, 5.0)) * dry(drawn) / described(drawn).actuator.current_stiffness,
-        drift__time=float(random.uniform(0.3, 2.0)),
-        seed=int(random.integers(1000)),
-    ),
+    "mains": _mains,
+    "cogging": _cogging,
+    "drift": _drift,
     "stiction": _sticky,
-    "friction": lambda drawn, random, folder: changed(
-        drawn, "driver", **{_TRUTH + "friction": float(random.uniform(20.0, 60.0))}
-    ),
+    "friction": _loose,
     "loop": _of_loop,
     "mode": _mode,
 }
 """What spoils a run, by name."""
 EXPECTED = {"stiction": "friction"}
 """The name of a cause in a verdict, where it is another one."""
+_WORDS = {
+    "mains": "mains",
+    "locked_to_x": "cogging",
+    "stick_slip": "friction",
+    "resonance": "mode",
+    "oscillates": "loop",
+}
 _PHRASES = {
     "zero of x is off": "shift",
     "opposite sign": "sign",
@@ -301,13 +296,6 @@ _PHRASES = {
     "at rest: look": "drift",
     "friction is not as described": "friction",
     "learning.learn": "cogging",
-}
-_WORDS = {
-    "mains": "mains",
-    "locked_to_x": "cogging",
-    "stick_slip": "friction",
-    "resonance": "mode",
-    "oscillates": "loop",
 }
 
 

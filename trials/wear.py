@@ -1,57 +1,283 @@
 """Measure how soon known wear of a simulated stage is found with its cause, how often a sound stage is accused, and how
 good a map is that is proposed from strokes.
 
-Stage-years are drawn from simulated strokes; docs/evidence/history.md says how and what is assumed. An alarm is a cause
-that is due and was not the day before, the same one again whenever it had lapsed: a year is gone through day by day,
-with what was known on the day."""
+Strokes are simulated on a grid of machines: sound, with more and less friction, with a slower amplifier, with an
+encoder of y of another scale. Rows are made of them by the code of `straightcomp history add`, without the truth that
+only a simulation knows. A stage-year draws its strokes from these at random, and moves their figures by what the grid
+says of the day's machine. What a simulation does not have is assumed: :data:`CLIMATE`, the latency of a real graph, and
+a displacement sensor on the slider; docs/evidence/history.md says more.
+
+An alarm is a cause that is due and was not the day before, the same one again whenever it had lapsed: a year is gone
+through day by day, with what was known on the day."""
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
+from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import print_json
-from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, table_of
+from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, parquet, table_of
+from straightcomp_ros.fleet.history.store import STROKES
+from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.fleet.maintenance.advice import advice_of, changes_of
-from straightcomp_ros.fleet.maintenance.day_levels import DayLevels
+from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, levels_of
+from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
+from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import runs_of_starts, spread
+from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.tuning.sweep.trial import mismeasured
-from trials.rig import Progress, progress
-from trials.worn_stage import (
-    SOUND,
-    WEARS,
-    StrokePool,
-    Wear,
-    levels_of_months,
-    months,
-    settled,
-    simulated_rows,
-    stroke_pool,
-    write_store,
-)
+from trials.rig import tracked
 
 SUMMARY = "how soon wear is found, and by how many false alarms"
+Array = NDArray[np.float64]
+BAGS_A_DAY = 24
+START = datetime(2026, 1, 1, tzinfo=timezone.utc)
+_FIRST_DAY = int(START.timestamp()) // 86_400
 DAYS, BEGIN = 365, 120
 """Days of a stage-year, and the day on which wear begins."""
-CYCLES = 24
-"""From which a map is proposed, forward and backward: a day with a bag an hour."""
 _STARTS = 8
+_AXES = {
+    "friction": (0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8),
+    "amplifier": (1.0, 0.85, 0.7, 0.55, 0.4),
+    "scale": (1.0, 1.02, 1.04, 1.06),
+}
+"""Machines of the grid, relative to the description."""
+BASE = ("friction", 1.0)
+"""That of the grid which is as described."""
+_PITCH = 0.13e-6
+_ADC_STEP = 2.0 / 4096
+"""A; measured coil currents are rounded as by 12 bits for ± 1 A. The simulated ones have no other noise."""
+_LATENCY = {"latency_p50_us": (122.0, 10.0, 36.0), "latency_p99_us": (281.0, 24.0, 60.0)}
+"""Mean and standard deviation from run to run of a graph on two shared cores, measured in six runs; and what another
+transport of the messages added there, mean of three pairs of runs."""
+_READING_UM = 0.025
+"""Standard deviation of the mean of a bin by the displacement sensor, as of a point of the shipped survey."""
 _OF_THE_GUIDE = {"guide", "bolt"}
-"""Causes that only a displacement sensor shows."""
-_SURVEY_NOISE = 0.025e-6
-"""m; of a point of a survey, as of the shipped one."""
+"""Causes that only that sensor shows."""
 _READING_NOISE = 0.2e-6
 """m; of a single reading on a stroke: its bins of 10 mm, 66 samples at 0.3 m/s, are then as good as points."""
+
+CLIMATE = {
+    "friction": 0.02,
+    "amplifier": 0.003,
+    "scale": 0.003,
+    "bow_um": 0.02,
+    "latency_p50_us": 3.0,
+    "latency_p99_us": 10.0,
+}
+"""How a sound stage differs from day to day: assumed, not measured. First-order autoregressive, each day 0.8 of the day
+before; standard deviations, relative or in the unit named. There are no seasons."""
+
+
+class Machine(NamedTuple):
+    """A day's machine relative to the description: factors, µm at the middle of the guide's moved place, µs."""
+
+    friction: float = 1.0
+    amplifier: float = 1.0
+    scale: float = 1.0
+    settled_um: float = 0.0
+    kink_um: float = 0.0
+    slower: float = 0.0
+
+
+class Wear(NamedTuple):
+    """A known wear, the cause of advice that is right, and the machine so many days after it began."""
+
+    name: str
+    words: str
+    cause: str
+    machine: Callable[[float], Machine]
+
+
+SOUND = Wear("sound", "sound", "", lambda days: Machine())
+WEARS = (
+    Wear("friction", "friction +1 % a week", "friction_up", lambda days: Machine(friction=1.0 + 0.01 * days / WEEK)),
+    Wear("guide", "guide +0.05 µm a month", "guide", lambda days: Machine(settled_um=0.05 * days / MONTH)),
+    Wear("scale", "scale of y +0.5 % a month", "stiffness", lambda days: Machine(scale=1.0 + 0.005 * days / MONTH)),
+    Wear("amplifier", "amplifier -1 % a week", "amplifier", lambda days: Machine(amplifier=1.0 - 0.01 * days / WEEK)),
+    Wear("latency", "latency +36 µs by an update", "host", lambda days: Machine(slower=1.0)),
+    Wear("bolt", "loose bolt, 0.5 µm", "bolt", lambda days: Machine(kink_um=0.5)),
+)
+Pool = Mapping[tuple[str, float], list[StrokeRow]]
+"""Rows of simulated strokes: by axis of the grid and its value, forward and backward in turn."""
+
+
+def stroke_pool(starts: int) -> Pool:
+    """Simulate ``starts`` cycles of each machine of the grid, each from another place within a count of the encoder."""
+    rows = {}
+    for axis, value in tracked([(axis, value) for axis, values in _AXES.items() for value in values], "strokes"):
+        truth = {} if axis == "scale" else {f"simulated.truth.{axis}": value}
+        wiring = partial(_Scaled, value) if axis == "scale" else None
+        starts_at = [{"driver": {**truth, "simulated.initial_y": start * _PITCH}} for start in range(starts)]
+        rows[axis, value] = [row for values in starts_at for row in simulated_rows(values, wiring=wiring)]
+    return rows
+
+
+class _Scaled:
+    """Hardware whose encoder of y has another scale."""
+
+    def __init__(self, factor: float, hardware: Hardware) -> None:
+        self._factor, self._hardware = factor, hardware
+
+    def read(self, *arguments: Any) -> Any:
+        samples = self._hardware.read(*arguments)
+        return [(sample._replace(y=self._factor * sample.y), truth) for sample, truth in samples]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._hardware, name)
+
+
+def simulated_rows(
+    values: Values, checksum: str = "first", readings: Callable[[Array], Array] | None = None, wiring: Any = None
+) -> list[StrokeRow]:
+    """The rows of a simulated cycle, one forward and one backward, without the truth.
+
+    Args:
+        values: parameters by node and dotted name.
+        checksum: of the map.
+        readings: of a displacement sensor on the slider in m, at true x (n,) in m; None without one.
+        wiring: between machine and driver.
+    """
+    coils: list[float] = []
+    simulation = Simulation(values, wiring=wiring)
+    record = simulation.run(observe=lambda sample, *_: coils.append(sample.current))
+    assert record.true_x is not None
+    stamps = np.round(record.time * 1e9).astype(np.int64)
+    evaluation = BagEvaluation(
+        # A real machine does not publish the truth.
+        record=replace(record, true_x=None, true_y=None, guide=None),
+        lost_references=0,
+        lost_commands=0,
+        latency=np.empty(0),
+        lateness=np.empty(0),
+        stamps=stamps,
+        amplifier_on=np.ones(stamps.size, np.bool_),
+        parameters={},
+        map=simulation.map,
+        coil_current=np.round(np.array(coils) / _ADC_STEP) * _ADC_STEP,
+        guide=None if readings is None else readings(record.true_x),
+    )
+    return rows_of(evaluation, {"map_checksum": checksum})
+
+
+class Months(NamedTuple):
+    """Strokes in the order of time: day since 1970, direction, figures by name (N,), change of the guide (N, m) in µm
+    at x (m,) in m, software (N,), and the strokes of the pool that they are made from."""
+
+    day: NDArray[np.int64]
+    forward: NDArray[np.bool_]
+    figures: dict[str, Array]
+    guide: Array
+    x: Array
+    software: list[str]
+    made_from: list[StrokeRow]
+
+    def levels(self) -> DayLevels:
+        """Their levels from day to day."""
+        constant = ["first"] * self.day.size
+        profiles = {"guide_change_um": self.guide, "error_bins_um": np.broadcast_to(np.nan, self.guide.shape)}
+        settings = {"software": self.software, "map": constant, "parameters": constant}
+        return levels_of(self.day, self.forward, self.figures, self.x, profiles, settings)
+
+    def rows(self, stage: str) -> list[StrokeRow]:
+        """As rows of a store; a bag has a stroke forward and one backward."""
+        rows, apart = [], 86_400.0 / np.count_nonzero(self.day == self.day[0])
+        for k, day in enumerate(self.day.tolist()):
+            figures: dict[str, Any] = {name: float(values[k]) for name, values in self.figures.items()}
+            facts: dict[str, Any] = {
+                "lost_samples": round(figures["lost_samples"]),
+                "checksum": f"{k // 2:032x}",
+                "bag": f"{stage}_{k // 2:05d}",
+                "start": START + timedelta(days=day - _FIRST_DAY, seconds=k * apart % 86_400.0),
+                "guide_change_um": self.guide[k].tolist(),
+                "software_version": self.software[k],
+            }
+            rows.append(replace(self.made_from[k], **figures | facts))
+        return rows
+
+
+def months(
+    pool: Pool, wear: Wear, begin: int, days: int, seed: int, *, bags: int = BAGS_A_DAY, sensor: bool = True
+) -> Months:
+    """``days`` days of a stage that wears from day ``begin`` on; ``sensor``: with a displacement sensor."""
+    random, base = np.random.default_rng(seed), pool[BASE]
+    daily = {name: _daily(random, days, size) for name, size in CLIMATE.items()}
+    machines = [(wear if day >= begin else SOUND).machine(day - begin) for day in range(days)]
+    of_day = {name: np.array([getattr(one, name) for one in machines]) for name in Machine._fields}
+    day = np.repeat(np.arange(days), 2 * bags)
+    forward = np.tile([True, False], days * bags)
+    drawn = random.integers(len(base) // 2, size=day.size)
+    factors = {axis: (of_day[axis] * (1.0 + daily[axis]))[day] for axis in _AXES}
+    figures = {}
+    for name in FIGURES:
+        values = figures[name] = np.empty(day.size)
+        if name in _LATENCY:
+            mean, deviation, slower = _LATENCY[name]
+            values[:] = mean + deviation * random.standard_normal(day.size)
+            values += daily[name][day] + slower * of_day["slower"][day]
+            continue
+        for way in (True, False):
+            ours = forward == way
+            values[ours] = _figure(base, name, way)[drawn[ours]]
+            for axis, choices in _AXES.items():
+                grid = sorted(choices)
+                means = np.array([_figure(pool[axis, value], name, way).mean() for value in grid])
+                values[ours] += np.interp(factors[axis][ours], grid, means) - means[grid.index(1.0)]
+    x = (base[0].bins_from_mm + 10.0 * (np.arange(len(base[0].error_bins_um)) + 0.5)) * 1e-3
+    middle = (x - x.mean()) / np.ptp(x)
+    profile = np.outer(daily["bow_um"], 4.0 * middle**2) + np.outer(of_day["settled_um"], settled(x))
+    profile += np.outer(of_day["kink_um"], np.maximum(1.0 - np.abs(x - 0.9) / 0.06, 0.0))
+    guide = profile[day] + _READING_UM * random.standard_normal((day.size, x.size))
+    if not sensor:
+        guide[:] = np.nan
+    software = ["1.2" if one else "1.1" for one in (of_day["slower"] > 0.0)[day].tolist()]
+    made_from = [base[2 * number + k % 2] for k, number in enumerate(drawn.tolist())]
+    return Months(day + _FIRST_DAY, forward, figures, guide, x, software, made_from)
+
+
+def _figure(rows: list[StrokeRow], name: str, forward: bool) -> Array:
+    return np.array([getattr(row, name) for row in rows[0 if forward else 1 :: 2]], np.float64)
+
+
+def _daily(random: np.random.Generator, days: int, size: float, kept: float = 0.8) -> Array:
+    steps = random.standard_normal(days + 50) * np.sqrt(1.0 - kept**2)
+    return size * np.asarray(lfilter([1.0], [1.0, -kept], steps))[50:]
+
+
+def settled(x: Array) -> Array:
+    """A bump of height 1 from x = 300 to 420 mm; ``x`` in m."""
+    u = np.clip((x - 0.3) / 0.12, 0.0, 1.0)
+    return np.asarray(np.sin(np.pi * u) ** 2)
+
+
+def write_store(folder: Path, pool: Pool, *, days: int = DAYS, begin: int = BEGIN) -> None:
+    """Write ``days`` days of a stage of each wear, and of a sound one; a file for each month. OSError if that fails."""
+    for number, wear in enumerate(tracked((SOUND, *WEARS), "store")):
+        # Fewer bags than a machine makes: the store is for looking at.
+        rows = months(pool, wear, begin, days, 7 + number, bags=4).rows(wear.name)
+        for month, group in groupby(rows, key=lambda row: f"{row.start:%Y-%m}"):
+            place = folder / STROKES / f"stage={wear.name}" / f"month={month}"
+            place.mkdir(parents=True, exist_ok=True)
+            write_whole(place / f"simulated_{month}.parquet", parquet(StrokeRow, list(group)))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,49 +293,34 @@ def run(options: argparse.Namespace) -> None:
     check_range("--sound", options.sound, 1, 10_000)
     check_range("--moved", options.moved, 0.0, 50.0, "µm")
     store = output_folder("--store", options.store, empty=True) if options.store else None
-    with progress() as advance, tempfile.TemporaryDirectory(prefix="straightcomp_wear_") as folder:
-        pool = stroke_pool(_STARTS, lambda done: advance("strokes of the machines", done))
-        if store is not None:
-            write_store(store, pool, lambda done: advance("store", done))
-        figures = measured(pool, options.years, options.sound, advance)
-        figures["map"] = followed_map(Path(folder), options.moved, advance=advance)
+    pool = stroke_pool(_STARTS)
+    if store is not None:
+        write_store(store, pool)
+    figures = measured(pool, options.years, options.sound)
+    with tempfile.TemporaryDirectory(prefix="straightcomp_wear_") as folder:
+        figures["map"] = followed_map(Path(folder), options.moved)
     print_json(figures)
 
 
-class Alarm(NamedTuple):
-    """A cause that was not due the day before: its name, and place of the day."""
+def measured(pool: Pool, years: int, sound: int) -> dict[str, Any]:
+    """Figures of so many stage-years of each wear, and of ``sound`` ones without wear."""
 
-    cause: str
-    place: int
+    def year(wear: Wear, seed: int, sensor: bool = True) -> list[tuple[str, int]]:
+        return alarms_of(months(pool, wear, BEGIN, DAYS, seed, sensor=sensor).levels())
 
-
-class Found(NamedTuple):
-    """One stage-year: days from the wear's beginning to the alarm with the right cause (None without), and how many
-    alarms it raised with another cause, or before the wear began."""
-
-    after: int | None
-    others: int
-
-
-def measured(pool: StrokePool, seeds: int, sound: int, advance: Progress = lambda text, done: None) -> dict[str, Any]:
-    """Figures of ``seeds`` stage-years of each wear, and of ``sound`` of a stage without wear."""
-    false = []
-    for seed in range(sound):
-        advance("sound stage-years", seed / sound)
-        false.append(len(alarms_of(_levels(pool, SOUND, seed, True))))
+    false = [len(year(SOUND, seed)) for seed in tracked(range(sound), "sound stage-years")]
     wears = {}
-    for number, wear in enumerate(WEARS):
-        for sensor in (True, False) if _OF_THE_GUIDE & set(wear.causes) else (True,):
-            advance(wear.words, number / len(WEARS))
-            years = [found(pool, wear, 10_000 * (number + 1) + seed, sensor) for seed in range(seeds)]
-            after = [one.after for one in years if one.after is not None]
+    for number, wear in enumerate(tracked(WEARS, "wear"), 1):
+        for sensor in (True, False) if wear.cause in _OF_THE_GUIDE else (True,):
+            found = [judged(year(wear, 10_000 * number + seed, sensor), wear.cause) for seed in range(years)]
+            after = [days for days, _ in found if days is not None]
             wears[wear.words if sensor else f"{wear.words}, no sensor"] = {
                 "found": len(after),
-                "years": seeds,
+                "years": years,
                 "days_median": float(np.median(after)) if after else None,
                 "days_least": min(after, default=None),
                 "days_most": max(after, default=None),
-                "other_alarms": sum(one.others for one in years),
+                "other_alarms": sum(others for _, others in found),
             }
     return {
         "sound_years": sound,
@@ -121,8 +332,8 @@ def measured(pool: StrokePool, seeds: int, sound: int, advance: Progress = lambd
     }
 
 
-def alarms_of(levels: DayLevels) -> list[Alarm]:
-    """The alarms that these months raised, in the order of time."""
+def alarms_of(levels: DayLevels) -> list[tuple[str, int]]:
+    """Cause and place of the day of each alarm that these months raised, in the order of time."""
     changes = changes_of(levels)
     alarms, due = [], set[str]()
     # Which figure stands for the cause depends on how much each has changed so far: that may change on any day.
@@ -130,62 +341,45 @@ def alarms_of(levels: DayLevels) -> list[Alarm]:
         standing = any(change.found <= day and (change.ended is None or day < change.ended) for change in changes)
         before = due
         due = {one.cause for one in advice_of(levels.until(day + 1)) if one.due} if standing else set()
-        alarms += [Alarm(cause, day) for cause in sorted(due - before)]
+        alarms += [(cause, day) for cause in sorted(due - before)]
     return alarms
 
 
-def found(pool: StrokePool, wear: Wear, seed: int, sensor: bool) -> Found:
-    """One stage-year of a wear."""
-    alarms = alarms_of(_levels(pool, wear, seed, sensor))
-    right = [alarm.place for alarm in alarms if alarm.cause in wear.causes and alarm.place >= BEGIN]
-    return Found(min(right) - BEGIN if right else None, len(alarms) - len(right))
+def judged(alarms: list[tuple[str, int]], cause: str) -> tuple[int | None, int]:
+    """Days from the wear's beginning to the alarm with the right cause (None without), and how many alarms there were
+    with another cause, or before the wear began."""
+    right = [day - BEGIN for name, day in alarms if name == cause and day >= BEGIN]
+    return min(right, default=None), len(alarms) - len(right)
 
 
-def _levels(pool: StrokePool, wear: Wear, seed: int, sensor: bool) -> DayLevels:
-    return levels_of_months(months(pool, wear, BEGIN, DAYS, seed, sensor=sensor), pool.x)
-
-
-def followed_map(
-    folder: Path, moved_um: float, seed: int = 0, cycles: int = CYCLES, advance: Progress = lambda text, done: None
-) -> dict[str, Any]:
-    """Straightness of the simulated workpiece in µm, p-p, median of nine starts, on a guide that has moved.
-
-    With the old map, with one that is proposed from strokes, and with one of a fresh survey.
-
-    Args:
-        folder: for the surveys.
-        moved_um: height in µm of the bump that the guide has got from x = 300 to 420 mm.
-        seed: of the noise.
-        cycles: from which the map is proposed, each forward and backward.
-        advance: called with the fraction that is done.
-    """
-    random = np.random.default_rng(seed)
+def followed_map(folder: Path, moved_um: float, cycles: int = 24) -> dict[str, Any]:
+    """Straightness of the simulated workpiece in µm, p-p, median of nine starts, on a guide that has got a bump of
+    ``moved_um`` in height: with the old map, with one that is proposed from so many cycles, each forward and backward,
+    and with one of a fresh survey. ``folder`` gets the surveys."""
+    random = np.random.default_rng(0)
     old, guide = (find_survey(f"config/{name}_synthetic.csv") for name in ("survey", "guide"))
     ideal = read_survey(guide).runs[0]
     moved = replace(ideal, deviation=ideal.deviation + moved_um * 1e-6 * settled(ideal.x))
     true, fresh, proposed = (folder / f"{name}.csv" for name in ("moved_guide", "fresh_survey", "proposed_map"))
     write_survey(true, Survey((moved,), str(true)), ["the simulated guide, moved"])
     runs = [Run(str(n), way, moved.x, moved.deviation) for n in (1, 2, 3) for way in ("forward", "backward")]
-    write_survey(fresh, mismeasured(Survey(tuple(runs), str(fresh)), _SURVEY_NOISE, random), ["survey of that guide"])
+    survey = mismeasured(Survey(tuple(runs), str(fresh)), _READING_UM * 1e-6, random)
+    write_survey(fresh, survey, ["survey of that guide"])
     # Of the written file: the moved guide as the simulated machine has it.
-    truth = load_map(MapParameters(file=str(true)))
-    recorded = {"map_checksum": checksum_of([old.read_bytes()])}
+    truth, machine = load_map(MapParameters(file=str(true))), {"simulated.truth.guide": str(true)}
     rows: list[StrokeRow] = []
-    for cycle in range(cycles):
-        advance("strokes for the map", 0.5 * cycle / cycles)
-        driver = {"simulated.truth.guide": str(true), "simulated.initial_y": 0.13e-6 * cycle}
+    for cycle in tracked(range(cycles), "strokes for the map"):
         rows += simulated_rows(
-            {"driver": driver},
-            recorded,
+            {"driver": machine | {"simulated.initial_y": _PITCH * cycle}},
+            checksum_of([old.read_bytes()]),
             lambda x: truth.deviations(x) + _READING_NOISE * random.standard_normal(x.size),
         )
     proposal = proposed_map(table_of(StrokeRow, rows), old, 1.0)
     proposal.built.write(proposed)
     figures: dict[str, Any] = {"moved_um": moved_um, "strokes": proposal.strokes}
-    for place, (name, file) in enumerate({"old": old, "proposed": proposed, "fresh": fresh}.items()):
-        advance(f"strokes with the {name} map", 0.5 + place / 6)
-        values = {"driver": {"simulated.truth.guide": str(true)}}
-        values |= {node: {"stage.guide.file": str(file)} for node in ("feedforward", "controller")}
+    for name, file in tracked({"old": old, "proposed": proposed, "fresh": fresh}.items(), "strokes by the maps"):
+        values: Values = {node: {"stage.guide.file": str(file)} for node in ("feedforward", "controller")}
+        values = {**values, "driver": machine}
         figures[f"{name}_um"] = spread(evaluate(*one).residual_pp * 1e6 for one in runs_of_starts(values))._asdict()
     figures["proposed_to_fresh"] = figures["proposed_um"]["median"] / figures["fresh_um"]["median"]
     return figures

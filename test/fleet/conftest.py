@@ -8,7 +8,7 @@ from generated_bags import template_of, write_bag
 from stores import COUNT, SAMPLES, STAGES, added, files_of
 
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
-from trials.worn_stage import StrokePool, stroke_pool, write_store
+from trials.wear import Pool, stroke_pool, write_store
 
 DAYS, BINS = 120, 100
 LEVELS = {"friction_A": 0.007, "stiffness_A_per_m": 667.0, "amplifier_bandwidth_Hz": 500.0, "latency_p50_us": 120.0}
@@ -65,7 +65,7 @@ def make_levels():
 
 
 @pytest.fixture(scope="session")
-def pool() -> StrokePool:
+def pool() -> Pool:
     return stroke_pool(1)
 
 

@@ -12,9 +12,7 @@ from straightcomp_ros.fleet.maintenance.day_levels import levels_of
 from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
-from trials import wear as wear_found
-from trials.wear import Alarm, alarms_of
-from trials.worn_stage import BAGS_A_DAY, SOUND, WEARS, levels_of_months, months
+from trials.wear import BAGS_A_DAY, SOUND, WEARS, alarms_of, judged, months
 
 DAYS, BEGIN = 120, 60
 SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)
@@ -127,14 +125,14 @@ def test_what_went_back_does_not_hide_what_lasts(make_levels):
 @pytest.mark.parametrize("wear", WEARS, ids=lambda wear: wear.name)
 def test_simulated_wear_is_found_with_its_cause(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4)
-    found = [one for one in advice_of(levels_of_months(strokes, pool.x)) if one.cause in wear.causes]
+    found = [one for one in advice_of(strokes.levels()) if one.cause == wear.cause]
     assert found and found[0].found >= date(2026, 3, 2)
 
 
 @pytest.mark.parametrize("wear", [wear for wear in WEARS if wear.name in ("guide", "bolt")], ids=lambda wear: wear.name)
 def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
-    assert not {"guide", "bolt"} & {one.cause for one in advice_of(levels_of_months(strokes, pool.x))}
+    assert not {"guide", "bolt"} & {one.cause for one in advice_of(strokes.levels())}
 
 
 AGAIN = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
@@ -161,16 +159,12 @@ AGAIN = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
     ],
 )
 def test_an_alarm_that_comes_again_or_with_another_cause_counts_again(make_levels, factors, alarms):
-    assert [(one.cause, one.place // 40) for one in alarms_of(make_levels(**factors))] == alarms
+    assert [(cause, day // 40) for cause, day in alarms_of(make_levels(**factors))] == alarms
 
 
-@pytest.mark.nightly
-def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning(monkeypatch):
-    wear = next(one for one in WEARS if one.name == "friction")
-    alarms = [Alarm("friction_up", 50), Alarm("host", 130), Alarm("friction_up", 170), Alarm("friction_up", 300)]
-    monkeypatch.setattr(wear_found, "_levels", lambda *_: None)
-    monkeypatch.setattr(wear_found, "alarms_of", lambda _: alarms)
-    assert wear_found.found(None, wear, 0, True) == (50, 2)
+def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning():
+    alarms = [("friction_up", 50), ("host", 130), ("friction_up", 170), ("friction_up", 300)]
+    assert judged(alarms, "friction_up") == (50, 2)
 
 
 def test_what_is_written_is_read(make_levels, tmp_path):
@@ -212,7 +206,7 @@ def test_a_damaged_file_or_a_folder_says_so_in_place_of_advice(tmp_path, content
 
 @pytest.mark.nightly
 def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
-    years = [levels_of_months(months(pool, SOUND, 0, 365, 900 + seed, bags=4), pool.x) for seed in range(5)]
+    years = [months(pool, SOUND, 0, 365, 900 + seed, bags=4).levels() for seed in range(5)]
     assert sum(len(alarms_of(year)) for year in years) <= 5
 
 

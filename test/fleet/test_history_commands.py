@@ -16,7 +16,7 @@ from straightcomp_ros.fleet.history.rows import stored_name
 from straightcomp_ros.fleet.history.store import Store
 from straightcomp_ros.parameters.output_files import MARK
 from straightcomp_ros.stage.due_maintenance import read_advice
-from trials.worn_stage import SOUND, WEARS
+from trials.wear import SOUND, WEARS
 
 
 def test_add_tells_what_it_added_and_a_folder_may_hold_bags_that_are_refused(months, tmp_path, capsys):

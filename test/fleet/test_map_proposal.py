@@ -11,7 +11,7 @@ from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import read_survey
-from trials.wear import followed_map
+from trials.wear import BASE, followed_map
 
 
 @pytest.mark.nightly
@@ -27,7 +27,7 @@ def test_on_a_guide_that_moved_a_proposed_map_is_as_good_as_a_fresh_survey(tmp_p
 
 
 def rows(pool, **changes):
-    sound = pool.rows["friction", 1.0]
+    sound = pool[BASE]
     guide = [0.0] * len(sound[0].error_bins_um)
     return table_of(StrokeRow, [replace(row, guide_change_um=guide, **changes) for row in sound * 10])
 
@@ -35,7 +35,7 @@ def rows(pool, **changes):
 def test_strokes_without_a_sensor_or_with_another_map_are_refused(pool):
     old = find_survey("config/survey_synthetic.csv")
     with pytest.raises(MaintenanceError, match="displacement sensor: record 'displacement'"):
-        proposed_map(table_of(StrokeRow, pool.rows["friction", 1.0]), old, 7.0)
+        proposed_map(table_of(StrokeRow, pool[BASE]), old, 7.0)
     with pytest.raises(MaintenanceError, match=r"0 strokes forward .* 20 with another map"):
         proposed_map(rows(pool, map_checksum="another"), old, 7.0)
 

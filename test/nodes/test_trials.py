@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from straightcomp_ros.cli.main import main
-from trials.soak_actions import ACTIONS
+from trials.soak import ACTIONS
 
 pytestmark = [pytest.mark.keeps_time, pytest.mark.nightly]
 

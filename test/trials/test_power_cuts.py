@@ -2,7 +2,7 @@
 
 import pytest
 
-from trials.power_cuts import ALLOWED_S, Event, cut_off, left_on_disk
+from trials.power_cuts import ALLOWED_S, Disk, cut_off
 
 pytestmark = pytest.mark.nightly
 
@@ -18,11 +18,13 @@ class Never:
 
 
 def test_what_was_not_synced_is_lost_and_what_was_is_not():
-    file = "/bag/a.mcap"
-    written = [Event(0.0, "name", file), Event(1.0, "write", file, 0, b"abc"), Event(3.0, "write", file, 3, b"de")]
-    synced = [*written, Event(4.0, "sync", file, begun=2.0), Event(4.5, "sync", "/bag", begun=4.2)]
-    assert left_on_disk(synced, 5.0, Never()) == {file: b"abc"}
-    assert left_on_disk(synced, 4.4, Never()) == {}
+    file, disk = "/bag/a.mcap", Disk()
+    disk.created[file] = 0.0
+    disk.writes[file] = [(1.0, b"abc"), (3.0, b"de")]
+    disk.syncs[file] = [(2.0, 4.0)]
+    disk.syncs["/bag"] = [(4.2, 4.5)]
+    assert disk.left(5.0, Never()) == {file: b"abc"}
+    assert disk.left(4.4, Never()) == {}
 
 
 def test_a_power_cut_takes_no_more_than_a_second_and_the_rest_is_recovered(tmp_path):

@@ -19,11 +19,11 @@ from rclpy.parameter import Parameter
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
-from trials import soak_actions
-from trials.faults import TRIALS, Row
-from trials.soak_actions import Scene
-from trials.soak_verdict import HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Life, Look, Soak, gaps, look
-from trials.stalls import Stalls
+from trials import soak as soak_run
+from trials import stalls
+from trials.faults import Row, trials_of
+from trials.soak import Soak
+from trials.soak_verdict import HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Look, gaps, grown, look
 from trials.stand import Seen, Stand
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
@@ -32,17 +32,25 @@ NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 class FakeStand:
     """A graph at work, as far as its fields are not changed; it waits for nothing."""
 
-    must_not_switch_on = Stand.must_not_switch_on
+    must_not_switch_on, fail, set = Stand.must_not_switch_on, Stand.fail, Stand.set
 
     def __init__(self):
         self.condition, self.fault, self.tripped = "on", None, None
-        self.enables, self.failures, self.answers = False, [], {}
+        self.enables, self.failures, self.answers, self.about = False, [], {}, ""
+        self.x, self.answers_lost = 0.0, 0
         self.signal = lambda name, number: NOW
         self.node = SimpleNamespace(create_subscription=lambda *_: None)
         self.heartbeats = SimpleNamespace(states=dict.fromkeys(("driver", "controller"), "active"))
 
     def until(self, condition, seconds=0.0):
+        self.spin(seconds)
         return condition()
+
+    def switch_on(self):
+        pass
+
+    def move(self):
+        pass
 
     def spin(self, seconds):
         pass
@@ -50,7 +58,7 @@ class FakeStand:
     def enable(self):
         return self.enables
 
-    def call(self, kind, service, request):
+    def call(self, kind, service, request, repeated=True):
         answer = self.answers.get(service)
         return answer(request) if callable(answer) else answer
 
@@ -64,15 +72,13 @@ class FakeStand:
 
 
 @pytest.fixture
-def stand(monkeypatch):
-    monkeypatch.setattr(soak_actions, "subscribe", lambda *_: None)
+def stand():
     return FakeStand()
 
 
 @pytest.fixture
-def scene(stand, tmp_path):
-    stalls = SimpleNamespace(total_ms=lambda begin, end: 0.0)
-    return Scene(stand, random.Random(1), 2000, Soak(1), stalls, tmp_path / "log", ("one.csv",))
+def soak(stand):
+    return Soak(stand, random.Random(1), 2000, lambda begin, end: 0.0, ("one.csv",))
 
 
 def answer(**fields):
@@ -81,12 +87,19 @@ def answer(**fields):
 
 def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_must_follow():
     def row(injected=2, times_ms=(1.0, 3.0), failures=()):
-        made = Row(TRIALS[0])
+        made = Row(trials_of(False)[0])
         made.injected, made.times_ms, made.failures = injected, list(times_ms), list(failures)
         return made.to_display()
 
     limit = row()["limit_ms"]
-    expected = {"name": TRIALS[0].name, "injected": 2, "detected": 2, "median_ms": 2.0, "max_ms": 3.0, "green": True}
+    expected = {
+        "name": trials_of(False)[0].name,
+        "injected": 2,
+        "detected": 2,
+        "median_ms": 2.0,
+        "max_ms": 3.0,
+        "green": True,
+    }
     assert expected.items() <= row().items()
     for bad in (
         {"injected": 3},
@@ -97,49 +110,49 @@ def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_m
         assert not row(**bad)["green"]
 
 
-def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(scene, stand):
-    assert "no fault within 3 s" in stand.failures_of(scene.must_latch, HELD_UP)[0]
+def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(soak, stand):
+    assert "no fault within 3 s" in stand.failures_of(soak.must_latch, HELD_UP)[0]
     stand.latch(Fault.X_JUMP)
-    assert "'x_jump' was latched; allowed: command_timeout" in stand.failures_of(scene.must_latch, HELD_UP)[0]
+    assert "'x_jump' was latched; allowed: command_timeout" in stand.failures_of(soak.must_latch, HELD_UP)[0]
     stand.latch(Fault.COMMAND_TIMEOUT)
-    assert stand.failures_of(scene.must_latch, HELD_UP) == [] and scene.result.faults == {"command_timeout": 1}
+    assert stand.failures_of(soak.must_latch, HELD_UP) == [] and soak.counts["faults"] == {"command_timeout": 1}
     stand.enables = True
-    assert "could be switched on" in stand.failures_of(scene.must_latch, HELD_UP)[0]
+    assert "could be switched on" in stand.failures_of(soak.must_latch, HELD_UP)[0]
 
 
-def test_an_amplifier_that_may_not_be_off_is_a_failure(scene, stand):
-    assert stand.failures_of(scene.may_latch) == []
+def test_an_amplifier_that_may_not_be_off_is_a_failure(soak, stand):
+    assert stand.failures_of(soak.may_latch) == []
     stand.condition = "off"
-    assert "the amplifier is 'off'" in stand.failures_of(scene.may_latch)[0]
-    assert stand.failures_of(scene.may_latch, *HELD_UP)
+    assert "the amplifier is 'off'" in stand.failures_of(soak.may_latch)[0]
+    assert stand.failures_of(soak.may_latch, *HELD_UP)
     stand.latch(Fault.SAMPLE_TIMEOUT)
-    assert stand.failures_of(scene.may_latch, *HELD_UP) == []
-    assert "'sample_timeout' was latched; none may" in stand.failures_of(scene.may_latch)[0]
+    assert stand.failures_of(soak.may_latch, *HELD_UP) == []
+    assert "'sample_timeout' was latched; none may" in stand.failures_of(soak.may_latch)[0]
     # One that a computer made that stood still is counted apart, and another fault is not.
-    scene._stalls = SimpleNamespace(total_ms=lambda begin, end: 120.0)
-    assert stand.failures_of(scene.may_latch) == [] and scene.result.faults_in_stalls == {"sample_timeout": 1}
+    soak._stalled = lambda begin, end: 120.0
+    assert stand.failures_of(soak.may_latch) == [] and soak.counts["faults_in_stalls"] == {"sample_timeout": 1}
     stand.latch(Fault.TWO_CONTROLLERS)
-    assert stand.failures_of(scene.may_latch)
+    assert stand.failures_of(soak.may_latch)
 
 
-def test_the_stage_moves_while_its_position_changes(scene, monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(soak_actions.time, "monotonic", lambda: now[0])
-    assert not scene.moving
-    for x, moves in ((1e-3, True), (1.01e-3, True), (1.02e-3, False), (1.1e-3, True)):
-        now[0] += 0.4
-        scene._on_position(0, (x, 0.0))
-        assert scene.moving is moves
+def test_a_stage_that_does_not_move_is_not_back_to_work(soak, stand, monkeypatch):
+    monkeypatch.setattr(soak_run, "_BACK_S", 0.0)
+    soak._recording_ns = 1
+    with pytest.raises(LaunchError, match="the stage does not move"):
+        soak.back_to_work()
+    stand.move = stand.spin = lambda *_: setattr(stand, "x", stand.x + 1e-3)
+    soak.back_to_work()
+    assert len(soak.back_s) == 1
 
 
-def test_a_recording_is_whole_between_two_reports_of_a_recording_logger_that_have_all_samples(scene, monkeypatch):
+def test_a_recording_is_whole_between_two_reports_of_a_recording_logger_that_have_all_samples(soak, monkeypatch):
     def report(second, samples, written, recording="True"):
         values = {"samples": samples, "written": written, "recording": recording}
         status = DiagnosticStatus(name="logger", values=[KeyValue(key=key, value=str(v)) for key, v in values.items()])
         message = DiagnosticArray(status=[status])
         message.header.stamp.sec = NOW // SECOND % 2**31 + second
-        scene._on_diagnostics(message)
-        return scene._recording_ns
+        soak._on_diagnostics(message)
+        return soak._recording_ns
 
     assert not any(report(second, 2000 * second, 12000 * second, "False") for second in range(3))
     assert not report(3, 0, 0)
@@ -147,14 +160,14 @@ def test_a_recording_is_whole_between_two_reports_of_a_recording_logger_that_hav
     assert not report(5, 3000, 6500), "paused"
     begin = report(6, 5000, 18500)
     assert begin
-    monkeypatch.setattr(soak_actions.time, "time_ns", lambda: begin + 5 * SECOND)
-    scene.interrupt(before_s=1.0)
-    scene.interrupt()
-    assert scene.recorded == [(begin, begin + 4 * SECOND)]
+    monkeypatch.setattr(soak_run.time, "time_ns", lambda: begin + 5 * SECOND)
+    soak.interrupt(before_s=1.0)
+    soak.interrupt()
+    assert soak.recorded == [(begin, begin + 4 * SECOND)]
     # What was known to be complete before an interruption that reaches further back is nothing.
-    scene._recording_ns = begin + 5 * SECOND - 1
-    scene.interrupt(before_s=1.0)
-    assert len(scene.recorded) == 1
+    soak._recording_ns = begin + 5 * SECOND - 1
+    soak.interrupt(before_s=1.0)
+    assert len(soak.recorded) == 1
 
 
 @pytest.mark.parametrize(
@@ -184,7 +197,7 @@ def test_a_longer_time_without_samples_in_a_recording_that_was_complete_is_missi
     ],
 )
 def test_wrong_parameters_must_be_refused_with_a_reason_and_nothing_changed(
-    scene, stand, monkeypatch, successful, reason, taken, words
+    soak, stand, monkeypatch, successful, reason, taken, words
 ):
     values = {"min_free_bytes": 5, "output": "here"}
 
@@ -196,79 +209,85 @@ def test_wrong_parameters_must_be_refused_with_a_reason_and_nothing_changed(
         values=[Parameter(name, value=values[name]).to_parameter_msg().value for name in request.names]
     )
     stand.answers["logger/set_parameters_atomically"] = set_values
-    monkeypatch.setattr(soak_actions, "_REFUSED", soak_actions._REFUSED[-1:])
-    failures = stand.failures_of(soak_actions.refused_parameters, scene)
+    monkeypatch.setattr(soak_run, "_REFUSED", soak_run._REFUSED[-1:])
+    failures = stand.failures_of(soak_run.refused_parameters, soak)
     assert (words is None) == (failures == [])
     assert words is None or words in failures[0]
 
 
-def test_an_amplifier_that_does_not_go_off_or_not_on_is_a_failure(scene, stand):
+def test_an_amplifier_that_does_not_go_off_or_not_on_is_a_failure(soak, stand):
     stand.answers["driver/enable"] = answer()
-    act = soak_actions.amplifier_off_and_on
-    assert stand.failures_of(act, scene) == ["the amplifier is 'on' after it was switched off"]
-    assert len(scene.result.enable_s) == 1
+    act = soak_run.amplifier_off_and_on
+    assert stand.failures_of(act, soak) == ["the amplifier is 'on' after it was switched off"]
+    assert len(soak.enable_s) == 1
 
     def switched(request):
         stand.condition = "off"
         return answer(success=request.data is False, message="no fresh command")
 
     stand.answers["driver/enable"] = switched
-    (failure,) = stand.failures_of(act, scene)
+    (failure,) = stand.failures_of(act, soak)
     assert "allowed: on within 2 s (no fresh command)" in failure
-    assert len(scene.result.enable_s) == 1
+    assert len(soak.enable_s) == 1
 
 
-def test_a_driver_that_the_controller_does_not_miss_is_a_failure(scene, stand):
+def test_a_driver_that_the_controller_does_not_miss_is_a_failure(soak, stand):
     for tripped, failures in ((None, 1), (Fault.MAP_MISSING, 1), (Fault.SAMPLE_TIMEOUT, 0)):
         stand.tripped = tripped and Seen(tripped, NOW)
-        assert len(stand.failures_of(soak_actions._must_react, scene, "driver")) == failures
+        assert len(stand.failures_of(soak.must_react, "driver")) == failures
 
 
-def test_a_recorder_that_refuses_is_a_failure_unless_an_answer_was_lost_and_two_lost_ones_end_the_action(scene, stand):
-    refused = answer(success=False, message="nothing is being recorded")
-    stand.answers["logger/split"] = refused
-    assert stand.failures_of(soak_actions.split, scene) == ["split was refused: nothing is being recorded"]
-    answers = [None, refused]
-    stand.answers |= {"logger/stop": lambda request: answers.pop(0), "logger/start": answer()}
-    assert stand.failures_of(soak_actions.ACTIONS["another bag"], scene) == []
-    assert scene.result.answers_lost == 1
+def test_a_recorder_that_refuses_is_a_failure_unless_an_answer_was_lost_and_none_at_all_ends_the_action(soak, stand):
+    stand.answers["logger/split"] = answer(success=False, message="nothing is being recorded")
+    split = soak_run.ACTIONS["split"]
+    assert stand.failures_of(split, soak) == ["logger/split was refused: nothing is being recorded"]
+
+    def lost(request):
+        stand.answers_lost += 1
+        return answer(success=False)
+
+    stand.answers["logger/split"] = lost
+    assert stand.failures_of(split, soak) == []
+    del stand.answers["logger/split"]
     with pytest.raises(LaunchError, match="does not answer"):
-        scene.ask(None, "driver/enable", None)
+        split(soak)
 
 
-def test_a_node_that_does_not_change_its_state_is_a_failure(scene, stand):
-    failures = stand.failures_of(soak_actions._change_state, scene, "controller", 4, "inactive")
-    assert failures == ["controller is active; it must be inactive"]
+def test_a_node_that_does_not_change_its_state_is_a_failure(soak, stand):
+    stand.heartbeats.states = dict.fromkeys(("driver", "feedforward", "controller", "logger"), "active")
+    stand.answers["driver/enable"] = answer()
+    failures = stand.failures_of(soak_run.down_and_up, soak)
+    assert len(failures) == 4 and failures[0] == "logger is active; it must be inactive"
 
 
-def life(*looks, every_s=60):
-    return Life("driver", 7, [Look(k * every_s * SECOND, *numbers) for k, numbers in enumerate(looks)])
+def growth(*looks, every_s=60):
+    return grown("driver", 7, [Look(k * every_s * SECOND, *numbers) for k, numbers in enumerate(looks)])[1]
 
 
 def test_one_descriptor_or_thread_more_at_the_end_is_a_failure_and_a_peak_before_is_none():
-    assert life((22, 13, 200.0), (30, 15, 201.0), (22, 13, 202.0)).failures() == []
-    assert "23 descriptors after 22" in life((22, 13, 200.0), (23, 13, 200.0)).failures()[0]
-    assert "14 threads after 13" in life((22, 13, 200.0), (22, 14, 200.0)).failures()[0]
+    assert growth((22, 13, 200.0), (30, 15, 201.0), (22, 13, 202.0)) == []
+    assert "23 descriptors after 22" in growth((22, 13, 200.0), (23, 13, 200.0))[0]
+    assert "14 threads after 13" in growth((22, 13, 200.0), (22, 14, 200.0))[0]
 
 
 def test_memory_that_grows_too_fast_for_long_enough_is_a_failure_once_it_is_more_than_histories():
     step = 1.1 * MEMORY_LIMIT_MB_PER_HOUR / 60.0
-    grown = [(22, 13, 200.0 + step * minute) for minute in range(12 + round(HISTORIES_MB / step))]
-    assert life(*grown[:12]).failures() == []
-    assert "grows by 66 MB/h; allowed: 60" in life(*grown).failures()[0]
-    assert life(*grown, every_s=5).failures() == []
-    assert life(*[(22, 13, 200.0 + 0.8 * step * minute) for minute in range(120)]).failures() == []
+    looks = [(22, 13, 200.0 + step * minute) for minute in range(12 + round(HISTORIES_MB / step))]
+    assert growth(*looks[:12]) == []
+    assert "grows by 66 MB/h; allowed: 60" in growth(*looks)[0]
+    assert growth(*looks, every_s=5) == []
+    assert growth(*[(22, 13, 200.0 + 0.8 * step * minute) for minute in range(120)]) == []
 
 
-def test_a_run_has_passed_only_if_something_was_done_and_nothing_failed():
-    done, sound = {"split": 1}, [life((22, 13, 200.0), (22, 13, 200.0))]
-    assert not Soak(1).to_display()["passed"]
-    assert Soak(1, actions=done, lives=sound).to_display()["passed"]
-    for failed in (
-        Soak(1, actions=done, lives=sound, failures=["split: the amplifier is 'off'"]),
-        Soak(1, actions=done, lives=[life((22, 13, 200.0), (23, 13, 200.0))]),
-    ):
-        assert not failed.to_display()["passed"] and len(failed.to_display()["failures"]) == 1
+def test_a_run_has_passed_only_if_something_was_done_and_nothing_failed(soak, stand):
+    assert not soak.figures([])["passed"]
+    soak.counts["actions"]["split"] += 1
+    assert soak.figures([])["passed"] and not soak.figures(["a bag has a gap"])["passed"]
+    soak.looks["driver", 7] = [Look(0, 22, 13, 200.0), Look(SECOND, 23, 13, 200.0)]
+    assert not soak.figures([])["passed"] and len(soak.figures([])["failures"]) == 1
+    soak.looks.clear()
+    stand.fail("the amplifier is 'off'")
+    assert soak.figures([])["failures"] == ["the amplifier is 'off'"]
 
 
 def test_a_look_sees_descriptors_that_are_opened_and_threads_that_are_started():
@@ -290,29 +309,26 @@ def test_a_look_sees_descriptors_that_are_opened_and_threads_that_are_started():
 
 
 def test_a_stall_is_found_in_the_time_that_it_took_and_those_of_two_cpus_are_not_added_up(tmp_path):
-    watch = Stalls(tmp_path, 0)
-    watch.files = {0: tmp_path / "a", 1: tmp_path / "b"}
-    watch.files[0].write_text("1000000000 20.0\n5000000000 7.5\n6000")
-    watch.files[1].write_text("")
-    assert watch.total_ms(970_000_000, 979_000_000) == pytest.approx(0.0)
-    assert watch.total_ms(970_000_000, 981_000_000) == pytest.approx(20.0)
-    assert watch.total_ms(1_000_000_001, 9_000_000_000) == pytest.approx(7.5)
-    assert watch.total_ms(0, 9_000_000_000) == pytest.approx(27.5)
-    watch.files[1].write_text("1000000000 30.0\n")
-    assert watch.total_ms(0, 2_000_000_000) == pytest.approx(30.0)
+    file = tmp_path / "stalls"
+    file.write_text("0 1000000000 20.0\n0 5000000000 7.5\n0 6000")
+    assert stalls.total_ms(file, 970_000_000, 979_000_000) == pytest.approx(0.0)
+    assert stalls.total_ms(file, 970_000_000, 981_000_000) == pytest.approx(20.0)
+    assert stalls.total_ms(file, 1_000_000_001, 9_000_000_000) == pytest.approx(7.5)
+    assert stalls.total_ms(file, 0, 9_000_000_000) == pytest.approx(27.5)
+    file.write_text("0 1000000000 20.0\n1 1000000000 30.0\n")
+    assert stalls.total_ms(file, 0, 2_000_000_000) == pytest.approx(30.0)
 
 
 def test_a_watch_that_is_stopped_for_a_while_has_seen_a_stall(tmp_path):
-    with Stalls(tmp_path, 0) as watch:
+    file = tmp_path / "stalls"
+    with stalls.watched(file, 0) as process:
         time.sleep(2.0)
         begin = time.time_ns()
-        for process in watch.processes:
-            os.kill(process.pid, signal.SIGSTOP)
+        os.kill(process.pid, signal.SIGSTOP)
         time.sleep(0.3)
-        for process in watch.processes:
-            os.kill(process.pid, signal.SIGCONT)
+        os.kill(process.pid, signal.SIGCONT)
         end = time.monotonic() + 30.0
-        while watch.total_ms(begin, time.time_ns()) < 200.0 and time.monotonic() < end:
+        while stalls.total_ms(file, begin, time.time_ns()) < 200.0 and time.monotonic() < end:
             time.sleep(0.05)
-        assert watch.total_ms(begin, time.time_ns()) >= 200.0
-    assert all(process.returncode is not None for process in watch.processes)
+        assert stalls.total_ms(file, begin, time.time_ns()) >= 200.0
+    assert process.returncode is not None

@@ -19,8 +19,7 @@ from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.safety.watch import ZeroWatch
 from straightcomp_ros.stage.description import StageParameters
-from trials.can import COUNTED
-from trials.can_faults import run_trial
+from trials.can import COUNTED, run_trial
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 
