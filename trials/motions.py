@@ -302,7 +302,7 @@ def live(values: Any, plans: Sequence[Plan], folder: Path) -> tuple[list[float],
             do(Act(0, "pace", Pace()))
             return plan._replace(acts=acts), begin_ns, time.time_ns()
 
-        wait(lambda: set(stand.heartbeats.states.values()) == {"active"} and len(states) > 1)
+        wait(lambda: stand.active and len(states) > 1)
         enable()
         runs = []
         for plan in plans:

@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.contract import POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
-from straightcomp_ros.model.motion import Waypoint, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, cycles
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import Heartbeats, ServiceClient, message_from_waypoints
@@ -48,8 +48,6 @@ _SETTLE_S = 0.1
 _REQUESTS, _REFUSALS = 3, 2
 _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
-_STROKES, _STROKE, _SPEED, _ACCELERATION = 600, 0.1, 0.1, 0.4
-"""Of a motion: forward and backward in turn, without a rest."""
 STOP_S = 30.0
 
 
@@ -148,8 +146,8 @@ class Stand:
         if name == "logger":
             self._bags += 1
             parameters["output"] = str(self.bag)
-        for node in self.nodes_of(name):
-            self.heartbeats.ages[node] = math.inf
+        for node, process in self.process_of.items():
+            self.heartbeats.ages[node] = math.inf if process == name else self.heartbeats.ages[node]
         self.started[name] = time.monotonic()
         self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
 
@@ -172,10 +170,6 @@ class Stand:
                 self.signal(name, signal.SIGINT)
         self.until(lambda: not any(self.exit_code(name) is None for name in self.names), STOP_S)
         return {name: self.exit_code(name) for name in self.names}
-
-    def nodes_of(self, process: str) -> list[str]:
-        """The nodes that run in a process."""
-        return [node for node, own in self.process_of.items() if own == process]
 
     @property
     def bag(self) -> Path:
@@ -243,11 +237,10 @@ class Stand:
         Raises:
             LaunchError: the graph does not reach that state.
         """
-        deadline = time.monotonic() + _START_S
-        refusals = 0
+        deadline, refusals = time.monotonic() + _START_S, 0
         while time.monotonic() < deadline:
             self.inject("")
-            if not self.until(self._all_active, _ANSWER_S):
+            if not self.until(lambda: self.active, _ANSWER_S):
                 self._graph.check(self.names)
                 continue
             self.spin(0.03)
@@ -272,7 +265,9 @@ class Stand:
             f"fault {self.fault} (logs in {self._folder})"
         )
 
-    def _all_active(self) -> bool:
+    @property
+    def active(self) -> bool:
+        """Whether all nodes are."""
         return not self.heartbeats.silent() and set(self.heartbeats.states.values()) == {"active"}
 
     def call(self, kind: Any, service: str, request: Any, repeated: bool = True) -> Any:
@@ -321,7 +316,6 @@ def _leave_real_time() -> None:
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-_points = [Waypoint(0, 0.0, 0.0)]
-for _stroke in range(_STROKES):
-    _points += trapezoid(_points[-1], 0.0 if _stroke % 2 else _STROKE, _SPEED, _ACCELERATION)
-_MOTION = message_from_waypoints(_points)
+_STROKES = MotionParameters(stroke=0.1, speed=0.1, acceleration=0.4, settle=0.0, pause=0.0)
+_MOTION = message_from_waypoints(list(dict.fromkeys(cycles(_STROKES, 300))))
+"""Forward and backward in turn, without a rest."""

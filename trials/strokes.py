@@ -6,19 +6,17 @@ The conditions are all combinations of --graphs (separate processes, or driver, 
 if a stroke failed, or if a stage has more than 1.2 times its error alone beside the other. Run it on a computer at
 rest; a stroke takes half a minute. Its bags are in --output, by condition."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import statistics
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from multiprocessing import get_context
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,9 +24,9 @@ from straightcomp_ros.cell.demonstration import DemonstrationFailed, judged, rec
 from straightcomp_ros.cell.launcher import isolated_environment
 from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import print_json, require_ros
-from straightcomp_ros.offline.starts import spread
+from straightcomp_ros.offline.starts import spread, with_values
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values
-from trials.rig import add_output, output, progress
+from trials.rig import add_output, output, tracked
 
 SUMMARY = "accuracy of live strokes: composed or separate, loaded or quiet, one stage or two"
 GRAPHS, LOADS = ("separate", "composed"), ("quiet", "busy")
@@ -48,9 +46,9 @@ while True:
 class Condition(NamedTuple):
     """What a stroke runs under: ``stages`` are those that move at once, by name."""
 
-    graph: str
     load: str
     priority: int
+    graph: str
     stages: tuple[str, ...]
 
 
@@ -72,31 +70,30 @@ def run(options: argparse.Namespace) -> int:
     check_range("--runs", options.runs, 1)
     for priority in options.priorities:
         check_range("--priorities", priority, 0, 98)
-    stages = {"a": chosen_parameters(options)}
+    stages, moving = {"a": chosen_parameters(options)}, [("a",)]
     if options.pair:
         stages["b"] = chosen_parameters(argparse.Namespace(**{**vars(options), "stage": options.pair}))
-    moving = [("a",), ("b",), ("a", "b")] if options.pair else [("a",)]
+        moving += [("b",), ("a", "b")]
     # Those that are compared come one right after the other.
-    conditions = [
-        Condition(graph, load, priority, together)
-        for load, priority, graph, together in itertools.product(
-            options.loads, options.priorities, options.graphs, moving
-        )
-    ]
-    strokes: dict[tuple[Condition, str], list[Mapping[str, Any]]] = {}
-    failures: list[str] = []
-    with output(options) as folder, progress() as advance:
-        for number, (turn, condition) in enumerate(itertools.product(range(options.runs), conditions)):
-            graph, load, priority, together = condition
-            advance(f"{graph}, {load}, priority {priority}", number / (options.runs * len(conditions)))
-            place = folder / f"{graph}_{load}_{priority}_{'_'.join(together)}" / str(turn + 1)
+    wanted = itertools.product(options.loads, options.priorities, options.graphs, moving)
+    turns = list(itertools.product(range(1, options.runs + 1), itertools.starmap(Condition, wanted)))
+    strokes, failures = defaultdict[tuple[Condition, str], list[Mapping[str, Any]]](list), list[str]()
+    with output(options) as folder:
+        for turn, condition in tracked(turns, "strokes"):
+            words = condition.graph, condition.load, str(condition.priority), *condition.stages
+            place = folder / "_".join(words) / str(turn)
             try:
                 for stage, stroke in run_together(condition, stages, place).items():
-                    strokes.setdefault((condition, stage), []).append(stroke)
+                    strokes[condition, stage].append(stroke)
             except DemonstrationFailed as error:
                 failures.append(f"{place.relative_to(folder)}: {error}")
     rows = [row(condition, stage, found) for (condition, stage), found in strokes.items()]
-    with_ratios(rows)
+    alone = {
+        (key[0][:3], key[1]): one["pp_um"] for key, one in zip(strokes, rows, strict=True) if len(key[0].stages) == 1
+    }
+    for (condition, stage), one in zip(strokes, rows, strict=True):
+        if len(condition.stages) > 1 and (condition[:3], stage) in alone:
+            one["ratio_to_alone"] = one["pp_um"]["median"] / alone[condition[:3], stage]["median"]
     good = not failures and all(one.get("ratio_to_alone", 0.0) <= LARGEST_RATIO for one in rows)
     print_json({"rows": rows, "failures": failures, "passed": good})
     return int(not good)
@@ -109,29 +106,23 @@ def run_together(condition: Condition, stages: Mapping[str, Values], folder: Pat
         DemonstrationFailed: a graph failed.
     """
     chosen = {stage: at_priority(stages[stage], condition.priority) for stage in condition.stages}
-    environment, composed = isolated_environment(), condition.graph == "composed"
     folders = {stage: folder / stage for stage in chosen}
     for one in folders.values():
         one.mkdir(parents=True)
+    make = partial(recorded, environment=isolated_environment(), composed=condition.graph == "composed")
     # A process for each: a graph's nodes end with the thread that has started them.
     with loaded(condition.load == "busy", folder), ProcessPoolExecutor(len(chosen), get_context("spawn")) as pool:
-        make = partial(recorded, environment=environment, composed=composed)
         graphs = [pool.submit(make, values, folders[stage], namespace=stage) for stage, values in chosen.items()]
-        for graph in graphs:
-            graph.exception()
     for graph in graphs:
         graph.result()
     return {stage: stroke_of(values, folders[stage]) for stage, values in chosen.items()}
 
 
-def at_priority(values: Values, priority: int) -> dict[str, dict[str, Any]]:
+def at_priority(values: Values, priority: int) -> Values:
     """``values`` with this SCHED_FIFO priority for all nodes; 0: no real-time scheduling, nor CPUs that stay awake."""
-    chosen = {node: dict(values.get(node, {})) for node in (*values, *NODE_PARAMETERS)}
     for node in NODE_PARAMETERS:
-        chosen[node]["realtime.priority"] = priority
-    if not priority:
-        chosen["driver"]["realtime.keep_awake"] = False
-    return chosen
+        values = with_values(values, node, {"realtime.priority": priority})
+    return values if priority else with_values(values, "driver", {"realtime.keep_awake": False})
 
 
 def stroke_of(values: Values, folder: Path) -> dict[str, Any]:
@@ -160,7 +151,6 @@ def row(condition: Condition, stage: str, strokes: Sequence[Mapping[str, Any]]) 
     """What the strokes of one stage under one condition left; the reasons are those of strokes not in order."""
     return {
         **condition._asdict(),
-        "stages": list(condition.stages),
         "stage": stage,
         "strokes": len(strokes),
         **{name: spread(one[name] for one in strokes)._asdict() for name in ("pp_um", "step_mA")},
@@ -169,12 +159,3 @@ def row(condition: Condition, stage: str, strokes: Sequence[Mapping[str, Any]]) 
         "not_in_order": [f"{one['verdict']}: {one['reason']}" for one in strokes if one["verdict"] != "in_order"],
         "held_up": [one["held_up"] for one in strokes if one["held_up"]],
     }
-
-
-def with_ratios(rows: Sequence[dict[str, Any]]) -> None:
-    """Add to each row of a stage beside another one the ratio of its median error to that alone."""
-    same = itemgetter("graph", "load", "priority", "stage")
-    alone = {same(one): one["pp_um"]["median"] for one in rows if len(one["stages"]) == 1}
-    for one in rows:
-        if len(one["stages"]) > 1 and same(one) in alone:
-            one["ratio_to_alone"] = one["pp_um"]["median"] / alone[same(one)]

@@ -117,19 +117,19 @@ def sound(random: Generator) -> Drawn:
     designed = json.loads((STAGES / "found_gains.json").read_text(encoding="utf-8")).get(name)
     values["controller"] |= designed or closed_form(scenario, _LAW)
     stage = scenario.description
-    length = stage.motion.stroke * float(random.uniform(0.15, 0.6))
+    length = stage.motion.stroke * _between(random, 0.15, 0.6)
     values["stage"] |= {
         "motion.stroke": length,
-        "motion.start": stage.motion.start + float(random.uniform(0.0, stage.motion.stroke - length)),
-        "motion.speed": stage.motion.speed * float(random.uniform(0.3, 1.0)),
-        "motion.settle": float(random.uniform(0.3, 1.0)),
-        "motion.pause": float(random.uniform(0.3, 0.8)),
+        "motion.start": stage.motion.start + _between(random, 0.0, stage.motion.stroke - length),
+        "motion.speed": stage.motion.speed * _between(random, 0.3, 1.0),
+        "motion.settle": _between(random, 0.3, 1.0),
+        "motion.pause": _between(random, 0.3, 0.8),
     }
     ranges = stage.uncertainty
     for fact in ("mass", "force", "air_gap"):
-        values["driver"][_TRUTH + fact] = 1.0 + _IDENTIFIED * getattr(ranges, fact) * float(random.uniform(-1.0, 1.0))
-    values["driver"][_TRUTH + "friction"] = ranges.friction ** (_IDENTIFIED * float(random.uniform(-1.0, 1.0)))
-    values["driver"]["simulated.initial_y"] = stage.encoder.y_resolution * float(random.uniform(-5.0, 5.0))
+        values["driver"][_TRUTH + fact] = 1.0 + _IDENTIFIED * getattr(ranges, fact) * _between(random, -1.0, 1.0)
+    values["driver"][_TRUTH + "friction"] = ranges.friction ** (_IDENTIFIED * _between(random, -1.0, 1.0))
+    values["driver"]["simulated.initial_y"] = stage.encoder.y_resolution * _between(random, -5.0, 5.0)
     # The guide is the survey without noise; the map has it with noise.
     values["driver"][_TRUTH + "guide"] = stage.guide.file
     survey = mismeasured(scenario.survey, stage.uncertainty.map_noise, random)
@@ -156,6 +156,10 @@ def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
 
 def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:
     return judged_run(record, straightness, by_node(drawn.values), straightness)
+
+
+def _between(random: Generator, low: float, high: float) -> float:
+    return float(random.uniform(low, high))
 
 
 Spoil = Callable[[Drawn, Generator], Drawn]
@@ -194,7 +198,7 @@ def _another_guide(change: Callable[[Any, Any, Generator], tuple[Any, Any]]) -> 
 
 def _shifted(x: Any, deviation: Any, random: Generator) -> Any:
     # The survey must still hold the stroke.
-    by = float(random.uniform(1e-3, 1e-2)) * float(random.choice([-1.0, 1.0]))
+    by = _between(random, 1e-3, 1e-2) * float(random.choice([-1.0, 1.0]))
     return x, np.interp(x + by, x, deviation)
 
 
@@ -207,55 +211,34 @@ def _sparse(x: Any, deviation: Any, random: Generator) -> Any:
 
 def _bowed(x: Any, deviation: Any, random: Generator) -> Any:
     along = 2.0 * (x - x.min()) / np.ptp(x) - 1.0
-    return x, deviation + float(random.uniform(0.1, 0.5)) * np.ptp(deviation) * along**2
+    return x, deviation + _between(random, 0.1, 0.5) * np.ptp(deviation) * along**2
 
 
 def _noisy(drawn: Drawn, random: Generator) -> Drawn:
     (one, *_), step = drawn.survey.runs, float(random.choice([0.5e-3, 1e-3]))
     x = np.arange(one.x.min(), one.x.max(), step)
-    noise = float(random.uniform(0.1e-6, 0.5e-6)) * random.standard_normal(x.size)
+    noise = _between(random, 0.1e-6, 0.5e-6) * random.standard_normal(x.size)
     survey = Survey((Run("1", "forward", x, np.interp(x, one.x, one.deviation) + noise),))
     return drawn._replace(survey=survey).of("stage", {"guide.smooth": "none"})
-
-
-def _mains(drawn: Drawn, random: Generator) -> Drawn:
-    frequency = float(random.choice([50.0, 60.0]) + random.uniform(-0.1, 0.1))
-    force, second = (float(random.uniform(*ends)) * drawn.dry for ends in ((0.5, 3.0), (0.0, 0.2)))
-    return drawn.true("disturbances.mains.", frequency=frequency, force=force, second=second)
-
-
-def _cogging(drawn: Drawn, random: Generator) -> Drawn:
-    force, pitch = float(random.uniform(1.0, 5.0)) * drawn.dry, float(random.uniform(0.008, 0.032))
-    return drawn.true("disturbances.cogging.", force=force, pitch=pitch)
-
-
-def _drift(drawn: Drawn, random: Generator) -> Drawn:
-    current = float(random.uniform(1.0, 5.0)) * drawn.dry / drawn.stage.actuator.current_stiffness
-    drawn = drawn.true("disturbances.drift.", current=current, time=float(random.uniform(0.3, 2.0)))
-    return drawn.true("disturbances.", seed=int(random.integers(1000)))
 
 
 def _sticky(drawn: Drawn, random: Generator) -> Drawn:
     drawn = drawn.true("contact.", model="maxwell_slip")
     drawn = drawn.true("contact.maxwell_slip.", blocks=1, attraction=1e9)
     stiffness = float(10.0 ** random.uniform(7.5, 8.5))
-    static = drawn.stage.friction.coulomb * float(random.uniform(1.5, 2.0))
+    static = drawn.stage.friction.coulomb * _between(random, 1.5, 2.0)
     return drawn.of("driver", {"stage.friction.bristle_stiffness": stiffness, "stage.friction.static": static})
-
-
-def _loose(drawn: Drawn, random: Generator) -> Drawn:
-    return drawn.true(friction=float(random.uniform(20.0, 60.0)))
 
 
 def _of_loop(drawn: Drawn, random: Generator) -> Drawn:
     if random.uniform() < 0.5:
-        return drawn.true(mass=float(random.uniform(2.5, 5.0)))
-    return drawn.of("driver", {"stage.drive.delay": drawn.stage.drive.delay + float(random.uniform(2.0, 5.0))})
+        return drawn.true(mass=_between(random, 2.5, 5.0))
+    return drawn.of("driver", {"stage.drive.delay": drawn.stage.drive.delay + _between(random, 2.0, 5.0)})
 
 
 def _mode(drawn: Drawn, random: Generator) -> Drawn:
-    frequency = float(random.uniform(60.0, min(600.0, 0.3 * drawn.stage.rate)))
-    mode = {"frequency": frequency, "damping": float(random.uniform(0.005, 0.03)), "coil": 1.0}
+    frequency = _between(random, 60.0, min(600.0, 0.3 * drawn.stage.rate))
+    mode = {"frequency": frequency, "damping": _between(random, 0.005, 0.03), "coil": 1.0}
     mode["encoder"] = float(random.choice([-1.0, 1.0]))
     drawn = drawn.true("modes.first.", **mode)
     # Described, so that the verdict can know it; the gains are not designed for it.
@@ -268,11 +251,22 @@ CAUSES: Mapping[str, Spoil] = {
     "bow": _another_guide(_bowed),
     "points": _another_guide(_sparse),
     "noise": _noisy,
-    "mains": _mains,
-    "cogging": _cogging,
-    "drift": _drift,
+    "mains": lambda drawn, random: drawn.true(
+        "disturbances.mains.",
+        frequency=float(random.choice([50.0, 60.0])) + _between(random, -0.1, 0.1),
+        force=_between(random, 0.5, 3.0) * drawn.dry,
+        second=_between(random, 0.0, 0.2) * drawn.dry,
+    ),
+    "cogging": lambda drawn, random: drawn.true(
+        "disturbances.cogging.", force=_between(random, 1.0, 5.0) * drawn.dry, pitch=_between(random, 0.008, 0.032)
+    ),
+    "drift": lambda drawn, random: drawn.true(
+        "disturbances.drift.",
+        current=_between(random, 1.0, 5.0) * drawn.dry / drawn.stage.actuator.current_stiffness,
+        time=_between(random, 0.3, 2.0),
+    ).true("disturbances.", seed=int(random.integers(1000))),
     "stiction": _sticky,
-    "friction": _loose,
+    "friction": lambda drawn, random: drawn.true(friction=_between(random, 20.0, 60.0)),
     "loop": _of_loop,
     "mode": _mode,
 }

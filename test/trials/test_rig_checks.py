@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,7 +38,8 @@ class FakeStand:
     def __init__(self):
         self.condition, self.fault, self.tripped = "on", None, None
         self.enables, self.failures, self.answers, self.about = False, [], {}, ""
-        self.x, self.answers_lost = 0.0, 0
+        self.x, self.answers_lost, self.names = 0.0, 0, ("driver", "feedforward", "controller", "logger")
+        self.restart = lambda name: None
         self.signal = lambda name, number: NOW
         self.node = SimpleNamespace(create_subscription=lambda *_: None)
         self.heartbeats = SimpleNamespace(states=dict.fromkeys(("driver", "controller"), "active"))
@@ -111,13 +113,15 @@ def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_m
 
 
 def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(soak, stand):
-    assert "no fault within 3 s" in stand.failures_of(soak.must_latch, HELD_UP)[0]
+    kill = partial(stand.failures_of, soak_run._as_in_trials, soak, "controller SIGKILL")
+    assert "command_timeout was not found" in kill()[0]
     stand.latch(Fault.X_JUMP)
-    assert "'x_jump' was latched; allowed: command_timeout" in stand.failures_of(soak.must_latch, HELD_UP)[0]
-    stand.latch(Fault.COMMAND_TIMEOUT)
-    assert stand.failures_of(soak.must_latch, HELD_UP) == [] and soak.counts["faults"] == {"command_timeout": 1}
+    assert "command_timeout was not found" in kill()[0]
+    for fault in (Fault.COMMAND_TIMEOUT, Fault.Y_OUT_OF_RANGE):
+        stand.latch(fault)
+        assert kill() == [] and soak.counts["faults"][fault.label] == 1
     stand.enables = True
-    assert "could be switched on" in stand.failures_of(soak.must_latch, HELD_UP)[0]
+    assert "could be switched on" in kill()[0]
 
 
 def test_an_amplifier_that_may_not_be_off_is_a_failure(soak, stand):
@@ -234,7 +238,7 @@ def test_an_amplifier_that_does_not_go_off_or_not_on_is_a_failure(soak, stand):
 def test_a_driver_that_the_controller_does_not_miss_is_a_failure(soak, stand):
     for tripped, failures in ((None, 1), (Fault.MAP_MISSING, 1), (Fault.SAMPLE_TIMEOUT, 0)):
         stand.tripped = tripped and Seen(tripped, NOW)
-        assert len(stand.failures_of(soak.must_react, "driver")) == failures
+        assert len(stand.failures_of(soak_run._as_in_trials, soak, "driver SIGKILL")) == failures
 
 
 def test_a_recorder_that_refuses_is_a_failure_unless_an_answer_was_lost_and_none_at_all_ends_the_action(soak, stand):
@@ -254,7 +258,7 @@ def test_a_recorder_that_refuses_is_a_failure_unless_an_answer_was_lost_and_none
 
 
 def test_a_node_that_does_not_change_its_state_is_a_failure(soak, stand):
-    stand.heartbeats.states = dict.fromkeys(("driver", "feedforward", "controller", "logger"), "active")
+    stand.heartbeats.states = dict.fromkeys(stand.names, "active")
     stand.answers["driver/enable"] = answer()
     failures = stand.failures_of(soak_run.down_and_up, soak)
     assert len(failures) == 4 and failures[0] == "logger is active; it must be inactive"
