@@ -1,7 +1,7 @@
 """Runs the closed loop over a faulty bus in simulated time: the real host and emulated board, with faults between them.
 
-:mod:`trials.can_faults` shows that each single fault is detected. This trial shows how the
-machine reacts: it keeps running, or it stays in the latched safe state until it is reset, and then runs again.
+:mod:`trials.can` shows that each single fault is detected. This trial shows how the machine reacts: it keeps running,
+or it stays in the latched safe state until it is reset, and then runs again.
 """
 
 from __future__ import annotations

@@ -220,29 +220,22 @@ def trials_of(composed: bool) -> list[Trial]:
     return [*trials, Trial("disk full under the logger", Fault.RECORDING_STOPPED, fill, _recording_ended)]
 
 
-class Row:
-    """Result of a trial: number of injections, time of each detection in ms, and failures in words."""
-
-    def __init__(self, trial: Trial) -> None:
-        self._trial, self.injected, self.failures = trial, 0, []
-        self.times_ms: list[float] = []
-        self.limit_ms = trial.fault.value.within_ms + _OTHERS.get(trial.fault, 0.0) + ALLOWANCE_MS
-
-    def to_display(self) -> dict[str, Any]:
-        """Values by name. It is green if each injection was detected in time, with all reactions as they must be."""
-        times = self.times_ms or [math.nan]
-        return {
-            "name": self._trial.name,
-            "limit_ms": self.limit_ms,
-            "reaction": self._trial.fault.value.reaction,
-            "reset": self._trial.fault.value.reset,
-            "injected": self.injected,
-            "failures": self.failures,
-            "detected": len(self.times_ms),
-            "median_ms": statistics.median(times),
-            "max_ms": max(times),
-            "green": len(self.times_ms) == self.injected and max(times) <= self.limit_ms and not self.failures,
-        }
+def row_of(trial: Trial, injected: int, times_ms: Sequence[float], failures: Sequence[str]) -> dict[str, Any]:
+    """Values by name: it is green if each injection was detected in time, with all reactions as they must be."""
+    what, times = trial.fault.value, times_ms or [math.nan]
+    limit_ms = what.within_ms + _OTHERS.get(trial.fault, 0.0) + ALLOWANCE_MS
+    return {
+        "name": trial.name,
+        "limit_ms": limit_ms,
+        "reaction": what.reaction,
+        "reset": what.reset,
+        "injected": injected,
+        "failures": failures,
+        "detected": len(times_ms),
+        "median_ms": statistics.median(times),
+        "max_ms": max(times),
+        "green": len(times_ms) == injected and max(times) <= limit_ms and not failures,
+    }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -262,24 +255,27 @@ def run(options: argparse.Namespace) -> int:
     if not chosen:
         names = ", ".join(trial.name for trial in known)
         raise CommandFailed(f"--only {options.only!r}: no fault has this in its name; known: {names}", exit_code=2)
-    values, begin, rows = trial_parameters(chosen_parameters(options)), time.monotonic(), list[Row]()
+    values, begin, rows = trial_parameters(chosen_parameters(options)), time.monotonic(), list[dict[str, Any]]()
     with output(options) as folder, Stand(folder, values, options.composed) as stand:
-        try:
-            for trial in tracked(chosen, "faults"):
-                rows.append(Row(trial))
-                stand.failures = rows[-1].failures
-                for _ in range(options.injections):
-                    _inject(stand, trial, rows[-1])
-        except LaunchError as error:
-            # The graph did not start again. What was measured before stays of use.
-            stand.fail(str(error))
-    green, seconds = all(row.to_display()["green"] for row in rows), time.monotonic() - begin
-    print_json({"faults": [row.to_display() for row in rows], "all_green": green, "seconds": seconds})
+        for trial in tracked(chosen, "faults"):
+            stand.failures, injected, times_ms, lost = [], 0, list[float](), False
+            try:
+                for injected in range(1, options.injections + 1):  # noqa: B007
+                    times_ms += _injected(stand, trial)
+            except LaunchError as error:
+                # The graph did not start again. What was measured before stays of use.
+                stand.fail(str(error))
+                lost = True
+            rows.append(row_of(trial, injected, times_ms, stand.failures))
+            if lost:
+                break
+    green, seconds = all(row["green"] for row in rows), time.monotonic() - begin
+    print_json({"faults": rows, "all_green": green, "seconds": seconds})
     return int(not green)
 
 
-def _inject(stand: Stand, trial: Trial, row: Row) -> None:
-    row.injected += 1
+def _injected(stand: Stand, trial: Trial) -> list[float]:
+    """The time in ms after which it was found; none if it was not."""
     for _ in range(_AGAIN):
         stand.switch_on()
         made_ns = trial.make(stand)
@@ -288,5 +284,5 @@ def _inject(stand: Stand, trial: Trial, row: Row) -> None:
         if found_ns is not None:
             if made_ns is None:
                 stand.until(lambda: stand.injected_ns > 0)
-            row.times_ms.append((found_ns - (made_ns or stand.injected_ns)) * 1e-6)
-            return
+            return [(found_ns - (made_ns or stand.injected_ns)) * 1e-6]
+    return []

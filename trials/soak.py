@@ -121,15 +121,9 @@ class Soak:
     """
 
     def __init__(
-        self,
-        stand: Stand,
-        rng: random.Random,
-        rate: int,
-        stalled: Callable[[int, int], float],
-        maps: tuple[str, ...],
+        self, stand: Stand, rng: random.Random, rate: int, stalled: Callable[[int, int], float], maps: Sequence[str]
     ) -> None:
-        self.stand, self.rng, self.maps = stand, rng, maps
-        self._rate, self._stalled = rate, stalled
+        self.stand, self.rng, self.maps, self._rate, self._stalled = stand, rng, maps, rate, stalled
         self.killable: Sequence[str] = ()
         self.recorded: list[tuple[int, int]] = []
         self.counts = {name: Counter[str]() for name in ("actions", "faults", "faults_in_stalls")}
@@ -165,7 +159,9 @@ class Soak:
         self.note(kind)
         self.counts["actions"][kind] += 1
         try:
-            ACTIONS[kind](self)
+            allowed = ACTIONS[kind](self)
+            # The amplifier may be off: it was switched off, or the driver is a new one.
+            self.check(allowed, on=False)
             self.back_to_work()
         except (LaunchError, ProcessLookupError) as error:
             stand.fail(f"not back to work: {error}")
@@ -173,7 +169,7 @@ class Soak:
         self._look()
         stand.spin(self.rng.uniform(*_PAUSE_S))
         stand.about = f"{kind}: later, with nothing done: "
-        self.may_latch()
+        self.check()
         if stand.condition != "on":
             # Restore also after a permitted fault: the next action must not find it.
             with suppress(LaunchError):
@@ -219,25 +215,16 @@ class Soak:
         """Call a service; its answer. LaunchError without one."""
         return _answered(self.stand.call(kind, service, kind.Request(**request)), service)
 
-    def set(self, node: str, values: Mapping[str, Any]) -> Any:
-        """Set parameters of a node; its result. LaunchError without an answer."""
+    def set(self, node: str, values: Mapping[str, Any]) -> tuple[Any, Mapping[str, Any], Mapping[str, Any]]:
+        """Set parameters of a node; its result, and their values before and after. LaunchError without an answer."""
         self.note(f"  {node}: {values}")
-        return _answered(self.stand.set(node, values), node)
+        before = self._values(node, values)
+        result = _answered(self.stand.set(node, values), node)
+        return result, before, self._values(node, values)
 
-    def values(self, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
-        """The parameters of these names that a node has."""
+    def _values(self, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
         answer = self.ask(GetParameters, f"{node}/get_parameters", names=list(names))
         return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
-
-    def change(self, node: str, values: Mapping[str, Any]) -> None:
-        """Change parameters of a node; the amplifier must stay on."""
-        result = self.set(node, values)
-        if not result.successful:
-            self.stand.fail(f"{node} refused {values}: {result.reason}")
-        elif (now := self.values(node, values)) != values:
-            self.stand.fail(f"{node} took {values}, and has {now}")
-        self.stand.spin(_FADE_S)
-        self.may_latch()
 
     def chosen(self, names: Sequence[str], lost_s: float = 0.0) -> str:
         """One of the processes, to be stopped or killed now, of whose recording the last ``lost_s`` may be lost."""
@@ -248,12 +235,22 @@ class Soak:
             self.interrupt(lost_s)
         return name
 
-    def may_latch(self, *allowed: Fault) -> None:
-        """Check that the amplifier is on, or off with one of these faults."""
-        if self.stand.condition == "fault" and self.stand.fault is not None:
-            self._count(allowed)
-        elif self.stand.condition != "on":
-            self.stand.fail(f"the amplifier is '{self.stand.condition}' and no fault is latched")
+    def check(self, allowed: Sequence[Fault] = (), on: bool = True) -> None:
+        """Check that no fault is latched but one of these, and unless one is that the amplifier is ``on``."""
+        stand = self.stand
+        if stand.condition != "fault" or stand.fault is None:
+            if on and stand.condition != "on":
+                stand.fail(f"the amplifier is '{stand.condition}' and no fault is latched")
+            return
+        fault, at_ns = stand.fault
+        stall_ms = self._stalled(at_ns - round(_STALL_S * 1e9), at_ns)
+        if fault in allowed:
+            self.counts["faults"][fault.label] += 1
+        elif fault in HELD_UP and stall_ms >= _STALL_MS:
+            self.counts["faults_in_stalls"][fault.label] += 1
+        else:
+            others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
+            stand.fail(f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)")
 
     def back_to_work(self) -> None:
         """Restore normal operation after any action: amplifier on, stage moving, everything recorded.
@@ -264,30 +261,17 @@ class Soak:
         begin, stand = time.monotonic(), self.stand
         stand.switch_on()
         x = stand.x
-        # The trajectory may have been published before the driver was connected.
-        self._until(lambda: abs(stand.x - x) > _MOVED, "the stage does not move", then=stand.move)
-        self._until(lambda: self._recording_ns > 0, "the logger does not record every stream")
+        for condition, missing in (
+            (lambda: abs(stand.x - x) > _MOVED, "the stage does not move"),
+            (lambda: self._recording_ns > 0, "the logger does not record every stream"),
+        ):
+            deadline = time.monotonic() + _BACK_S
+            while not stand.until(condition, 1.5):
+                if time.monotonic() > deadline:
+                    raise LaunchError(f"{missing} {_BACK_S:g} s after the amplifier was switched on")
+                # The trajectory may have been published before the driver was connected.
+                stand.move()
         self.back_s.append(time.monotonic() - begin)
-
-    def _until(self, condition: Callable[[], bool], refusal: str, then: Callable[[], None] = lambda: None) -> None:
-        deadline = time.monotonic() + _BACK_S
-        while not self.stand.until(condition, 1.5):
-            if time.monotonic() > deadline:
-                raise LaunchError(f"{refusal} {_BACK_S:g} s after the amplifier was switched on")
-            then()
-
-    def _count(self, allowed: Sequence[Fault]) -> None:
-        assert self.stand.fault is not None
-        fault, at_ns = self.stand.fault
-        stall_ms = self._stalled(at_ns - round(_STALL_S * 1e9), at_ns)
-        if fault in allowed:
-            self.counts["faults"][fault.label] += 1
-        elif fault in HELD_UP and stall_ms >= _STALL_MS:
-            self.counts["faults_in_stalls"][fault.label] += 1
-        else:
-            others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
-            words = f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)"
-            self.stand.fail(words)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -309,15 +293,18 @@ def _answered(answer: Any, who: str) -> Any:
     return answer
 
 
-def amplifier_off_and_on(soak: Soak) -> None:
+Action = Callable[[Soak], Sequence[Fault]]
+"""An action returns the faults that it may cause."""
+
+
+def amplifier_off_and_on(soak: Soak) -> Sequence[Fault]:
     """Amplifier off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
     stand = soak.stand
     soak.ask(SetBool, "driver/enable", data=False)
     if not stand.until(lambda: stand.condition == "off", 1.0):
         if stand.condition == "fault":
-            # A fault was latched before the request arrived; no action caused it.
-            soak.may_latch()
-            return
+            # It was latched before the request arrived; no action caused it.
+            return ()
         stand.fail(f"the amplifier is '{stand.condition}' after it was switched off")
     stand.spin(soak.rng.uniform(0.0, 0.5))
     begin = time.monotonic()
@@ -329,101 +316,86 @@ def amplifier_off_and_on(soak: Soak) -> None:
     else:
         words = answer.message or f"fault {stand.fault}"
         stand.fail(f"'{stand.condition}' {seconds:.2f} s after enable; allowed: on within 2 s ({words})")
+    return ()
 
 
-def reload_map(soak: Soak) -> None:
-    """Read the map's file again; the amplifier must stay on."""
+def change(node: str, draw: Callable[[Soak], Mapping[str, Any]], soak: Soak) -> Sequence[Fault]:
+    """Change parameters of a node to others, with which the platform is held."""
+    values = draw(soak)
     soak.stand.spin(_FADE_S)
-    ask_trigger(("feedforward/reload_map",), soak)
+    result, _, after = soak.set(node, values)
+    if not result.successful:
+        soak.stand.fail(f"{node} refused {values}: {result.reason}")
+    elif after != values:
+        soak.stand.fail(f"{node} took {values}, and has {after}")
     soak.stand.spin(_FADE_S)
-    soak.may_latch()
+    return ()
 
 
-def another_map(soak: Soak) -> None:
-    """Change the feedforward to another map file."""
-    soak.stand.spin(_FADE_S)
-    soak.change("feedforward", {"stage.guide.file": soak.rng.choice(soak.maps)})
-
-
-def another_law(soak: Soak) -> None:
-    """Change the controller to another law and gains, all of which hold the platform."""
+def _law(soak: Soak) -> Mapping[str, Any]:
     between = soak.rng.uniform
-    gains = {
+    return {
         "control.smc_observer.surface": between(450.0, 600.0),
         "control.smc_observer.bandwidth": between(380.0, 460.0),
         "control.smc.natural_frequency": between(32.0, 38.0),
+        "control.law": soak.rng.choice(LAWS),
     }
-    soak.change("controller", {"control.law": soak.rng.choice(LAWS), **gains})
 
 
-def refused_parameters(soak: Soak) -> None:
+def refused_parameters(soak: Soak) -> Sequence[Fault]:
     """Set parameters with one wrong value: the request must be refused as a whole, with all values unchanged."""
     node, values = soak.rng.choice(_REFUSED)
-    before = soak.values(node, values)
-    result = soak.set(node, values)
+    result, before, after = soak.set(node, values)
     if result.successful:
         soak.stand.fail(f"{node} took {values}")
     elif not result.reason:
         soak.stand.fail(f"{node} refused {values} without a reason")
-    after = soak.values(node, values)
     if after != before:
         soak.stand.fail(f"{node} refused {values}, and has {after} in place of {before}")
-    soak.may_latch()
+    return ()
 
 
-def ask_trigger(services: Sequence[str], soak: Soak, between_s: tuple[float, float] = (0.0, 0.0)) -> None:
+def ask_trigger(services: Sequence[str], between_s: tuple[float, float], soak: Soak) -> Sequence[Fault]:
     """Call services one after the other, none of which may refuse; two of the recorder end a recording and begin it
     again. A split of the bag alone loses nothing, so the recording does not count as interrupted."""
     if len(services) > 1:
         soak.interrupt()
-    for place, service in enumerate(services):
-        if place:
-            soak.stand.spin(soak.rng.uniform(*between_s))
+    for service in services:
         lost = soak.stand.answers_lost
         answer = soak.ask(Trigger, service)
         # A request whose answer was lost was executed all the same; the repeated request is then refused.
         if not answer.success and soak.stand.answers_lost == lost:
             soak.stand.fail(f"{service} was refused: {answer.message}")
-    soak.may_latch()
+        soak.stand.spin(soak.rng.uniform(*between_s))
+    return ()
 
 
-def kill(soak: Soak) -> None:
-    """Kill a process with SIGKILL, and start it again."""
-    _as_in_trials(soak, f"{soak.chosen(soak.killable, _TAKEN_BY_A_KILL_S)} SIGKILL")
-
-
-def stop_for_long(soak: Soak) -> None:
-    """SIGSTOP for longer than the timeouts."""
-    _as_in_trials(soak, f"{soak.chosen(soak.stand.names)} SIGSTOP")
-
-
-def _as_in_trials(soak: Soak, name: str) -> None:
-    """What the trials of faults ask for, or another fault that comes of it: the platform may be at its stop before.
-    Without the logger the loop must keep running."""
+def kill_or_stop(how: str, soak: Soak) -> Sequence[Fault]:
+    """SIGKILL and a new start, or SIGSTOP for longer than the timeouts: what the trials of faults ask for, or another
+    fault that comes of it, as the platform may be at its stop before. Without the logger the loop must keep running."""
     stand = soak.stand
-    (trial,) = (one for one in trials_of_processes(COMPOSED in stand.names) if one.name == name)
+    name = soak.chosen(soak.killable, _TAKEN_BY_A_KILL_S) if how == "SIGKILL" else soak.chosen(stand.names)
+    (trial,) = (one for one in trials_of_processes(COMPOSED in stand.names) if one.name == f"{name} {how}")
     trial.make(stand)
-    if name.startswith("logger"):
+    if name == "logger":
         stand.spin(1.0)
-        soak.may_latch()
     elif trial.judge(stand, [trial.fault, *HELD_UP]) is None:
         stand.fail(f"{trial.fault.label} was not found; '{stand.condition}', {stand.fault}, {stand.tripped}")
-    elif stand.fault is not None:
-        soak.counts["faults"][stand.fault.fault.label] += 1
     trial.restore(stand)
+    return () if name == "logger" else HELD_UP
 
 
-def stop_for_short(soak: Soak) -> None:
+def stop_for_short(soak: Soak) -> Sequence[Fault]:
     """SIGSTOP for less than the timeouts: on a busy computer a fault may be latched all the same."""
     name = soak.chosen(soak.stand.names)
     soak.stand.signal(name, signal.SIGSTOP)
     soak.stand.spin(soak.rng.uniform(0.01, 0.1))
     soak.stand.signal(name, signal.SIGCONT)
     soak.stand.spin(0.3)
-    soak.may_latch(*(() if name == "logger" else HELD_UP))
+    return () if name == "logger" else HELD_UP
 
 
-def down_and_up(soak: Soak) -> None:
+def down_and_up(soak: Soak) -> Sequence[Fault]:
     """Amplifier off, all nodes inactive in the order of the signals, and back: no fault, all active again."""
     stand, order = soak.stand, tuple(soak.stand.heartbeats.states)
     soak.interrupt()
@@ -439,22 +411,20 @@ def down_and_up(soak: Soak) -> None:
             if not stand.until(lambda: stand.heartbeats.states[name] == state, _PATIENCE_S):  # noqa: B023
                 stand.fail(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")
         stand.spin(soak.rng.uniform(0.0, 0.3))
-    if stand.condition == "fault":
-        # With the amplifier off nothing can cause a fault, and before that only a stall of the whole computer.
-        soak.may_latch()
+    return ()
 
 
-ACTIONS: Mapping[str, Callable[[Soak], None]] = {
+ACTIONS: Mapping[str, Action] = {
     "amplifier off and on": amplifier_off_and_on,
-    "map reloaded": reload_map,
-    "another map": another_map,
-    "another law": another_law,
+    "map reloaded": partial(ask_trigger, ("feedforward/reload_map",), (_FADE_S, _FADE_S)),
+    "another map": partial(change, "feedforward", lambda soak: {"stage.guide.file": soak.rng.choice(soak.maps)}),
+    "another law": partial(change, "controller", _law),
     "refused parameters": refused_parameters,
-    "pause and resume": partial(ask_trigger, ("logger/pause", "logger/resume"), between_s=(0.1, 0.5)),
-    "split": partial(ask_trigger, ("logger/split",)),
-    "another bag": partial(ask_trigger, ("logger/stop", "logger/start"), between_s=(0.0, 0.3)),
-    "SIGKILL": kill,
-    "SIGSTOP, long": stop_for_long,
+    "pause and resume": partial(ask_trigger, ("logger/pause", "logger/resume"), (0.1, 0.5)),
+    "split": partial(ask_trigger, ("logger/split",), (0.0, 0.0)),
+    "another bag": partial(ask_trigger, ("logger/stop", "logger/start"), (0.0, 0.3)),
+    "SIGKILL": partial(kill_or_stop, "SIGKILL"),
+    "SIGSTOP, long": partial(kill_or_stop, "SIGSTOP"),
     "SIGSTOP, short": stop_for_short,
     "deactivate, activate": down_and_up,
 }

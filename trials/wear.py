@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -88,34 +89,27 @@ CLIMATE = {
 before; standard deviations, relative or in the unit named. There are no seasons."""
 
 
-class Machine(NamedTuple):
-    """A day's machine relative to the description: factors, µm at the middle of the guide's moved place, µs."""
-
-    friction: float = 1.0
-    amplifier: float = 1.0
-    scale: float = 1.0
-    settled_um: float = 0.0
-    kink_um: float = 0.0
-    slower: float = 0.0
-
-
 class Wear(NamedTuple):
-    """A known wear, the cause of advice that is right, and the machine so many days after it began."""
+    """A known wear: the cause of advice that is right, and what changes by how much, at once and a day. That is a
+    factor of the machine, less 1, relative to the description, or µm of the guide in the middle of a moved place or at
+    a loose bolt, or whether messages have another transport."""
 
     name: str
     words: str
     cause: str
-    machine: Callable[[float], Machine]
+    changes: str
+    at_once: float = 0.0
+    a_day: float = 0.0
 
 
-SOUND = Wear("sound", "sound", "", lambda days: Machine())
+SOUND = Wear("sound", "sound", "", "friction")
 WEARS = (
-    Wear("friction", "friction +1 % a week", "friction_up", lambda days: Machine(friction=1.0 + 0.01 * days / WEEK)),
-    Wear("guide", "guide +0.05 µm a month", "guide", lambda days: Machine(settled_um=0.05 * days / MONTH)),
-    Wear("scale", "scale of y +0.5 % a month", "stiffness", lambda days: Machine(scale=1.0 + 0.005 * days / MONTH)),
-    Wear("amplifier", "amplifier -1 % a week", "amplifier", lambda days: Machine(amplifier=1.0 - 0.01 * days / WEEK)),
-    Wear("latency", "latency +36 µs by an update", "host", lambda days: Machine(slower=1.0)),
-    Wear("bolt", "loose bolt, 0.5 µm", "bolt", lambda days: Machine(kink_um=0.5)),
+    Wear("friction", "friction +1 % a week", "friction_up", "friction", a_day=0.01 / WEEK),
+    Wear("guide", "guide +0.05 µm a month", "guide", "settled_um", a_day=0.05 / MONTH),
+    Wear("scale", "scale of y +0.5 % a month", "stiffness", "scale", a_day=0.005 / MONTH),
+    Wear("amplifier", "amplifier -1 % a week", "amplifier", "amplifier", a_day=-0.01 / WEEK),
+    Wear("latency", "latency +36 µs by an update", "host", "transport", at_once=1.0),
+    Wear("bolt", "loose bolt, 0.5 µm", "bolt", "kink_um", at_once=0.5),
 )
 Pool = Mapping[tuple[str, float], list[StrokeRow]]
 """Rows of simulated strokes: by axis of the grid and its value, forward and backward in turn."""
@@ -221,19 +215,20 @@ def months(
     """``days`` days of a stage that wears from day ``begin`` on; ``sensor``: with a displacement sensor."""
     random, base = np.random.default_rng(seed), pool[BASE]
     daily = {name: _daily(random, days, size) for name, size in CLIMATE.items()}
-    machines = [(wear if day >= begin else SOUND).machine(day - begin) for day in range(days)]
-    of_day = {name: np.array([getattr(one, name) for one in machines]) for name in Machine._fields}
+    worn = np.maximum(np.arange(days) - begin, -1)
+    changed = defaultdict[str, Array](lambda: np.zeros(days))
+    changed[wear.changes] = np.where(worn < 0, 0.0, wear.at_once + wear.a_day * worn)
     day = np.repeat(np.arange(days), 2 * bags)
     forward = np.tile([True, False], days * bags)
     drawn = random.integers(len(base) // 2, size=day.size)
-    factors = {axis: (of_day[axis] * (1.0 + daily[axis]))[day] for axis in _AXES}
+    factors = {axis: ((1.0 + changed[axis]) * (1.0 + daily[axis]))[day] for axis in _AXES}
     figures = {}
     for name in FIGURES:
         values = figures[name] = np.empty(day.size)
         if name in _LATENCY:
             mean, deviation, slower = _LATENCY[name]
             values[:] = mean + deviation * random.standard_normal(day.size)
-            values += daily[name][day] + slower * of_day["slower"][day]
+            values += daily[name][day] + slower * changed["transport"][day]
             continue
         for way in (True, False):
             ours = forward == way
@@ -244,12 +239,12 @@ def months(
                 values[ours] += np.interp(factors[axis][ours], grid, means) - means[grid.index(1.0)]
     x = (base[0].bins_from_mm + 10.0 * (np.arange(len(base[0].error_bins_um)) + 0.5)) * 1e-3
     middle = (x - x.mean()) / np.ptp(x)
-    profile = np.outer(daily["bow_um"], 4.0 * middle**2) + np.outer(of_day["settled_um"], settled(x))
-    profile += np.outer(of_day["kink_um"], np.maximum(1.0 - np.abs(x - 0.9) / 0.06, 0.0))
+    profile = np.outer(daily["bow_um"], 4.0 * middle**2) + np.outer(changed["settled_um"], settled(x))
+    profile += np.outer(changed["kink_um"], np.maximum(1.0 - np.abs(x - 0.9) / 0.06, 0.0))
     guide = profile[day] + _READING_UM * random.standard_normal((day.size, x.size))
     if not sensor:
         guide[:] = np.nan
-    software = ["1.2" if one else "1.1" for one in (of_day["slower"] > 0.0)[day].tolist()]
+    software = ["1.2" if one else "1.1" for one in (changed["transport"] > 0.0)[day].tolist()]
     made_from = [base[2 * number + k % 2] for k, number in enumerate(drawn.tolist())]
     return Months(day + _FIRST_DAY, forward, figures, guide, x, software, made_from)
 

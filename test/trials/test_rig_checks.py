@@ -22,7 +22,7 @@ from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
 from trials import soak as soak_run
 from trials import stalls
-from trials.faults import Row, trials_of
+from trials.faults import row_of, trials_of
 from trials.soak import Soak
 from trials.soak_verdict import HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Look, gaps, grown, look
 from trials.stand import Seen, Stand
@@ -88,14 +88,14 @@ def answer(**fields):
 
 
 def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_must_follow():
+    trial = trials_of(False)[0]
+
     def row(injected=2, times_ms=(1.0, 3.0), failures=()):
-        made = Row(trials_of(False)[0])
-        made.injected, made.times_ms, made.failures = injected, list(times_ms), list(failures)
-        return made.to_display()
+        return row_of(trial, injected, times_ms, failures)
 
     limit = row()["limit_ms"]
     expected = {
-        "name": trials_of(False)[0].name,
+        "name": trial.name,
         "injected": 2,
         "detected": 2,
         "median_ms": 2.0,
@@ -113,30 +113,30 @@ def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_m
 
 
 def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(soak, stand):
-    kill = partial(stand.failures_of, soak_run._as_in_trials, soak, "controller SIGKILL")
+    soak.killable, kill = ["controller"], partial(stand.failures_of, soak_run.ACTIONS["SIGKILL"], soak)
     assert "command_timeout was not found" in kill()[0]
     stand.latch(Fault.X_JUMP)
     assert "command_timeout was not found" in kill()[0]
     for fault in (Fault.COMMAND_TIMEOUT, Fault.Y_OUT_OF_RANGE):
         stand.latch(fault)
-        assert kill() == [] and soak.counts["faults"][fault.label] == 1
+        assert kill() == [] and stand.failures_of(soak.check, HELD_UP) == [] and soak.counts["faults"][fault.label] == 1
     stand.enables = True
     assert "could be switched on" in kill()[0]
 
 
 def test_an_amplifier_that_may_not_be_off_is_a_failure(soak, stand):
-    assert stand.failures_of(soak.may_latch) == []
+    assert stand.failures_of(soak.check) == []
     stand.condition = "off"
-    assert "the amplifier is 'off'" in stand.failures_of(soak.may_latch)[0]
-    assert stand.failures_of(soak.may_latch, *HELD_UP)
+    assert "the amplifier is 'off'" in stand.failures_of(soak.check)[0]
+    assert stand.failures_of(soak.check, HELD_UP)
     stand.latch(Fault.SAMPLE_TIMEOUT)
-    assert stand.failures_of(soak.may_latch, *HELD_UP) == []
-    assert "'sample_timeout' was latched; none may" in stand.failures_of(soak.may_latch)[0]
+    assert stand.failures_of(soak.check, HELD_UP) == []
+    assert "'sample_timeout' was latched; none may" in stand.failures_of(soak.check)[0]
     # One that a computer made that stood still is counted apart, and another fault is not.
     soak._stalled = lambda begin, end: 120.0
-    assert stand.failures_of(soak.may_latch) == [] and soak.counts["faults_in_stalls"] == {"sample_timeout": 1}
+    assert stand.failures_of(soak.check) == [] and soak.counts["faults_in_stalls"] == {"sample_timeout": 1}
     stand.latch(Fault.TWO_CONTROLLERS)
-    assert stand.failures_of(soak.may_latch)
+    assert stand.failures_of(soak.check)
 
 
 def test_a_stage_that_does_not_move_is_not_back_to_work(soak, stand, monkeypatch):
@@ -238,7 +238,8 @@ def test_an_amplifier_that_does_not_go_off_or_not_on_is_a_failure(soak, stand):
 def test_a_driver_that_the_controller_does_not_miss_is_a_failure(soak, stand):
     for tripped, failures in ((None, 1), (Fault.MAP_MISSING, 1), (Fault.SAMPLE_TIMEOUT, 0)):
         stand.tripped = tripped and Seen(tripped, NOW)
-        assert len(stand.failures_of(soak_run._as_in_trials, soak, "driver SIGKILL")) == failures
+        soak.killable = ["driver"]
+        assert len(stand.failures_of(soak_run.ACTIONS["SIGKILL"], soak)) == failures
 
 
 def test_a_recorder_that_refuses_is_a_failure_unless_an_answer_was_lost_and_none_at_all_ends_the_action(soak, stand):
