@@ -96,7 +96,8 @@ def _whose(assessment: Assessment) -> str:
     began = datetime.fromtimestamp(evaluation.begin_ns * 1e-9, timezone.utc)
     date = f"; began {began:%Y-%m-%d %H:%M} UTC" if began.year > _FIRST_YEAR else ""
     stage = f"stage “{driver.get('stage.name', 'unknown')}”{serial}, {machine}{date}"
-    return f"{assessment.bag}: {stage}; report by {made_by['package']} {made_by['version']} ({made_by['revision']})"
+    by = f"{made_by['package']} {made_by['version']} ({made_by['revision']})"
+    return f"{assessment.bag}: {stage}; report by {by}, {datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC"
 
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
