@@ -172,7 +172,9 @@ def pack(
     left_out: list[str] = []
     with tempfile.TemporaryDirectory(prefix="straightcomp_incident_") as place:
         copy = _copied(bag, Path(place), last, left_out)
-        contents = dict(_texts(bag, copy, logs, left_out))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is wrong with the copy was said of the bag
+            contents = dict(_texts(bag, copy, logs, left_out))
         texts = {name: data.decode(errors="replace") for name, data in contents.items() if name.startswith("logs/")}
         found = judged(copy, texts)
         doctor = [asdict(one) for one in findings]

@@ -110,12 +110,13 @@ def add_user(path: Path, name: str, password: str, role: str) -> None:
         raise AdmissionError(f"password of user '{name}': too short; allowed: at least {SHORTEST_PASSWORD} characters")
     salt = secrets.token_bytes(16)
     hashed = _hash(password, salt)
+    if path.exists():
+        _users(path)
     try:
         real = path.resolve()
         with locked(real.with_name(f".{real.name}.lock")):
             lines = []
             if path.exists():
-                _users(path)
                 # Comments and the order of the lines are the administrator's.
                 lines = path.read_text(encoding="utf-8").splitlines()
                 lines = [line for line in lines if line.startswith("#") or line.split(":")[0].strip() != name]

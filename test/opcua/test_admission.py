@@ -3,6 +3,7 @@
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from pathlib import Path
 
 import pytest
 
@@ -41,6 +42,9 @@ def test_what_is_no_user_is_refused(tmp_path, name, password, role, words):
     path.write_text("# ours\nann:operator:00\n")
     with pytest.raises(AdmissionError, match="line 2"):
         Users(path)
+    for folder in (tmp_path, "/"):
+        with pytest.raises(AdmissionError, match="Is a directory"):
+            add_user(Path(folder), "ann", "long enough", "viewer")
 
 
 def test_the_verb_writes_the_file(tmp_path, monkeypatch):
