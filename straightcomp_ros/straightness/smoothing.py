@@ -5,16 +5,17 @@ and slope (drift) taken off. The spline f is cubic and minimises, over the n poi
 
     Σ w_i (y_i − f(x_i))² + ∫ λ(x) f'''(x)² dx
 
-The third derivative leaves a parabola, and so the curvature at the ends, as it is. One λ for all x has the least
-Mallows' C_p, the estimate of the squared error from the known noise (C. L. Mallows, Technometrics 15, 1973). With a
-single run the noise is that of the residual, at the λ of generalised cross validation (P. Craven and G. Wahba, Numer.
-Math. 31, 1979). At a joint or kink λ(x) is smaller: it is the largest whose fit differs from none of the less smooth
-ones by more than the noise can explain (O. V. Lepski, Theory Probab. Appl. 35, 1990).
+The third derivative leaves a parabola, and so the curvature at the ends, as it is. No single λ is chosen: the map
+is the mean of the splines of all λ, each with the weight exp(−C_p/4), where C_p is the estimate of its squared error
+from the known noise, in units of that (C. L. Mallows, Technometrics 15, 1973; G. Leung and A. R. Barron, IEEE Trans.
+Inf. Theory 52, 2006). With a single run the noise is that of the residual, at the λ of generalised cross validation
+(P. Craven and G. Wahba, Numer. Math. 31, 1979). At a joint or kink λ(x) is smaller: no larger than the largest whose
+fit differs from none of the less smooth ones by more than the noise can explain (O. V. Lepski, Theory Probab. Appl. 35,
+1990).
 
-The band is Wahba's: the posterior standard deviation of the spline as a Gaussian process, which contains the bias on
-average over x (G. Wahba, J. R. Stat. Soc. B 45, 1983), and beside it what the choice of λ leaves open: the fits by
-other λ and their deviations count by their Akaike weights (S. T. Buckland, K. P. Burnham and N. H. Augustin, Biometrics
-53, 1997). It does not contain the survey's zero and tilt.
+The band is Wahba's, the posterior standard deviation of a spline as a Gaussian process, which contains the bias on
+average over x (G. Wahba, J. R. Stat. Soc. B 45, 1983), over all of them: mean variance and the variance between them
+(S. T. Buckland, K. P. Burnham and N. H. Augustin, Biometrics 53, 1997). It does not contain the survey's zero and tilt.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ NORMAL_95 = 1.96
 """Standard deviations to each side that hold 95 % of a normal distribution."""
 _CLEAN = 0.6
 """Fraction of its variance that smoothing must leave of the noise at most; else it is taken off only where it bends."""
+_UNLIKELY = 0.02
+"""Weight up to which a λ is left out."""
 ROUNDING = 1e-9
 """Noise in m that nothing is done about: survey files are rounded to a nanometre."""
 _DETECTED = 3.5
@@ -153,7 +156,8 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         return None, _as_measured(noise, runs, repeated, x)
     # SciPy takes half of the time that a node needs to start, and a node without a map needs none of it.
     from scipy.interpolate import BSpline, PPoly
-    from scipy.linalg import eigh
+    from scipy.linalg import eigh, solveh_banded
+    from scipy.sparse import csr_array
 
     # No knot at the second point from either end, as in the spline through all points.
     fine = len(x) > _MOST_KNOTS
@@ -162,17 +166,13 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     padded = np.concatenate([[knots[0]] * 3, knots, [knots[-1]] * 3])
     at_points, at_knots = (BSpline.design_matrix(at, padded, 3) for at in (x, knots))
     weight = own.mean(axis=0)
-    information = (at_points.T @ at_points.multiply(weight[:, None])).toarray()
+    information = at_points.T @ at_points.multiply(weight[:, None])
     sums = at_points.T @ (weight * mean)
     middles, lengths = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
     # The third derivative of a cubic is constant between two knots.
     third = BSpline(padded, np.eye(len(sums)), 3)(middles, 3)
-
-    def penalty(of_x: Array) -> Array:
-        return np.asarray(third.T @ ((lengths * of_x)[:, None] * third))
-
     # Modes that are independent for every λ (A. Demmler and C. Reinsch, Numer. Math. 24, 1975).
-    stiffness, modes = eigh(penalty(np.ones_like(middles)), information)
+    stiffness, modes = eigh(third.T @ (lengths[:, None] * third), information.toarray())
     stiffness = np.maximum(stiffness, 0.0)
     choices = np.geomspace(1.0, _SMOOTHEST, 25) / stiffness[-1]
     kept = 1.0 / (1.0 + choices[:, None] * stiffness)
@@ -183,40 +183,58 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         best = int((squares / (len(x) - freedom) ** 2).argmin())
         noise = math.sqrt(squares[best] / (len(x) - freedom[best]))
     risks = squares + 2.0 * noise**2 * freedom
-    best = int(risks.argmin())
     typical = float(np.median(weight * (mean - fits[:, 0]) ** 2)) / _MEDIAN_OF_SQUARES
     rough = fine and typical > _TOO_COARSE * noise**2 * (1.0 - freedom[0] / len(x))
     if factor == 0.0 or (how == "auto" and (rough or noise <= ROUNDING)):
         return None, _as_measured(noise, runs, repeated, x)
 
+    likely = np.exp((risks.min() - risks) / (4.0 * noise**2))
+    likely /= likely.sum()
+    smoothest = int(np.flatnonzero(likely > _UNLIKELY)[-1])
     shapes = at_knots @ modes
     curves, shapes = shapes @ (kept * amounts).T, shapes**2
-    likely = np.exp((risks[best] - risks) / (2.0 * noise**2))
-    likely /= likely.sum()
-    of_choice = (curves - curves[:, [best]]) ** 2 @ likely + noise**2 * (shapes @ (likely @ kept - kept[best]))
-    of_choice = np.maximum(of_choice, 0.0)
     local, holds = np.zeros(len(knots), np.intp), np.ones(len(knots), np.bool_)
-    for smoother in range(1, best + 1):
+    for smoother in range(1, smoothest + 1):
         spread = noise * np.sqrt(shapes @ ((kept[smoother] - kept[:smoother]) ** 2).T)
         holds &= np.all(np.abs(curves[:, [smoother]] - curves[:, :smoother]) <= _DETECTED * spread, axis=1)
         local[holds] = smoother
-    amount = factor * np.exp(np.interp(middles, knots, np.log(choices[local])))
-    inverse = np.linalg.inv(information + penalty(amount))
-    spline = BSpline(padded, inverse @ sums, 3)
+
+    def averaged(weights: Array) -> tuple[BSpline, Array, Array]:
+        """The mean spline, and at the knots its variance and that of twice as many runs."""
+        used, size = np.flatnonzero(weights > _UNLIKELY), len(sums)
+        shares, basis, found = weights[used] / weights[used].sum(), at_knots.toarray(), list[Array]()
+        sparse = csr_array(third)
+        for choice in used:
+            amount = factor * np.exp(np.interp(middles, knots, np.log(choices[np.minimum(local, choice)])))
+            penalty = sparse.T @ sparse.multiply((lengths * amount)[:, None])
+            for times in (1.0, 2.0):
+                matrix = times * information + penalty
+                bands = np.array([np.pad(matrix.diagonal(k), (k, 0)) for k in (3, 2, 1, 0)])
+                solved = solveh_banded(bands, np.column_stack([times * sums, basis.T]))
+                found.append(np.append(solved[:, 0], noise**2 * np.sum(basis * solved[:, 1:].T, axis=1)))
+        each = np.array(found).reshape(len(used), 2, -1)
+        centre = shares @ each[:, 0, :size]
+        between = shares @ ((each[:, 0, :size] - centre) @ basis.T) ** 2
+        once, twice = np.einsum("i,ijk->jk", shares, each[:, :, size:])
+        return BSpline(padded, centre, 3), once + between, twice + between / 2.0
+
+    spline, variance, twice = averaged(likely)
     # Where smoothing takes off little, or no run was repeated so that the residual may be the guide, only what the law
-    # cannot be asked to follow is taken off.
-    if how == "auto" and (freedom[best] > _CLEAN * len(x) or not repeated):
-        bends = (np.abs(one(x, 2)).max() for one in (cubic_spline(x, mean), spline))
-        if next(bends) <= _BENDS * next(bends):
-            return None, _as_measured(noise, runs, repeated, x)
+    # cannot be asked to follow is taken off: such λ count as the least.
+    little = (freedom > _CLEAN * len(x)) | (not repeated)
+    if how == "auto" and (through := float(likely[little].sum())) > _UNLIKELY:
+        whole = through >= 1.0 - _UNLIKELY
+        shares = np.where(little, 0.0, likely)
+        shares[0] = through
+        found = (cubic_spline(x, mean), variance, twice) if whole else averaged(shares)
+        if np.abs(found[0](x, 2)).max() <= _BENDS * np.abs(spline(x, 2)).max():
+            if whole:
+                return None, _as_measured(noise, runs, repeated, x)
+            spline, variance, twice = found
     pieces = PPoly.from_spline(spline)
-    deviation, twice = (
-        np.sqrt(noise**2 * (at_knots @ (at_knots @ covariance).T).diagonal() + of_choice / times)
-        for times, covariance in ((1.0, inverse), (2.0, np.linalg.inv(2.0 * information + penalty(amount))))
-    )
     return (
         PPoly(pieces.c[:, 3:-3], pieces.x[3:-3]),
-        MapNoise(noise, runs, repeated, True, knots, deviation, float(np.sqrt(np.mean(twice**2)))),
+        MapNoise(noise, runs, repeated, True, knots, np.sqrt(variance), float(np.sqrt(np.mean(twice)))),
     )
 
 
