@@ -19,8 +19,8 @@ from straightcomp_ros.tuning.sweep.trial import run_trials
 pytestmark = pytest.mark.no_cover
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [(REPOSITORY / "docs" / f"{name}.md") for name in ("accuracy", "tuning", "design", "surveys")]
-ACCURACY, TUNING, DESIGN, SURVEYS = (page.read_text(encoding="utf-8") for page in PAGES)
+PAGES = [(REPOSITORY / "docs" / f"{name}.md") for name in ("accuracy", "tuning", "evidence/accuracy", "surveys")]
+ACCURACY, TUNING, EVIDENCE, SURVEYS = (page.read_text(encoding="utf-8") for page in PAGES)
 OTHER_PROCESSOR = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
 
@@ -99,9 +99,9 @@ def test_the_page_on_surveys_says_how_far_an_error_table_lies_from_the_map(capsy
     assert float(page[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
 
 
-def test_the_designs_errors_around_stalls_are_what_their_script_finds(shipped, capsys, monkeypatch):
+def test_the_errors_around_stalls_are_what_their_script_finds(shipped, capsys, monkeypatch):
     """Of the row for 2 ms, the last column: what the board does."""
-    page = [float(number) for number in re.findall(r"[\d.]+", cells(line_of(DESIGN, "2 ms"))[-1])]
+    page = [float(number) for number in re.findall(r"[\d.]+", cells(line_of(EVIDENCE, "2 ms"))[-1])]
     monkeypatch.setattr(late_commands, "_STALLS_MS", (2,))
     shipped["stage"]["drive.delay"] = 1.0
     late_commands.stalls(shipped, 500_000)
@@ -109,4 +109,4 @@ def test_the_designs_errors_around_stalls_are_what_their_script_finds(shipped, c
     assert float(p98) == pytest.approx(page[0], rel=0.1)
     # One extreme of 551, which another processor's last bits change.
     assert float(largest) == pytest.approx(page[1], rel=0.25)
-    assert f"{count} stalls of each length" in DESIGN
+    assert f"{count} stalls of each length" in EVIDENCE
