@@ -286,7 +286,7 @@ class CellSequence:
         yield from work
 
     def _resetting(self) -> Iterator[None]:
-        ready_since = waits_since = self.now
+        ready_since, waits_since, waits_for = self.now, self.now, ""
         while True:
             obstacle = self.seen.obstacle or self.machine.obstacle
             if not obstacle and self.seen.unreferenced:
@@ -297,7 +297,9 @@ class CellSequence:
                 raise WorkFailed(self.seen.occupied)
             if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
                 raise WorkFailed(self.seen.contradiction)
-            self.message = f"waits: {obstacle}" if obstacle else ""
+            if obstacle != waits_for:
+                # Once: the refusal of a command stays to be read.
+                waits_for, self.message = obstacle, f"waits: {obstacle}" if obstacle else ""
             if obstacle:
                 ready_since = self.now
                 if self.seen.starting and not self._overdue(_STARTED_WITHIN_S):

@@ -218,6 +218,10 @@ def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_f
         State.RESETTING,
         "waits: nodes that do not work: driver (starting)",
     )
+    assert bench.sequence.command(Command.START) == bench.sequence.message
+    refusal = bench.sequence.message
+    bench.ticks(3)
+    assert bench.sequence.message == refusal and "waits" not in refusal
     bench.see(nodes={"driver": "active"})
     bench.until(State.IDLE, 2.0)
     bench.see(nodes={"driver": "absent"})
