@@ -8,8 +8,9 @@
 The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
 instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
 cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and ``direction`` may be left
-out: then the trend of x gives the direction, and where x turns back another run begins. Rows with the same run and
-direction belong to one run, so that a cycle may count forward and backward as one. Other columns are ignored.
+out: another run then begins where x turns back or begins anew, and the trend of x gives the direction. Rows with the
+same run and direction belong to one run, so that a cycle may count forward and backward as one. Other columns are
+ignored.
 """
 
 import codecs
@@ -17,6 +18,7 @@ import csv
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -340,7 +342,7 @@ def read_survey(
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
     if "run" not in table.header:
-        groups = _repeated(groups, min_points) if "direction" in table.header else _passages(groups, min_points)
+        groups = _split(groups)
     runs = []
     for (name, way), points in groups.items():
         where = f"survey {path}, run '{name}'{f' {way}' if way else ''}"
@@ -351,45 +353,31 @@ def read_survey(
     return Survey(tuple(runs), str(path), table.facts)
 
 
-def _repeated(groups: Groups, min_points: int) -> Groups:
-    """The runs of a file that names directions alone, each split where x begins anew.
+def _split(groups: Groups) -> Groups:
+    """The runs of a file that names none: another one begins where x turns back or begins anew.
 
-    As they are where a part is too short: there x does not begin anew, it is wrong.
+    As they are where one would cover half of x or less: there x does not begin anew, it is wrong.
     """
-    found: Groups = {}
-    for (_, way), points in groups.items():
-        parts = [points[:1]]
+    found, numbers = Groups(), Counter[Direction]()
+    for (name, direction), points in groups.items():
+        parts, way = [points[:1]], 0.0
         for before, point in itertools.pairwise(points):
-            if (point[1] < before[1]) is not (points[1][1] < points[0][1]):
+            step = math.copysign(1.0, point[1] - before[1]) if point[1] != before[1] else 0.0
+            if way and step != way:
+                # Where x stands still at the turning point, the way back begins with the second point.
                 parts.append([])
+                step = 0.0
             parts[-1].append(point)
-        found |= {(str(number), way): part for number, part in enumerate(parts, 1)}
-    return groups if min(map(len, found.values())) < min_points else found
-
-
-def _passages(groups: Groups, min_points: int) -> Groups:
-    """The one run of a file that names none, split at the turning points of x: out and back, again and again.
-
-    As it is where a passage is too short: there x does not turn, it is wrong.
-    """
-    ((_, points),) = groups.items()
-    passages = [points[:1]]
-    way = 0.0
-    for before, point in itertools.pairwise(points):
-        step = math.copysign(1.0, point[1] - before[1]) if point[1] != before[1] else 0.0
-        if way and step != way:
-            # Where x stands still at the turning point, the way back begins with the second point.
-            passages.append([])
-            way = 0.0
-        else:
             way = step
-        passages[-1].append(point)
-    ways = [one[-1][1] > one[0][1] for one in passages]
-    alternate = all(a is not b for a, b in itertools.pairwise(ways))
-    if len(passages) == 1 or not alternate or min(map(len, passages)) < min_points:
-        return groups
-    names = ((str(n // 2 + 1), "forward" if rises else "backward") for n, rises in enumerate(ways))
-    return dict(zip(names, passages, strict=True))  # type: ignore[arg-type]
+        whole = max(x for _, x, _ in points) - min(x for _, x, _ in points)
+        if min(abs(part[-1][1] - part[0][1]) for part in parts) <= whole / 2.0:
+            found[name, direction] = points
+            continue
+        for part in parts:
+            of_part: Direction = direction or ("forward" if part[-1][1] > part[0][1] else "backward")
+            numbers[of_part] += 1
+            found[str(numbers[of_part]), of_part] = part
+    return found
 
 
 def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ()) -> None:

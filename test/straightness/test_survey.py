@@ -64,6 +64,7 @@ def test_comments_blank_lines_byte_order_mark_and_other_columns_do_no_harm(tmp_p
 
 
 OUT, BACK = list(range(0, 601, 20)), list(range(600, -1, -20))
+FINE = list(range(0, 601, 5))
 HEADER = "run,direction,x_mm,deviation_um"
 UNITS = [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM]
 THERE = [10.0 * number for number in range(15)]
@@ -105,6 +106,8 @@ TURNS = THERE + THERE[-2::-1]
         ("x_mm,deviation_um", _rows([*OUT[:15], 270, *OUT[15:]], ""), "x·turns·back:·270·mm"),
         ("x_mm,deviation_um", _rows([*OUT[:15], OUT[14], *OUT[15:]], ""), "x·repeats:·280·mm"),
         ("x_mm,deviation_um", _rows([*OUT, *BACK[:5]], ""), "x·repeats:·600·mm"),
+        ("x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], ""), "x·turns·back:·300·mm"),
+        ("direction,x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], "fwd,"), "x·turns·back:·300·mm"),
         ("run,x_mm,deviation_um", _rows([*OUT, *BACK], "1,"), "x·repeats:·600·mm"),
     ],
 )
@@ -158,6 +161,7 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
         ([OUT, BACK[1:]], WAYS[:2]),
         ([BACK], WAYS[1:2]),
         ([BACK, OUT, BACK, OUT[1:]], [WAYS[1], WAYS[0], WAYS[3], WAYS[2]]),
+        ([OUT, OUT], [WAYS[0], WAYS[2]]),
     ],
 )
 def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path, passages, expected):
