@@ -31,6 +31,14 @@ _BATCH_HEAD = struct.Struct("<4sIII")
 _MADE = struct.Struct("<q")
 
 
+def append_aligned(message: bytearray, *fields: str | int) -> None:
+    """Append strings and numbers of 32 bits without a sign to a serialised message, each at a multiple of 4 bytes."""
+    for field_ in fields:
+        message += bytes(-len(message) % 4)
+        text = b"" if isinstance(field_, int) else field_.encode(errors="replace") + b"\0"
+        message += (field_ if isinstance(field_, int) else len(text)).to_bytes(4, "little") + text
+
+
 class LayoutMismatch(ValueError):
     """The bytes are not a message of this layout: other names or lengths, or truncated."""
 

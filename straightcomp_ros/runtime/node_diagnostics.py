@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import islice
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
 
 from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.messages.cdr import ENCAPSULATION, append_aligned
+from straightcomp_ros.runtime.inside_rclpy import raw_publish
 from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import (
     CPU_CORES,
@@ -61,14 +61,14 @@ class Diagnostics:
         self._hardware_id = hardware_id or platform.node()
         self._levels = Levels()
         self._node = node
-        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._publish = raw_publish(node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10))
         self._before = (time.monotonic(), 0, time.process_time())
         self._limit = realtime_limit()
-        self._stamp = Time()
+        self._stamp = 0, 0
         self._values: dict[str, object] = {}
         self._items: Iterator[tuple[str, object]] = iter(())
-        self._pairs: list[KeyValue] = []
-        self._status, self._message = DiagnosticStatus(), b""
+        self._message = bytearray()
+        """rclpy serialises such a message in one go, in 0.2 ms: longer than a period at 8 kHz."""
         # rclpy takes 0.1 ms to look a parameter up.
         self._asked = bool(node.has_parameter(_PRIORITY) and node.get_parameter(_PRIORITY).value)
         self._steps: list[Callable[[], object]] = [
@@ -76,11 +76,10 @@ class Diagnostics:
             *(partial(self._collect, part) for part in parts),
             self._wait,
             self._describe,
-            *[partial(self._pair, _AT_ONCE)] * (_TIMES - 1),
-            partial(self._pair, None),
             self._judge,
-            self._serialise,
-            lambda: self._publisher.publish(self._message),
+            *[partial(self._append, _AT_ONCE)] * (_TIMES - 1),
+            partial(self._append, None),
+            lambda: self._publish(bytes(self._message)),
         ]
         assert len(self._steps) <= TICKS
         self._step = 0
@@ -96,7 +95,7 @@ class Diagnostics:
             self._steps[step]()
 
     def _begin(self, counters: Callable[[], Mapping[str, object]]) -> None:
-        self._stamp, values = self._node.get_clock().now().to_msg(), counters()
+        self._stamp, values = self._node.get_clock().now().seconds_nanoseconds(), counters()
         rate_hz, cores = self._rates(int(str(values[SAMPLES])))
         self._values = {**values, RATE: f"{rate_hz:.1f}", CPU_CORES: f"{cores:.2f}"}
 
@@ -114,25 +113,20 @@ class Diagnostics:
             REALTIME_LIMIT: self._limit,
             SCHEDULING: self._scheduling(),
         }
-        self._items, self._pairs = iter(self._values.items()), []
-
-    def _pair(self, most: int | None) -> None:
-        self._pairs += [KeyValue(key=key, value=str(value)) for key, value in islice(self._items, most)]
 
     def _judge(self) -> None:
         level, words = self._levels.next(self._values)
-        self._status = DiagnosticStatus(
-            level=bytes([level]),
-            name=self._node.get_fully_qualified_name().lstrip("/"),
-            message=words,
-            hardware_id=self._hardware_id,
-            values=self._pairs,
-        )
+        name = self._node.get_fully_qualified_name().lstrip("/")
+        # A header with no frame, and one status.
+        self._message = bytearray(ENCAPSULATION)
+        append_aligned(self._message, *self._stamp, "", 1)
+        self._message.append(level)
+        append_aligned(self._message, name, words, self._hardware_id, len(self._values))
+        self._items = iter(self._values.items())
 
-    def _serialise(self) -> None:
-        message = DiagnosticArray(status=[self._status])
-        message.header.stamp = self._stamp
-        self._message = serialize_message(message)
+    def _append(self, most: int | None) -> None:
+        for key, value in islice(self._items, most):
+            append_aligned(self._message, key, str(value))
 
     def _scheduling(self) -> str:
         if os.sched_getscheduler(0) == os.SCHED_FIFO:

@@ -10,7 +10,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 from straightcomp_ros.messages.cdr import (
+    ENCAPSULATION,
     LayoutMismatch,
+    append_aligned,
     header_stamp_ns,
     joint_state,
     pack_batch,
@@ -108,3 +110,11 @@ def batch_with(at):
 def test_a_batch_of_another_kind_is_refused(batch, size, words):
     with pytest.raises(LayoutMismatch, match=words):
         unpack_batch(batch, size)
+
+
+@given(key=st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), value=st.integers(0, 2**32 - 1))
+def test_fields_that_are_appended_one_by_one_are_read_by_an_independent_deserialiser(key, value):
+    message = bytearray(ENCAPSULATION)
+    append_aligned(message, value, 1, key)
+    header = TYPES.deserialize_cdr(bytes(message), "std_msgs/msg/Header")
+    assert (header.stamp.sec, header.stamp.nanosec, header.frame_id) == (np.uint32(value).astype(np.int32), 1, key)
