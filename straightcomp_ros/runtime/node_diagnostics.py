@@ -13,6 +13,7 @@ from rclpy.node import Node
 from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.messages.cdr import ENCAPSULATION, append_aligned
 from straightcomp_ros.runtime.inside_rclpy import raw_publish
+from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import (
     CPU_CORES,
@@ -61,7 +62,8 @@ class Diagnostics:
         self._hardware_id = hardware_id or platform.node()
         self._levels = Levels()
         self._node = node
-        self._publish = raw_publish(node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10))
+        publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._publish = node.streams.sending(publisher) if isinstance(node, ManagedNode) else raw_publish(publisher)
         self._before = (time.monotonic(), 0, time.process_time())
         self._limit = realtime_limit()
         self._stamp = 0, 0

@@ -30,7 +30,7 @@ EXIT_CONFIGURATION = 2
 """A parameter or a file cannot be used; nothing was started."""
 # A longer wait overflows in the executor and ends at once.
 _LONGEST_WAIT_S = 1e6
-_LONGEST_DEAFNESS_S = 0.2
+_LONGEST_DEAFNESS_S, _COLLECT_S = 0.2, 1.0
 _TIMERS_IN_A_ROW = 3
 """Of idle work, before a callback of the executor: three nodes in a process have 250 calls of timers a second, of 500
 turns."""
@@ -89,9 +89,10 @@ def run(
                 if make_nodes
                 else (GuardedNode(name, automatically_declare_parameters_from_overrides=True),)
             )
-            # Python handles signals only between its own instructions, and an idle executor runs none. The timer also
-            # collects cyclic garbage while there is little, so that it is never collected during a cycle.
-            nodes[0].create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
+            # Python handles signals only between its own instructions, and an idle executor runs none.
+            nodes[0].create_timer(_LONGEST_DEAFNESS_S, lambda: None)
+            # Cyclic garbage is collected while there is little, so that it never is during a cycle.
+            nodes[0].create_timer(_COLLECT_S, lambda: gc.collect(1))
     except Exception as error:
         # rclpy has an exception type for each kind of bad argument; the user needs only the message.
         print(f"{name}: {error}", file=sys.stderr)

@@ -8,7 +8,6 @@ so the percentiles of a long time follow from the histograms of its seconds; per
 from __future__ import annotations
 
 import os
-import time
 import weakref
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -127,10 +126,6 @@ class StampGaps:
             self.lost += round(step / self._period_ns) - 1
 
 
-_LOOK_NS = 40_000_000
-"""Shortest time between two looks that several nodes of a process share; each wants 20 a second."""
-
-
 class ThreadWaits:
     """How long the threads of this process wait for a CPU; several :class:`CpuWait` share its looks.
 
@@ -142,16 +137,13 @@ class ThreadWaits:
         self._threads = threads
         self._files: dict[str, BinaryIO] = {}
         self._waited_ns: dict[str, int] = {}
-        self._looked_ns = 0
+        self._turn = 0
         self.readers: weakref.WeakSet[CpuWait] = weakref.WeakSet()
 
-    def look(self, apart_ns: int = 0) -> None:
-        """Read how long each thread has waited since the last look, if that is ``apart_ns`` ago."""
-        now_ns = time.monotonic_ns()
-        if now_ns - self._looked_ns < apart_ns:
-            return
-        self._looked_ns, longest_ns = now_ns, 0
-        for thread, file in list(self._files.items()):
+    def look(self) -> None:
+        """Read how long the threads have waited since the last look at them: each reader's look is at its share."""
+        longest_ns, self._turn = 0, self._turn + 1
+        for thread, file in list(self._files.items())[self._turn % len(self.readers) :: len(self.readers)]:
             try:
                 waited_ns = int(os.pread(file.fileno(), 100, 0).split()[1])
             except (OSError, IndexError, ValueError):
@@ -187,8 +179,8 @@ class CpuWait:
         waits.readers.add(self)
 
     def look(self) -> None:
-        """Look, unless another node of this process has looked just now."""
-        self._waits.look(_LOOK_NS)
+        """Look at this node's share of the threads."""
+        self._waits.look()
 
     def take_us(self) -> float:
         """The longest wait since the last call, in µs; threads started since then are included from now on."""
