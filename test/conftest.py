@@ -9,7 +9,7 @@ from rich.text import Text
 
 from straightcomp_ros.cell.launcher import Graph
 
-pytest_plugins = ["repeats", "pytester", "firmware_programs", "dask_scheduler"]
+pytest_plugins = ["repeats", "firmware_programs", "dask_scheduler"]
 
 HERE = Path(__file__).parent
 NIGHTLY = {HERE / name for name in ("kernel", "trials")}

@@ -169,16 +169,6 @@ def test_the_curves_of_the_report_are_in_its_units_and_another_run_begins_where_
     assert spectrum.y[peak] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
 
 
-def test_every_delay_is_in_a_bar_of_the_report(make_record, assessed):
-    record = make_record(0.2e-6)
-    latency, lateness = np.array([100e-6, 130e-6, 131e-6, 900e-6]), np.array([20e-6] * 5)
-    bars = report._timing(assessed(record, latency=latency, lateness=lateness)).data
-    assert [(bar.name, sum(bar.y)) for bar in bars] == [("sample to command", 4), ("sample to publication", 5)]
-    # From 20 to 900 µs.
-    assert [bar.width for bar in bars] == pytest.approx([880.0 / report._BINS] * 2)
-    assert report._timing(assessed(record, latency=latency[:0], lateness=lateness[:0])) is None
-
-
 def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():
     def events(**found):
         none = {"gaps": [], "saturated": [], "amplifier_off": [], "stick_slips": []}

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis import map_page
-from straightcomp_ros.analysis.map_building import Choices, as_it_is, build
-from straightcomp_ros.straightness.guide_map import MapParameters
+from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.straightness.survey import Run, Survey
 
 X = np.linspace(0.0, 0.4, 41)
@@ -70,17 +69,3 @@ def test_rejected_runs_and_points_are_drawn_where_they_were_measured(drawn):
     assert lower["rejected point"] == pytest.approx([2.0], abs=0.1)
     assert lower["rejected run"][-5:] == pytest.approx(3.0, abs=0.1)
     assert "6 forward" not in (page := facts(drawn[0])) and "5 forward, 0 backward; rejected: 1" in page
-
-
-def test_the_page_names_machine_instrument_runs_spacing_and_each_straightness_with_its_uncertainty(drawn):
-    built = as_it_is(MapParameters())
-    built = replace(built, provenance={"instrument": "probe $7$", "encoder reference": "index 3"})
-    map_page.plot_map(built, Path("map.png"), "stage 7")
-    page = facts(drawn[0])
-    for text in ("stage 7", r"probe \$7\$", "index 3", "3 forward, 3 backward; rejected: 0", "Signature"):
-        assert text in page
-    assert "177, spacing 10 mm; rejected: 0" in page
-    for line in ("least squares", "end points", "minimum zone"):
-        text = page[page.index(line) + 1]
-        value, _, _, uncertainty, *_ = text.split()
-        assert 15.0 < float(value) < 25.0 and 0.0 < float(uncertainty) < 0.1 and "U" in text

@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import warnings
 from importlib.metadata import distribution
 from unittest.mock import Mock
 from xml.etree import ElementTree
@@ -12,7 +11,6 @@ from xml.etree import ElementTree
 import pytest
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.cli import warn_in_sentences
 from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, main, make_parser
 from straightcomp_ros.control.learned_table import LearningFileError
 from straightcomp_ros.parameters.share import share_path
@@ -198,14 +196,6 @@ def test_the_scripts_of_other_shells_name_every_verb_and_parse(shell, capsys, tm
 def test_the_version_is_the_manifests(capsys):
     version = ElementTree.parse(share_path("package.xml")).findtext("version")
     assert run(["--version"], capsys) == (0, f"straightcomp {version}\n", "")
-
-
-def test_a_warning_is_a_sentence_said_once_but_for_one_of_a_library_that_keeps_its_place(monkeypatch):
-    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)
-    warn_in_sentences()
-    kinds = (UserWarning, UserWarning, RuntimeWarning)
-    said = [warnings.formatwarning("late", kind, "code.py", 7) for kind in kinds]
-    assert said[:2] == ["warning: late\n", ""] and "code.py:7" in said[2]
 
 
 def test_a_reader_that_goes_away_ends_a_command_without_a_word():

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Reader
 
 from scripts import make_layouts
 from straightcomp_ros.bags.topics import typestore
-from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, STREAMS
+from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 
 ROOT = Path(__file__).resolve().parents[2]
 TOPICS = {f"/{stream.topic}": stream for stream in (*STREAMS, DISPLACEMENT)}
@@ -61,16 +61,6 @@ def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_co
         assert columns[int(place)] == path["label"], path
 
 
-def test_every_panel_of_foxglove_is_placed_once_and_configured():
-    def placed(layout):
-        return [layout] if isinstance(layout, str) else placed(layout["first"]) + placed(layout["second"])
-
-    tabs = FOXGLOVE["configById"][FOXGLOVE["layout"]]["tabs"]
-    names = [name for tab in tabs for name in placed(tab["layout"])]
-    assert sorted([*names, FOXGLOVE["layout"]]) == sorted(FOXGLOVE["configById"])
-    assert FOXGLOVE["configById"]["DiagnosticSummary!nodes"]["topicToRender"] == DIAGNOSTICS
-
-
 def test_every_curve_in_plotjuggler_is_a_number_of_the_contract_and_every_stream_is_shown_in_both():
     series = set()
     for topic, stream in TOPICS.items():
@@ -82,12 +72,3 @@ def test_every_curve_in_plotjuggler_is_a_number_of_the_contract_and_every_stream
     assert len(named) > 20 and set(named) <= series
     text, names = " ".join(PATHS), " ".join(filter(None, (curve.get("name") for curve in PLOTJUGGLER.iter("curve"))))
     assert all(f"{topic}." in text and f"{topic}/" in names for topic in TOPICS)
-
-
-def test_plotjuggler_plots_have_a_range_and_what_belongs_to_their_mode():
-    for splitter in PLOTJUGGLER.iter("DockSplitter"):
-        assert int(splitter.get("count")) == len(splitter) == len(splitter.get("sizes").split(";"))
-    for plot in PLOTJUGGLER.iter("plot"):
-        left, right, bottom, top = (float(plot.find("range").get(end)) for end in ("left", "right", "bottom", "top"))
-        assert left < right and bottom < top and plot.get("mode") in ("TimeSeries", "XYPlot")
-        assert all((plot.get("mode") == "XYPlot") == ("curve_x" in curve.attrib) for curve in plot.iter("curve"))

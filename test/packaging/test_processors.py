@@ -20,15 +20,3 @@ def test_numpy_knows_every_instruction_that_it_is_to_do_without():
     environment = processors.environment("PRESCOTT")
     printed = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=120).stdout
     assert printed.strip() == "[]"
-
-
-@pytest.mark.parametrize(
-    ("line", "found"),
-    [
-        ("1 failed, 1941 passed, 2 skipped, 2 warnings in 358.06s", {"failed": 1, "passed": 1941, "skipped": 2}),
-        ("==== 5 passed, 1 error in 3.07s ====", {"passed": 5, "error": 1}),
-        ("2 errors in 0.10s", {"error": 2}),
-    ],
-)
-def test_the_table_has_the_counts_of_the_last_line(line, found):
-    assert processors.counts(f"FAILED test_one.py - 3 passed\n{line}\n") == found

@@ -13,7 +13,6 @@ from straightcomp_ros.safety.faults import Fault
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "stability.md").read_text(encoding="utf-8")
 API = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
-DECLARATION = (REPOSITORY / "QUALITY_DECLARATION.md").read_text(encoding="utf-8")
 FAULTS = """
 command_not_finite command_out_of_range command_timeout two_controllers sample_not_finite x_jump y_out_of_range y_frozen
 x_frozen clock_jump map_missing sample_timeout heartbeat_lost board tripped recording_stopped following_error
@@ -43,11 +42,3 @@ def test_the_namespace_the_exceptions_among_the_verbs_and_the_oldest_python_are_
     for verb in re.findall(r"`(\w+)`", excepted[1]):
         with pytest.raises(SystemExit, match="0"):
             make_parser().parse_args([verb, "--help"])
-
-
-def test_the_declaration_of_quality_speaks_of_every_requirement_and_names_files_that_exist():
-    """REP-2004, the items of levels 1 to 4."""
-    items = re.findall(r"^\| (\d\.\w+)", DECLARATION, re.MULTILINE)
-    assert sorted({item[0] for item in items}) == ["1", "2", "3", "4", "5", "6", "7"] and len(items) == len(set(items))
-    for name in re.findall(r"\]\((?!https?:)([^)#]+)", DECLARATION):
-        assert (REPOSITORY / name).exists(), name

@@ -1,7 +1,6 @@
 """A bad bus: its faults are found; with the emulated board and with the firmware core the closed loop runs on or stands
 in the latched safe state, and never takes a wrong sample."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from trials.__main__ import run
 from trials.can_servo import ServoTrial
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
@@ -63,23 +61,3 @@ def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(with
     words = {"too many frames failed their checks", "the board reports: command check"}
     assert words & set(trial.latched) and trial.on < 0.8
     assert trial.unflagged_wrong == trial.unsafe == 0
-
-
-def test_costs_are_measured_and_each_fault_is_found(capsys):
-    assert run(["can", "--frames", "1000"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert len(figures["codec"]) > 4
-    assert all(cost["pack_us"] > 0 and cost["unpack_us"] > 0 for cost in figures["codec"].values())
-    assert set(figures["faults"]) == set(KINDS) - {"cut"}
-    assert all(count["injected"] == count["detected"] > 0 for count in figures["faults"].values())
-    assert figures["unflagged_wrong"] == 0
-    assert all(loop["unsafe"] == 0 and loop["on"] > 0 for loop in figures["closed_loop"].values())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [(["--frames", "10"], "--frames 10"), (["--set", "driver.simulated.truth.guide=nowhere.csv"], "nowhere.csv")],
-)
-def test_a_refused_option_ends_with_code_2(capsys, arguments, words):
-    assert run(["can", *arguments]) == 2
-    assert words in capsys.readouterr().err

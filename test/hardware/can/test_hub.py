@@ -15,8 +15,6 @@ from straightcomp_ros.hardware.can.hub import (
     EXTENDED,
     FD,
     FD_FRAME,
-    KINDS,
-    REMOTE,
     Faults,
     Frame,
     Hub,
@@ -200,17 +198,6 @@ def test_faults_in_the_hub_reach_the_nodes(make):
     assert arrived == sorted(arrived) and len(arrived) == 200 - faults.injected["drop"] < 150
 
 
-def test_faults_are_the_same_for_the_same_seed_and_unknown_ones_are_refused():
-    def spoiled(seed):
-        faults = Faults({kind: 0.05 for kind in KINDS if kind != "cut"}, seed)
-        return [faults(Frame(0, 0x181, 0, bytes([number % 256] * 8))) for number in range(500)]
-
-    assert spoiled(1) == spoiled(1) != spoiled(2)
-    for rates, words in (({"gnaw": 0.1}, "'gnaw' is unknown; allowed: drop"), ({"drop": 2}, "rate of 2")):
-        with pytest.raises(ValueError, match=words):
-            Faults(rates)
-
-
 def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():
     def order(identifier, flags=0):
         return priority(Frame(0, identifier, flags, b""))
@@ -218,30 +205,3 @@ def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():
     extended = [0x181 << 18, 0x181 << 18 | 1, 0x181 << 18 | 0x3FFFF]
     ranks = [order(0x180), order(0x181), *(order(identifier, EXTENDED) for identifier in extended), order(0x182)]
     assert ranks == sorted(ranks) and len(set(ranks)) == len(ranks)
-
-
-FRAME = Frame(0, 0x181, 0, bytes(8))
-
-
-def test_faults_are_one_or_two_bits_one_of_eleven_bits_of_the_identifier_and_requests_without_data():
-    corrupt, wrong_id, remote = (Faults({kind: 1.0}) for kind in ("corrupt", "wrong_id", "remote"))
-    assert {int.from_bytes(corrupt(FRAME)[0].data, "little").bit_count() for _ in range(200)} == {1, 2}
-    assert {wrong_id(FRAME)[0].identifier ^ 0x181 for _ in range(400)} == {1 << bit for bit in range(11)}
-    # A request has the identifier of the frame, in either of its lengths.
-    for flags in (EXTENDED, FD_FRAME):
-        request, own = remote(FRAME._replace(flags=flags))
-        assert own.data and request == (0, 0x181, flags & EXTENDED | REMOTE, b"")
-
-
-@pytest.mark.parametrize("kind", ["drop", "duplicate", "corrupt", "truncate", "wrong_id"])
-def test_a_fault_of_rate_one_is_made_every_time_and_of_rate_zero_never(kind):
-    always, never = Faults({kind: 1.0}), Faults({kind: 0.0})
-    assert [FRAME] not in [always(FRAME) for _ in range(50)] and always.injected == {kind: 50}
-    assert [never(FRAME) for _ in range(50)] == [[FRAME]] * 50 and never.injected == {kind: 0}
-
-
-def test_two_frames_of_a_kind_are_swapped_and_two_of_different_kinds_are_not():
-    first, second, other = Frame(0, 0x181, 0, b"1"), Frame(1, 0x181, 0, b"2"), Frame(2, 0x281, 0, b"3")
-    faults = Faults({"reorder": 1.0})
-    assert faults(first) == [] and faults(second) == [second, first] and faults.injected == {"reorder": 1}
-    assert faults(first) == [] and faults(other) == [first] and faults.injected == {"reorder": 1}

@@ -5,7 +5,7 @@ import re
 
 import broken
 import pytest
-from roughly_known import ROUGH, check_of, other_guide
+from roughly_known import ROUGH
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.interface import State
@@ -80,11 +80,3 @@ def test_a_platform_that_comes_loose_later_is_named_by_the_frequency_response(co
     assert found == "frequency_response"
     times = re.search(r"accelerates the platform ([\d.]+) times as much as when it was identified", sentence)
     assert times and 1.7 < float(times[1]) < 2.2
-
-
-def test_the_wrong_survey_ends_the_command_at_the_acceptance(commissioned, tmp_path):
-    guide = other_guide(tmp_path / "other.csv")
-    check_of(guide, tmp_path / "check.csv")
-    settings, options = {f"{TRUTH}guide": guide}, ("--check-survey", str(tmp_path / "check.csv"))
-    found, sentence = commissioned(settings, sound, SimulatedMachine, *options)
-    assert found == "acceptance" and "the survey is not that of the guide" in sentence

@@ -27,7 +27,6 @@ from straightcomp_ros.tuning.frequency_response.measured_response import Respons
 from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.identification.estimate import DERIVED, UNITS, Estimate, Estimated
 
-SAFE = {"control.law": "linear", "control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
 STAGE = StageParameters(uncertainty=UncertaintyParameters(mass=0.2, force=0.2, air_gap=0.1, friction=2.0))
 USUAL = MultisineParameters().motion
 
@@ -70,19 +69,6 @@ def test_what_is_hardly_identified_stays_as_it_was_described_and_as_uncertain():
     facts = facts_found(estimate("actuator.turns", turns=1.1), STAGE)
     assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
     assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
-
-
-@pytest.mark.nightly
-def test_a_machine_that_is_allowed_gets_its_facts_relative_to_the_described_mass(tmp_path):
-    values = values_of({"mass": 1.3, "force": 0.7, "air_gap": 0.8, "friction": 0.5})
-    values["controller"] |= SAFE
-    outcome = identification(work_on(values, tmp_path))
-    assert outcome.passed, outcome.sentence
-    assert outcome.stage["actuator.air_gap"] == pytest.approx(0.8 * 1.5e-3, rel=0.005)
-    assert (outcome.stage["actuator.turns"] / 400.0) ** 2 == pytest.approx(0.7 / 1.3, rel=0.02)
-    assert outcome.stage["friction.coulomb"] == pytest.approx(0.43 * 0.5 / 1.3, rel=0.02)
-    assert "platform.mass" not in outcome.stage
-    assert outcome.stage["uncertainty.force"] < 0.2
 
 
 def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_measured_ends_nothing(
@@ -133,17 +119,6 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch):
 
     monkeypatch.setattr(closed_loop, "design_gains", designed)
     assert closed_loop.design(dataclasses.replace(work, outcomes=safe)).sentence == "far enough"
-
-
-@pytest.mark.nightly
-def test_a_mode_is_found_under_the_safe_law_before_any_other_meets_it(tmp_path):
-    mode = {"frequency": 180.0, "damping": 0.01, "coil": 1.0, "encoder": -1.0}
-    values = values_of({f"simulated.truth.modes.first.{name}": value for name, value in mode.items()})
-    values["controller"] |= SAFE
-    outcome = identification(work_on(values, tmp_path))
-    assert outcome.passed, outcome.sentence
-    assert outcome.stage["platform.modes.first.frequency"] == pytest.approx(180.0, rel=0.01)
-    assert outcome.stage["platform.modes.first.encoder"] < 0.0
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@ import re
 import numpy as np
 import pytest
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law, stiffened
 from straightcomp_ros.control.margins import (
     LEAST_GAINS,
@@ -72,13 +71,3 @@ def test_a_law_with_a_friction_model_must_be_stable_at_its_stiffest_too():
     assert ", at its stiffest," in missing_margin(control, STAGE)
     plant, law = sampled_plant(STAGE, STAGE.period), linearised(make_law(stiffened(control), STAGE))
     assert max(np.abs(np.linalg.eigvals(closed_loop(plant, law, gain))).max() for gain in (0.9, 1.1)) >= 1.0
-
-
-def test_a_simulation_warns_of_gains_that_the_graph_would_refuse(capsys):
-    short = [f"--set=stage.motion.{name}" for name in ("stroke=0.02", "settle=0.1", "pause=0.1")]
-    main(["simulate", "--json", "--set", "stage.rate=1000", *short])
-    said = capsys.readouterr()
-    assert "warning: parameters 'control.smc_observer.*'" in said.err and "1.41 samples late" in said.out
-    main(["simulate", "--json", *short])
-    said = capsys.readouterr()
-    assert "warning" not in said.err and '"missing_margin": null' in said.out

@@ -1,7 +1,5 @@
 """The machines of a sweep, and what becomes of each law on them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,7 +23,6 @@ EXACT = UncertaintyParameters(
 )  # fmt: skip
 """The machine that the controller was designed for."""
 HIGH_GAIN = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
-EXACT_STAGE = replace(STAGE, uncertainty=EXACT)
 SURVEY = read_survey(find_survey(MapParameters().file))
 
 
