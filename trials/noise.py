@@ -160,11 +160,6 @@ def residuals(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dic
     return {name: float(np.median(pp)) for name, pp in found.items()}
 
 
-def best_possible(x: Array, mean: Array, true: Array) -> float:
-    """Least error p-p in m over all λ of SciPy's smoothing spline."""
-    return float(np.ptp(best_spline(x, mean, FINE, true)(FINE) - true))
-
-
 def best_spline(x: Array, mean: Array, fine: Array, true: Array) -> Callable[[Array], Array]:
     """SciPy's smoothing spline, in m over m, with the λ of the least error p-p from the ``true`` guide at ``fine``."""
     from scipy.interpolate import make_smoothing_spline

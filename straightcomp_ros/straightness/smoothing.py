@@ -43,9 +43,9 @@ _UNLIKELY = 0.02
 """Weight up to which a λ is left out."""
 ROUNDING = 1e-9
 """Noise in m that nothing is done about: survey files are rounded to a nanometre."""
-_DETECTED = 3.5
-"""Standard deviations by which a less smooth fit must differ before it is taken for the guide: of some hundred
-independent places of an even guide, one in twenty surveys exceeds it."""
+_BY_CHANCE = 0.05
+"""Share of even guides on which noise may make a smoother fit differ somewhere from a less smooth one so much that it
+is taken for the guide: at one of as many independent places as the roughest fit has degrees of freedom (Bonferroni)."""
 _MOST_KNOTS = 600
 _TOO_COARSE = 1.2
 """Typical square of the residual, in units of the noise, beyond which the guide is rougher than these knots follow."""
@@ -158,6 +158,7 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     from scipy.interpolate import BSpline, PPoly
     from scipy.linalg import eigh, solveh_banded
     from scipy.sparse import csr_array
+    from scipy.special import ndtri
 
     # No knot at the second point from either end, as in the spline through all points.
     fine = len(x) > _MOST_KNOTS
@@ -193,10 +194,11 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
     smoothest = int(np.flatnonzero(likely > _UNLIKELY)[-1])
     shapes = at_knots @ modes
     curves, shapes = shapes @ (kept * amounts).T, shapes**2
+    detected = -float(ndtri(_BY_CHANCE / 2.0 / freedom[0]))  # standard deviations, to either side
     local, holds = np.zeros(len(knots), np.intp), np.ones(len(knots), np.bool_)
     for smoother in range(1, smoothest + 1):
         spread = noise * np.sqrt(shapes @ ((kept[smoother] - kept[:smoother]) ** 2).T)
-        holds &= np.all(np.abs(curves[:, [smoother]] - curves[:, :smoother]) <= _DETECTED * spread, axis=1)
+        holds &= np.all(np.abs(curves[:, [smoother]] - curves[:, :smoother]) <= detected * spread, axis=1)
         local[holds] = smoother
 
     def averaged(weights: Array) -> tuple[BSpline, Array, Array]:
