@@ -50,6 +50,8 @@ ACCURATE = 0.5
 """Largest error relative to the uncompensated deviation, both p-p, whatever was promised."""
 FEW_COUNTS = 3.0
 """Counts of the encoder, p-p, which the best law leaves: no less is asked for on a nearly straight guide."""
+_OF_A_COUNT = 1.0 / math.sqrt(12.0)
+"""RMS of rounding in counts."""
 STILL = 0.1e-6
 """Travel in m of a reference that asks for nothing: the run is uncompensated. Twenty times less than the best guide."""
 _STILL_SHARE = 0.01
@@ -127,6 +129,13 @@ def recorded_drive(driver: Mapping[str, Any]) -> DriveParameters:
     """D/A converter and amplifier from the driver's parameters by dotted name; defaults for what they do not name."""
     given = {name: driver.get(f"stage.drive.{name}", value) for name, value in asdict(DriveParameters()).items()}
     return DriveParameters(int(given.pop("dac_bits")), *map(float, given.values()))
+
+
+class Left(NamedTuple):
+    """An error in m: p-p, and RMS about its mean."""
+
+    pp: float
+    rms: float
 
 
 class GuideFit(NamedTuple):
@@ -214,14 +223,39 @@ class JudgedMotion:
         largest = max(ACCURATE * self.uncompensated, least)
         if not self.promised:
             return min(largest, max(self.uncompensated, self.count))
+        return min(largest, max(least, self._allowed.pp))
+
+    @cached_property
+    def rms(self) -> float:
+        """Error in m, RMS about its mean."""
+        return float(self.error.std())
+
+    @cached_property
+    def largest_rms(self) -> float:
+        """The largest RMS likewise: a p-p that single moments of the described strokes have hides an error that lasts.
+        Infinite where nothing is promised or the p-p is small, and with stalls, which may make any RMS."""
+        known = not self.still and not self.stalls and self.pp > FEW_COUNTS * self.count and self.promised
+        return self._allowed.rms if known else math.inf
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the error is larger than that of a run in order."""
+        return self.pp > self.largest or self.rms > self.largest_rms
+
+    @cached_property
+    def _allowed(self) -> Left:
+        """By the promise."""
+        assert self.promised
         # The error grows at most as the friction. The encoder's noise, and what it rounds, add to both sides.
-        rounded, noise = (2.0 if self.by_encoder else 1.0) * self.count, 2.0 * self.sensor_noise * self.count
-        allowed = max(least, self.friction * self.promised.smooth + rounded + noise)
-        if self.pp > allowed:
-            # The platform's answer to the noise is in these strokes.
-            with_noise = self.friction * (self.promised.largest() or 0.0) + rounded
-            allowed = max(allowed, with_noise + (noise if self.by_encoder else 0.0))
-        return min(largest, allowed)
+        counts, noise = (2.0 if self.by_encoder else 1.0) * self.count, self.sensor_noise * self.count
+        smooth = self.promised.smooth
+        seen = Left(counts + 2.0 * noise * self.by_encoder, _OF_A_COUNT * counts + noise * self.by_encoder)
+        allowed = Left(self.friction * smooth.pp + counts + 2.0 * noise, self.friction * smooth.rms + seen.rms)
+        if self.pp <= allowed.pp and self.rms <= allowed.rms:
+            return allowed
+        # Friction's range, and the platform's answer to the noise, are in these strokes.
+        drawn = self.promised.largest(Left(self.pp - seen.pp, self.rms - seen.rms)) or Left(0.0, 0.0)
+        return Left(max(allowed.pp, drawn.pp + seen.pp), max(allowed.rms, drawn.rms + seen.rms))
 
     @property
     def largest_of_map(self) -> float:

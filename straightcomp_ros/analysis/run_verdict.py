@@ -20,6 +20,7 @@ from straightcomp_ros.analysis.judged_motion import (
     HARM,
     GuideFit,
     JudgedMotion,
+    Left,
     bounds_of,
     encoder_count,
     recorded_drive,
@@ -236,7 +237,7 @@ def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None
     pieces, known = list(error_detail.stretches(motion.time, motion.error, motion.r)), (motion.period, motion.dither)
     allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
     found = max(error_detail.sustained_oscillation(error, asked, *known) for error, asked in pieces)
-    if found.amplitude <= allowed and motion.pp > motion.largest:
+    if found.amplitude <= allowed and motion.exceeds:
         found = max(error_detail.irregular_oscillation(error, asked, *known) for error, asked in pieces)
         large = motion.pp > ACCURATE * motion.uncompensated
         if not large and found.frequency < _OF_LOOP / motion.period:
@@ -267,7 +268,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
                 f"the error has a wave every {_mm(1.0 / waves.at)} of x {amplitude}; it is at the same places in "
                 "every stroke, as cogging or a periodic error of the map; learning.learn takes it off",
             )
-    if motion.modes and (line or motion.pp > motion.largest) and motion.destabilised():
+    if motion.modes and (line or motion.exceeds) and motion.destabilised():
         modes = " and ".join(f"{one:.0f}" for one in motion.modes)
         return Verdict(
             words.RESONANCE,
@@ -276,7 +277,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         )
     slips = False
     # What sticks lags by no more than what stands: a larger error is the loop's.
-    if motion.pp <= motion.uncompensated and (line or (not hunting and motion.pp > motion.largest)):
+    if motion.pp <= motion.uncompensated and (line or (not hunting and motion.exceeds)):
         slips = any(causes.stick_slip(motion.error[one.samples], motion.period) for one in motion.strokes)
     if hunting or slips:
         rest = f", {_um(hunting)} at rest; allowed: {_um(at_rest)}" if hunting else f"; allowed: {_um(motion.largest)}"
@@ -309,22 +310,28 @@ def _noisy_map(motion: JudgedMotion) -> str:
     with_noise = motion.promised.as_mapped()
     if (
         not with_noise
-        or with_noise <= max(motion.largest, HARM * motion.promised.smooth)
-        or HARM * with_noise < motion.pp
+        or with_noise.pp <= max(motion.largest, HARM * motion.promised.smooth.pp)
+        or HARM * with_noise.pp < motion.pp
     ):
         return ""
     return (
         f"the error is {_um(motion.pp)} p-p because the map has the noise of its survey: with it the described stage "
-        f"leaves {_um(with_noise)}, with a smooth map {_um(motion.promised.smooth)}; allowed: {_um(motion.largest)}; "
-        "set stage.guide.smooth to auto and repeat the survey's runs, or set it to 1"
+        f"leaves {_um(with_noise.pp)}, with a smooth map {_um(motion.promised.smooth.pp)}; "
+        f"allowed: {_um(motion.largest)}; set stage.guide.smooth to auto and repeat the survey's runs, or set it to 1"
     )
 
 
 def _inaccurate(motion: JudgedMotion) -> str:
-    if motion.pp <= motion.largest:
+    if not motion.exceeds:
         return ""
+    if motion.pp <= motion.largest and motion.promised:
+        return (
+            f"the error has an RMS of {_um(motion.rms)} about its mean where the described stage leaves "
+            f"{_um(motion.promised.smooth.rms)}; allowed: {_um(motion.largest_rms)}; it is {_um(motion.pp)} p-p; "
+            f"{_cause(motion)}"
+        )
     still = f"a platform that stands still would leave {_um(motion.uncompensated)}"
-    promised = f"the described stage leaves {_um(motion.promised.smooth)}, and {still}" if motion.promised else still
+    promised = f"the described stage leaves {_um(motion.promised.smooth.pp)}, and {still}" if motion.promised else still
     return f"the error is {_um(motion.pp)} p-p where {promised}; allowed: {_um(motion.largest)}; {_cause(motion)}"
 
 
@@ -336,8 +343,9 @@ def _more_than_promised(motion: JudgedMotion) -> str:
     """What a run says that is in order, but far from its description; empty unless a cause shows."""
     if motion.pp <= FEW_COUNTS * motion.count or motion.stalls or not motion.promised:
         return ""
-    promised = motion.promised.smooth
-    if motion.pp <= HARM * promised or motion.pp <= (motion.promised.largest() or 0.0):
+    promised = motion.promised.smooth.pp
+    drawn = motion.promised.largest(Left(motion.pp, 0.0)) if motion.pp > HARM * promised else None
+    if not drawn or motion.pp <= drawn.pp:
         return ""
     cause = _cause(motion)
     return "" if cause == causes.UNKNOWN else f"; the described stage leaves {_um(promised)}: {cause}"

@@ -7,7 +7,7 @@ import pytest
 
 from straightcomp_ros.analysis.causes import of_map
 from straightcomp_ros.analysis.interruption import Stall
-from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, bounds_of, encoder_count
+from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, bounds_of, encoder_count
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
 from straightcomp_ros.analysis.run_verdict import late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
@@ -64,8 +64,9 @@ OF_PLACE = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.07) * np.where(TIME 
 IN_TURN = 0.1 * np.clip(np.abs(TIME - 4.0), 0.5, None)
 
 
-def promised(smooth: float, as_mapped: float = 0.0, largest: float = 0.0):
-    return lambda: Promise(smooth * 1e-6, lambda: largest * 1e-6, lambda: (as_mapped or smooth) * 1e-6)
+def promised(smooth: float, as_mapped: float = 0.0, largest: float = 0.0, rms: float = 1.0):
+    left = [Left(pp * 1e-6, rms * 1e-6) for pp in (smooth, largest, as_mapped or smooth)]
+    return lambda: Promise(left[0], lambda enough: left[1], lambda: left[2])
 
 
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
@@ -195,9 +196,19 @@ CASES = {
         ),
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.29), by_encoder=True)),
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2), friction=3.0)),
-        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2, largest=0.36))),
+        ("in_order", "", motion(8.0 * SMALL, promise=promised(0.2, largest=0.71))),
         ("in_order", "", motion(2.9 * SMALL, promise=promised(0.0))),
         ("inaccurate", "", motion(0.55 * R, promise=promised(100.0))),
+    ],
+    "an error that lasts is not hidden by a p-p that moments of the described strokes have": [
+        ("in_order", "", motion(SLOW, promise=promised(1.0, rms=0.13))),
+        (
+            "inaccurate",
+            "RMS of 0.279 µm.* leaves 0.12 µm; allowed: 0.269 µm.*slowly",
+            motion(SLOW, promise=promised(1.0, rms=0.12)),
+        ),
+        ("in_order", "", stalled(SLOW, promise=promised(1.0, rms=0.12))),
+        ("in_order", "", motion(SLOW, count=0.3e-6, promise=promised(1.0, rms=0.0))),
     ],
     "an error that the noise of the map asks for is the map's": [
         ("inaccurate", "noise of its survey.*stage.guide.smooth", motion(8.0 * SMALL, promise=promised(0.1, 0.7))),

@@ -11,6 +11,7 @@ import pytest
 
 from straightcomp_ros.analysis import evaluation
 from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.judged_motion import Left
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
@@ -173,7 +174,10 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
     values = {"driver": {}, "feedforward": followed, "controller": {}, "stage": dict(CYCLE)}
     record, straightness = first_cycle({**values, "driver": {"simulated.truth.mass": 4.0}})
     found = promise_of(record, by_node(values), straightness)
-    assert found.smooth < 0.3e-6 < 1e-6 < found.as_mapped()
+    assert found.smooth.pp < 0.3e-6 < 1e-6 < found.as_mapped().pp
+    first, most = found.largest(Left(0.0, 0.0)), found.largest(Left(1.0, 1.0))
+    assert 0.0 < first.pp <= most.pp < 1e-6 and 0.0 < first.rms <= most.rms < 0.1e-6
+    assert found.largest(first) == first
     assert promise_of(record, {"driver": {}}, straightness) is promise_of(record, by_node(values), None) is None
     assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
 
