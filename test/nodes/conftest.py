@@ -57,8 +57,8 @@ def shared_graph(tmp_path_factory):
 
 @pytest.fixture
 def single(tmp_path):
-    """Starts one node, of which no more is asked than how it comes up and how it ends: that may take its time, so other
-    tests may run in parallel."""
+    """Starts a node that has nothing to answer in time: how it comes up, what it records, how it ends. Other tests may
+    run in parallel."""
     with Graph(tmp_path / "logs", dict(os.environ)) as graph:
         yield graph
 

@@ -12,6 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
+from straightcomp_ros.runtime.streams import subscribe
 
 PATIENCE_S = 90.0
 
@@ -82,6 +83,15 @@ class Participant:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
         return self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+
+    def received(self, stream, count=20):
+        """Some messages of a stream: this process cannot read all 2000 a second for long."""
+        found, before = [], set(self.node.subscriptions)
+        subscribe(self.node, stream, lambda _, numbers: found.append(numbers))
+        self.until(lambda: len(found) >= count)
+        for subscription in set(self.node.subscriptions) - before:
+            self.node.destroy_subscription(subscription)
+        return found
 
     def __enter__(self):
         return self

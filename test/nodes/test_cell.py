@@ -116,26 +116,6 @@ def test_a_graph_whose_nodes_have_different_stages_does_not_move(loop):
     assert "descriptions of the stage differ (cell synthetic" in log and "stage moves" not in log
 
 
-# What is known of a silent node is asked for in test_cell_sequence.py and test_graph_client.py.
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("node", "recoveries", "number", "words"),
-    [
-        ("controller", 3, 0, "controller (silent)"),
-        *((node, 0, 0, f"{node} (silent)") for node in LOOP),
-        ("driver", 0, signal.SIGTERM, "could not be switched off"),
-    ],
-)
-def test_a_cell_names_the_node_that_died_and_not_only_what_followed(graph, node, recoveries, number, words):
-    start_loop(graph)
-    cell = start_cell(graph, recoveries=recoveries)
-    graph._processes[node].kill()
-    if number:
-        cell.send_signal(number)
-    assert cell.wait(timeout=60) == 1
-    assert words in graph.log("cell").read_text()
-
-
 def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
     monkeypatch.setattr(cell_node, "_REPORTED_S", 0.0)
     cell = cell_node.CellNode.__new__(cell_node.CellNode)

@@ -138,23 +138,3 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
     left_as_found(asker, loop)
     # Though the logger was started in another folder.
     assert (tmp_path / "loop.png").exists() and (tmp_path / "loop_graph" / "bags" / "frequency_response").is_dir()
-
-
-@pytest.mark.nightly
-def test_a_client_that_is_terminated_leaves_the_nodes_as_they_were_and_another_is_refused_meanwhile(loop, asker):
-    words = verb_command("frequency-response", "--graph", "running", "--draws", "40")
-    client = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    try:
-        asker.until(asker.amplifier_on)
-        other = subprocess.run(words, capture_output=True, text=True, timeout=120)
-        assert other.returncode == 1
-        # By its sign, or by the amplifier if that is received first.
-        assert "another client" in " ".join(other.stderr.split())
-        assert asker.amplifier_on()
-        client.send_signal(signal.SIGTERM)
-        assert client.wait(timeout=60) == 143
-        assert "terminated" in client.stderr.read()
-    finally:
-        client.kill()
-        client.wait()
-    left_as_found(asker, loop)

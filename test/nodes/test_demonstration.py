@@ -17,7 +17,6 @@ from straightcomp_ros.cell import demonstration
 from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate
 from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.straightness.survey import write_survey
@@ -27,7 +26,7 @@ pytestmark = pytest.mark.keeps_time
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 TRIGGERS = ("sample", "timer", "composed")
-EVERYDAY = [("smc", "timer"), ("smc_observer", "composed")]
+EVERYDAY = [("smc_observer", "composed")]
 
 
 @pytest.mark.live
@@ -124,25 +123,6 @@ def test_a_demonstration_without_a_bag_fails_with_the_reason(tmp_path, short_cyc
     assert isinstance(failure.value.__cause__, BagError)
 
 
-@pytest.mark.nightly
-@pytest.mark.live
-def test_the_graph_learns_while_it_runs_and_each_stroke_leaves_less_than_the_first(tmp_path, short_cycle):
-    file = tmp_path / "learned.csv"
-    # A law that lags: its error is large and repeats.
-    short_cycle["controller"].update({"control.law": "linear", "learning.learn": True, "learning.file": str(file)})
-    short_cycle["cell"]["strokes"] = 4
-    short_cycle["stage"]["motion.settle"] = 0.3
-    result = demonstrate(short_cycle, tmp_path / "demo")
-    record = result.evaluation.record
-    strokes = record.motion.strokes
-    # Medians: a stall of this computer disturbs a few samples, and learning takes the update from them back.
-    errors = [np.median(np.abs(record.r - record.y)[stroke.samples]) for stroke in strokes]
-    assert len(errors) == 8
-    assert max(errors[6:]) < 0.8 * min(errors[:2])
-    learned = Learning(LearningParameters(learn=True, file=str(file)), "linear", 2000.0).counters()
-    assert learned["learned_forward"] >= 3 and learned["learned_backward"] >= 3
-
-
 def simulated_and_live(values, offline, folder, composed=False):
     """The run of the graph in lockstep, which equals that of the simulation ``offline`` to the last bit."""
     live = demonstrate(values, folder, composed=composed).evaluation
@@ -155,8 +135,11 @@ def simulated_and_live(values, offline, folder, composed=False):
 @pytest.mark.parametrize(
     ("law", "delay", "composed"),
     [
-        pytest.param(*case, marks=[] if case[:2] == ("smc_observer", 0.5) else [pytest.mark.nightly])
-        for case in itertools.product(LAWS, (0.5, 1.2), (False, True))
+        # Each node in a process of its own is in the next test.
+        ("smc_observer", 0.5, True),
+        *nightly(
+            one for one in itertools.product(LAWS, (0.5, 1.2), (False, True)) if one != ("smc_observer", 0.5, True)
+        ),
     ],
 )
 def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, in_lockstep, law, delay, composed):

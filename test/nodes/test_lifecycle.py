@@ -6,11 +6,11 @@ import re
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from parameters_of_tests import LOOP, loop_parameters
+from tiers import nightly
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.contract import CONTROLLER_STATE, DIAGNOSTICS, ENCODER
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.runtime.streams import subscribe
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
@@ -42,36 +42,8 @@ def loop(nodes, participant):
     return participant
 
 
-def received(participant, stream, count=20):
-    """Some messages of a stream: this process cannot read all 2000 a second for long."""
-    found, before = [], set(participant.node.subscriptions)
-    subscribe(participant.node, stream, lambda _, numbers: found.append(numbers))
-    participant.until(lambda: len(found) >= count)
-    for subscription in set(participant.node.subscriptions) - before:
-        participant.node.destroy_subscription(subscription)
-    return found
-
-
 def switching(participant):
-    return any(numbers[_SWITCHING] for numbers in received(participant, CONTROLLER_STATE))
-
-
-def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(graph, participant):
-    process = graph.start("driver", {"stage.rate": 200, "autostart": False})
-    assert not participant.change("driver", "activate") and participant.state("driver") == "unconfigured"
-    # What cannot be configured stays as it is; the next attempt takes what was corrected.
-    assert participant.set("driver", {"simulated.truth.guide": "nowhere.csv"}).successful
-    assert not participant.change("driver", "configure") and participant.state("driver") == "unconfigured"
-    assert participant.set("driver", {"simulated.truth.guide": "config/guide_synthetic.csv"}).successful
-    way = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
-    for label, state in [*way.items(), *way.items(), ("shutdown", "finalized")]:
-        assert participant.change("driver", label) and participant.state("driver") == state
-        if label == "configure":
-            assert not participant.enable().success
-        if label == "activate":
-            received(participant, ENCODER)
-    assert process.poll() is None
-    assert graph.stop(["driver"])["driver"] == 0
+    return any(numbers[_SWITCHING] for numbers in participant.received(CONTROLLER_STATE))
 
 
 def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(nodes, participant):
@@ -97,7 +69,7 @@ def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loo
     loop.trip()
     loop.until(lambda: loop.safety[-1].fault.startswith("tripped"))
     assert loop.change("driver", "deactivate") and loop.change("driver", "activate")
-    received(loop, ENCODER)
+    loop.received(ENCODER)
     refusal = loop.enable()
     assert not refusal.success and "the door is open" in refusal.message
     assert loop.trigger("driver/reset_fault").success
@@ -121,7 +93,7 @@ def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
     loop.until(lambda: not switching(loop))
     assert loop.trigger("feedforward/reload_map").success
     assert loop.set("driver", {"stage.actuator.current_limit": 0.95}).successful
-    received(loop, ENCODER)
+    loop.received(ENCODER)
     assert loop.amplifier_on()
 
 
@@ -144,22 +116,12 @@ def test_a_managed_logger_ends_its_bag_at_cleanup_and_is_unconfigured_when_it_fa
     assert participant.state("logger") == "active"
 
 
-def test_a_node_of_one_process_stops_and_starts_while_the_others_run(loop):
-    for node, fault in (("feedforward", "command_timeout"), ("controller", "command_timeout")):
-        assert loop.change(node, "deactivate")
-        loop.until(lambda fault=fault: loop.safety[-1].fault.startswith(fault))
-        received(loop, ENCODER)  # the driver samples on
-        assert loop.change(node, "cleanup") and loop.change(node, "configure") and loop.change(node, "activate")
-        assert loop.trigger("driver/reset_fault").success
-        loop.switch_on()
-        received(loop, CONTROLLER_STATE)
-
-
-@pytest.mark.nightly
-def test_a_node_lives_through_a_hundred_rounds_of_its_states(nodes, participant):
-    for transition in ("deactivate", "cleanup"):  # whatever the test before has left
-        participant.change("logger", transition)
-    for count in range(100):
-        assert participant.set("logger", {"output": str(nodes / f"round{count}")}).successful
-        for transition in ("configure", "activate", "deactivate", "cleanup"):
-            assert participant.change("logger", transition), (count, transition)
+@pytest.mark.parametrize("node", ["controller", *nightly(["feedforward"])])
+def test_a_node_of_one_process_stops_and_starts_while_the_others_run(loop, node):
+    assert loop.change(node, "deactivate")
+    loop.until(lambda: loop.safety[-1].fault.startswith("command_timeout"))
+    loop.received(ENCODER)  # the driver samples on
+    assert loop.change(node, "cleanup") and loop.change(node, "configure") and loop.change(node, "activate")
+    assert loop.trigger("driver/reset_fault").success
+    loop.switch_on()
+    loop.received(CONTROLLER_STATE)

@@ -29,16 +29,16 @@ def sample():
     return ENCODER.layout.pack(time.time_ns(), 0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, participant, tmp_path):
+def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(single, participant, tmp_path):
     bag = tmp_path / "bag"
     encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
-    graph.start("logger", {"output": str(bag), "snapshot": 1.0, "topics": "encoder|command", "nodes": "logger"})
+    single.start("logger", {"output": str(bag), "snapshot": 1.0, "topics": "encoder|command", "nodes": "logger"})
     participant.until(encoder.get_subscription_count)
     end = time.monotonic() + 2.0
     participant.until(lambda: encoder.publish(sample()) or time.monotonic() > end)
     response = participant.trigger("logger/snapshot")
     assert response.success and int(re.match(r"\d+", response.message)[0]) > 0
-    assert graph.stop(["logger"])["logger"] == 0
+    assert single.stop(["logger"])["logger"] == 0
     stream = read_streams(bag, {"encoder": ENCODER.layout})["encoder"]
     assert 0 < np.ptp(stream.log_time) <= 1.0e9
     metadata = read_metadata(bag)
@@ -55,7 +55,7 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, 
     assert (bag / "metadata.yaml").exists()
 
 
-def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_newest_incident(graph, tmp_path):
+def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_newest_incident(single, tmp_path):
     bag, incidents = tmp_path / "bag", tmp_path / "bag_incidents"
     parameters = {"output": str(bag), "nodes": "logger", "record_at_start": False, "topics": "encoder|command"}
     with Participant() as caller:
@@ -64,7 +64,7 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
         probe = caller.node.create_publisher(Range, "/probe", 10)
         # Reliable, where the logger asks for best effort: what is stored is how a topic is offered.
         encoder = caller.node.create_publisher(JointState, "/encoder", LATCHED)
-        graph.start("logger", {**parameters, "other_topics": "/recipe|/probe", "incidents": 1})
+        single.start("logger", {**parameters, "other_topics": "/recipe|/probe", "incidents": 1})
         assert not caller.trigger("logger/stop").success
         assert caller.trigger("logger/start").message.endswith(str(bag))
         assert not caller.trigger("logger/start").success
@@ -89,7 +89,7 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
         assert (bag / "metadata.yaml").exists()
         assert caller.trigger("logger/start").message.endswith("bag_2")
         publish_until(lambda: size(tmp_path / "bag_2" / "bag_2_0.mcap") > 5000)
-    assert graph.stop(["logger"])["logger"] == 0
+    assert single.stop(["logger"])["logger"] == 0
     (file,) = incidents.iterdir()
     with zipfile.ZipFile(file) as archive:
         assert {"INCIDENT.txt", "bag/bag_0.mcap", "doctor.json"} < set(archive.namelist())

@@ -12,8 +12,10 @@ import pytest
 from participant import Participant
 from waiting import wait_for_line
 
+from straightcomp_ros.cell.launcher import COMPOSED
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import GraphClient
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, count
@@ -63,9 +65,13 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     add_user(users, "ann", "correct horse", OPERATOR)
     advice.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
     stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
-    for node in NODES:
-        own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
-        graph.start(node, own | stage | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
+    chosen = {
+        node: stage | {name[len(node) + 1 :]: value for name, value in SLOW.items() if name.startswith(f"{node}.")}
+        for node in NODES
+    }
+    chosen["feedforward"]["stage.guide.file"] = str(survey)
+    (tmp_path / "parameters.yaml").write_text(as_parameter_file(chosen))
+    graph.start(COMPOSED, {}, tmp_path / "parameters.yaml")
     own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice), "nodes": " ".join(NODES)}
     graph.start("opcua", {**own, **stage})
     wait_for_line(graph, "opcua", "OPC UA at")

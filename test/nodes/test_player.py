@@ -1,6 +1,5 @@
 """A recorded bag in the real graph; runs of the graph replace nothing but what the tool made, and reach no machine."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.streams import stream_qos, subscribe
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
-SHORT = ["--set", "stage.motion.stroke=0.02", "--lockstep", "--json"]
 TEXTS = {
     *("stage.name", "stage.serial", "stage.motion.file", "stage.guide.file", "stage.guide.reference"),
     *("stage.guide.smooth", "realtime.cpus", "learning.file"),
@@ -46,8 +44,7 @@ def run(tmp_path_factory):
     return bag
 
 
-@pytest.mark.live
-def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(run, tmp_path):
+def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(run, in_lockstep, tmp_path):
     found = replay_through_graph(run, tmp_path / "replay")
     assert found.different == 0
     # A busy machine may lose some on the way; whatever comes back must be the same.
@@ -126,14 +123,3 @@ def test_a_replay_leaves_the_table_that_the_machine_has_learned(tmp_path, short_
     # Not where a driver listens.
     assert read_streams(found.bag, {"/replay/command": COMMAND.layout})
     assert not read_streams(found.bag, {"/command": COMMAND.layout})
-
-
-@pytest.mark.nightly
-@pytest.mark.live
-def test_a_demonstration_is_run_twice_without_an_option(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for _ in range(2):
-        assert main(["demo", *SHORT]) in (0, 1)
-        assert json.loads(capsys.readouterr().out)["bag"] == "demo_output/bag"
-    made = {path.name for path in Path("demo_output").glob("[!.]*")}
-    assert made == {"bag", "logs", "parameters.yaml", "run.png"}

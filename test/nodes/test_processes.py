@@ -13,6 +13,7 @@ from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
 
@@ -61,6 +62,24 @@ def test_a_node_stops_on_a_signal_without_a_traceback(single, tmp_path, node, nu
     assert "Traceback" not in single.log(node).read_text()
     if node == "logger":
         assert "parameters.yaml" in read_attachments(tmp_path / "bag")
+
+
+def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(single, participant):
+    process = single.start("driver", {"stage.rate": 200, "autostart": False})
+    assert not participant.change("driver", "activate") and participant.state("driver") == "unconfigured"
+    # What cannot be configured stays as it is; the next attempt takes what was corrected.
+    assert participant.set("driver", {"simulated.truth.guide": "nowhere.csv"}).successful
+    assert not participant.change("driver", "configure") and participant.state("driver") == "unconfigured"
+    assert participant.set("driver", {"simulated.truth.guide": "config/guide_synthetic.csv"}).successful
+    way = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
+    for label, state in [*way.items(), *way.items(), ("shutdown", "finalized")]:
+        assert participant.change("driver", label) and participant.state("driver") == state
+        if label == "configure":
+            assert not participant.enable().success
+        if label == "activate":
+            participant.received(ENCODER)
+    assert process.poll() is None
+    assert single.stop(["driver"])["driver"] == 0
 
 
 UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean 'realtime.priority'")
