@@ -46,14 +46,14 @@ def switching(participant):
     return any(numbers[_SWITCHING] for numbers in participant.received(CONTROLLER_STATE))
 
 
-def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(nodes, participant):
-    assert participant.change("logger", "configure") and participant.change("logger", "activate")
+def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(loop):
+    assert loop.change("logger", "configure") and loop.change("logger", "activate")
     statuses, nodes = {}, {*LOOP, "logger"}
-    participant.node.create_subscription(
+    loop.node.create_subscription(
         DiagnosticArray, DIAGNOSTICS, lambda message: statuses.update({one.name: one for one in message.status}), 100
     )
-    participant.until(lambda: nodes <= statuses.keys())
-    assert participant.change("logger", "deactivate") and participant.change("logger", "cleanup")
+    loop.until(lambda: nodes <= statuses.keys())
+    assert loop.change("logger", "deactivate") and loop.change("logger", "cleanup")
     for node in nodes:
         status = statuses[node]
         assert status.hardware_id == ("simulated" if node == "driver" else platform.node())

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import nightly
 
 from straightcomp_ros.analysis import evaluation
 from straightcomp_ros.analysis.evaluation import evaluate_bag
@@ -50,20 +51,27 @@ def survey(path: Path, deviation, length: float = 1.76, step: float = 0.01) -> s
     return str(path)
 
 
-@pytest.mark.parametrize("law", LAWS)
+WORKING = [
+    {},
+    {"stage.motion.stroke": 0.005},
+    {"stage.motion.stroke": 1.76},
+    {"stage.motion.speed": 1.0, "stage.motion.acceleration": 5.0, "stage.motion.stroke": 1.76},
+    {"stage.encoder.y_resolution": 1e-9},
+    {"stage.encoder.y_resolution": 1e-6},
+    {"stage.drive.delay": 1.5},
+    {"driver.simulated.initial_y": 1e-4},
+    {"stage.rate": 4000},
+    {"stage.rate": 10_000},
+]
+
+
 @pytest.mark.parametrize(
-    "changes",
+    ("law", "changes"),
     [
-        {},
-        {"stage.motion.stroke": 0.005},
-        {"stage.motion.stroke": 1.76},
-        {"stage.motion.speed": 1.0, "stage.motion.acceleration": 5.0, "stage.motion.stroke": 1.76},
-        {"stage.encoder.y_resolution": 1e-9},
-        {"stage.encoder.y_resolution": 1e-6},
-        {"stage.drive.delay": 1.5},
-        {"driver.simulated.initial_y": 1e-4},
-        {"stage.rate": 4000},
-        {"stage.rate": 10_000},
+        *(("smc_observer", changes) for changes in WORKING),
+        *(("linear", changes) for changes in WORKING[:2]),
+        *(("smc", changes) for changes in WORKING[:2]),
+        *nightly((law, changes) for law in ("linear", "smc") for changes in WORKING[2:]),
     ],
     ids=str,
 )
