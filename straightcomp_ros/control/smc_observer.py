@@ -36,6 +36,9 @@ Where the model explains the friction, a slow observer and little gain leave the
 Where it does not, the loop itself has to follow friction. The RMS of what the fit leaves unexplained moves the
 observer's bandwidth, λ and κ between two sets, the quiet one and one that is stiffer by a factor.
 
+Under dither friction is, in the mean over a turn, a curve that rises with the velocity. It takes the place of the
+bristles, F̂ = s (F_C/√(v² + v_d²) + σ2) v, with the velocity v_d that the dither would give the mass without friction.
+
 At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
 reference for a while, the command is held at the mean of the last ones. When the hold ends, the mean difference between
 held and computed command decays slowly, so that leaving rest makes no bump.
@@ -151,6 +154,7 @@ class Gains(NamedTuple):
         wait: time at rest until the command is held, s.
         weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
         dither: its amplitude in A; ``turn``: the angle by which it goes on in a period.
+        knee: m/s, beside which friction under dither saturates; 0 without dither.
     """
 
     free: Stiffness
@@ -174,6 +178,7 @@ class Gains(NamedTuple):
     weight: float
     dither: float
     turn: Dither
+    knee: float
     loop: Loop
     filters: Filters
 
@@ -278,6 +283,9 @@ def _unit_friction(
         return bristle, 0.0
     velocity = r_dot + g.share * (observed - r_dot)
     coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
+    if g.knee > 0.0:
+        # What friction is in the mean over the dither.
+        return bristle, -velocity * (coulomb / math.hypot(velocity, g.knee) + viscous) / mass
     shape = max(size, SMALLEST_SHAPE)
     lugre = LuGre(shape * coulomb, shape * static, stribeck_velocity, stiffness, damping, viscous)
     after = bristle_after(lugre, bristle, velocity, g.loop.period)

@@ -234,7 +234,7 @@ STIFF = {"friction__bristle_stiffness": 1e8, "friction__static": 0.56}
 def test_only_a_stage_whose_bristles_hide_within_the_count_gets_a_dither_which_rest_ends():
     assert dither_of(ObserverDesign(), STAGE).amplitude == dither_of(ObserverDesign(), stage(**NONE)).amplitude == 0.0
     stiff = stage(**STIFF)
-    angle, amplitude = dither_of(ObserverDesign(), stiff)
+    angle, amplitude, _ = dither_of(ObserverDesign(), stiff)
     # At a quarter of the rate, and as much as carries F_C through the amplifier's lag, one and a half times.
     assert angle == pytest.approx(0.5 * math.pi)
     assert amplitude == pytest.approx(1.5 * 0.43 / stiff.actuator.current_stiffness * math.hypot(1.0, 500.0 / 500.0))
@@ -242,6 +242,19 @@ def test_only_a_stage_whose_bristles_hide_within_the_count_gets_a_dither_which_r
     errors, commands = following(stiff, stiff, 2.0, amplitude=5e-6)
     assert not np.diff(commands[1800:2000]).any() and np.diff(commands[2400:]).std() > amplitude
     assert np.ptp(errors[2400:]) < 0.3e-6
+
+
+@pytest.mark.parametrize("velocity", [-1e-3, -1e-5, 2e-6, 1e-4])
+def test_under_dither_friction_is_a_curve_of_the_velocity_without_memory(velocity):
+    described, size = stage(**STIFF), 0.5
+    one = make_law(ControlParameters(), described)
+    state = one.start(0.0)
+    state = state._replace(fit=state.fit._replace(size=size), prior=state.prior._replace(velocity=velocity))
+    after, answer = one.function(one.gains, state, 0.0, 0.0, velocity, 0.0, math.nan)
+    knee, v = dither_of(ObserverDesign(), described).velocity, velocity + 0.3 * (answer.velocity_estimate - velocity)
+    force = size * (0.43 / math.hypot(v, knee) + 10.0) * v
+    assert answer.disturbance_estimate - after.prior.disturbance == pytest.approx(-force / one.gains.loop.mass)
+    assert after.bristle == 0.0
 
 
 @given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
