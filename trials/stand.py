@@ -304,7 +304,9 @@ class Stand:
         self.x, self.farthest = numbers[0], max(self.farthest, abs(numbers[1]))
 
     def _on_trip(self, message: DiagnosticStatus) -> None:
-        self.tripped = Seen(LABELLED[message.name], time.time_ns())
+        # Any program may publish here.
+        if message.name in LABELLED:
+            self.tripped = Seen(LABELLED[message.name], time.time_ns())
 
     def _on_injected(self, message: DiagnosticStatus) -> None:
         self.injected_ns = int(message.values[0].value)

@@ -349,13 +349,13 @@ def _without(points: Array, uncertainty: float, x: Array, mean: Array) -> Array:
 
 def _repeatability(values: Array) -> Contribution:
     """From the straightness (n,) in m of n strokes: s/√n, wider by Student's t over 2 for n − 1 degrees of freedom."""
-    from scipy.stats import t as student
+    from scipy.special import stdtrit
 
     n = values.size
     if n < 2:
         return Contribution("repeatability", None)
     s = float(values.std(ddof=1))
-    factor = float(student.ppf(0.5 + _COVERAGE / 2.0, n - 1)) / COVERAGE_FACTOR
+    factor = float(stdtrit(n - 1, 0.5 + _COVERAGE / 2.0)) / COVERAGE_FACTOR
     return Contribution("repeatability", s, s / math.sqrt(n) * factor)
 
 

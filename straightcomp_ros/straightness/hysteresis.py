@@ -69,7 +69,7 @@ def half_difference(
 def _lasting(ways: Array, x: Array, lines: Array, line: Array) -> Array:
     """Of the ``line`` (n,) of h the level and the tilt that are more than the scatter of the runs' ``lines`` (runs, n)
     explains."""
-    from scipy.stats import t as student
+    from scipy.special import stdtrit
 
     freedom = len(ways) - 2
     kept = np.zeros_like(line)
@@ -82,7 +82,7 @@ def _lasting(ways: Array, x: Array, lines: Array, line: Array) -> Array:
         squares = sum(float(sizes[ways == way].var()) * np.count_nonzero(ways == way) for way in (1.0, -1.0))
         counts = sum(1.0 / np.count_nonzero(ways == way) for way in (1.0, -1.0))
         error = 0.5 * math.sqrt(squares / freedom * counts)
-        if abs(size) > max(ROUNDING, error * float(student.isf(_BY_CHANCE / 2.0, freedom))):
+        if abs(size) > max(ROUNDING, -error * float(stdtrit(freedom, _BY_CHANCE / 2.0))):
             kept = kept + size * shape
     return kept
 
@@ -90,13 +90,13 @@ def _lasting(ways: Array, x: Array, lines: Array, line: Array) -> Array:
 def _more_than_chance(x: Array, shape: Array, noise: float, repeats: int) -> bool:
     """Whether ``shape`` (n,) in m over ``x`` (n,), without level and tilt, is more than ``noise`` in m, which is known
     from as many ``repeats`` of all points."""
-    from scipy.stats import f as fisher
+    from scipy.special import fdtri
 
     freedom = shape.size - 2
     orthogonal = np.linalg.qr(np.polynomial.legendre.legvander(2.0 * (x - x[0]) / np.ptp(x) - 1.0, _SLOW))[0]
     slow = shape @ orthogonal[:, 2:]
     return any(
         float(part @ part) / count
-        > max(noise, ROUNDING) ** 2 * float(fisher.isf(_BY_CHANCE / 2.0, count, repeats * freedom))
+        > max(noise, ROUNDING) ** 2 * float(fdtri(count, repeats * freedom, 1.0 - _BY_CHANCE / 2.0))
         for part, count in ((shape, freedom), (slow, slow.size))
     )

@@ -52,8 +52,7 @@ def survey_check(straightness: StraightnessMap, check: Survey, noise: float) -> 
     Raises:
         SurveyError: the check has a single run, or too few points within the map's span.
     """
-    # SciPy's statistics take a second to import, and a verb's help needs none of it.
-    from scipy.stats import f as fisher
+    from scipy.special import fdtri
 
     if len(check.runs) < 2:
         raise SurveyError(
@@ -81,7 +80,7 @@ def survey_check(straightness: StraightnessMap, check: Survey, noise: float) -> 
     # A line takes two degrees of freedom of each run.
     freedom = points - 2
     variance = float(((left - mean) ** 2).sum()) / ((runs - 1) * freedom) / runs + noise**2
-    factor = float(fisher.ppf(_CONFIDENCE, freedom, (runs - 1) * freedom))
+    factor = float(fdtri(freedom, (runs - 1) * freedom, _CONFIDENCE))
     guide = least_squares_residual(x, expected)
     measured = least_squares_residual(x, values.mean(axis=0))
     size = float(np.linalg.norm(guide) * np.linalg.norm(measured))
