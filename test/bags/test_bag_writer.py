@@ -2,7 +2,9 @@
 
 import errno
 import shutil
+import sys
 import tracemalloc
+import warnings
 from functools import partial
 from pathlib import Path
 from unittest.mock import ANY
@@ -25,7 +27,7 @@ from straightcomp_ros.bags.reader import read_attachments, read_messages, read_m
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import TopicQos, definition
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import ENCODER, STREAMS
+from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 
 COMPRESSIONS = ("zstd", "lz4", "none")
 
@@ -123,6 +125,54 @@ def test_the_bag_is_finished_when_an_exception_ends_the_block(tmp_path, error):
         bag.write_all(messages(20))
         raise error
     assert information(tmp_path / "bag")["message_count"] == 20 * len(STREAMS)
+
+
+@pytest.mark.nightly
+def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
+    written = [message for message in messages(1) if message.topic in ("/encoder", "/command")]
+
+    class Interrupted(KeyboardInterrupt):
+        pass
+
+    def written_until(call: int) -> int:
+        """Messages that ``write`` took before the interrupt at the call of that number; -1 when there was none."""
+        calls = taken = 0
+
+        def interrupt(frame: object, event: str, argument: object) -> None:
+            # Python handles signals before and after calls: these are the places of Ctrl-C.
+            nonlocal calls
+            calls += event in ("call", "c_call", "c_return")
+            if calls == call:
+                sys.setprofile(None)
+                raise Interrupted
+
+        try:
+            with BagWriter(tmp_path / f"bag{call}", chunk_size=1) as bag:
+                bag.add_topic("/encoder", ENCODER.layout.type_name)
+                bag.add_topic("/command", COMMAND.layout.type_name)
+                try:
+                    sys.setprofile(interrupt)
+                    for message in written:
+                        bag.write(*message)
+                        taken += 1
+                finally:
+                    sys.setprofile(None)
+        except Interrupted:
+            return taken
+        return -1
+
+    call = 1
+    while (taken := written_until(call)) >= 0:
+        with Reader(tmp_path / f"bag{call}") as reader:
+            kept = [data for _, _, data in sorted(reader.messages(), key=lambda entry: entry[1])]
+            assert reader.message_count in (taken, taken + 1)
+        assert sorted(kept) == sorted(message.data for message in written[: len(kept)])
+        if kept:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                read_streams(tmp_path / f"bag{call}", LAYOUTS)
+        call += 1
+    assert call > 100
 
 
 def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_path):

@@ -2,16 +2,17 @@
 
 import json
 import os
-from datetime import date
+from datetime import date, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import levels_of
+from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
-from trials.wear import BAGS_A_DAY, SOUND, WEARS, alarms_of, months
+from trials.wear import BAGS_A_DAY, SOUND, WEARS, alarms_of, judged, months
 
 DAYS, BEGIN = 120, 60
 SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)
@@ -134,6 +135,38 @@ def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear)
     assert not {"guide", "bolt"} & {one.cause for one in advice_of(strokes.levels())}
 
 
+AGAIN = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("factors", "alarms"),
+    [
+        ({"friction_A": 1.0 + 0.3 * AGAIN}, [("friction_up", 1), ("friction_up", 2)]),
+        # First the error alone is worse, then the friction that explains it is seen.
+        (
+            {"encoder_rms_um": 1.0 + 0.5 * (PLACES >= 40), "friction_A": 1.0 + 0.5 * (PLACES >= 60)},
+            [("unknown", 1), ("friction_up", 1)],
+        ),
+        # Stiffness first follows friction, then is a matter of its own, while no figure's alarm begins or ends.
+        (
+            {
+                "friction_A": 1.0 + 0.5 * (PLACES >= 40),
+                "stiffness_A_per_m": 1.0 + 0.1 * (PLACES >= 40) + 0.4 * (PLACES >= 80),
+            },
+            [("friction_up", 1), ("stiffness", 2)],
+        ),
+    ],
+)
+def test_an_alarm_that_comes_again_or_with_another_cause_counts_again(make_levels, factors, alarms):
+    assert [(cause, day // 40) for cause, day in alarms_of(make_levels(**factors))] == alarms
+
+
+def test_the_alarm_with_the_right_cause_counts_from_the_wear_s_beginning():
+    alarms = [("friction_up", 50), ("host", 130), ("friction_up", 170), ("friction_up", 300)]
+    assert judged(alarms, "friction_up") == (50, 2)
+
+
 def test_what_is_written_is_read(make_levels, tmp_path):
     advice, path = advice_of(make_levels(friction_A=1.0 + 0.005 * SINCE)), tmp_path / "stage.json"
     path.write_text(json_text(advice_json("gantry", date(2026, 5, 1), advice)))
@@ -175,3 +208,16 @@ def test_a_damaged_file_or_a_folder_says_so_in_place_of_advice(tmp_path, content
 def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
     years = [months(pool, SOUND, 0, 365, 900 + seed, bags=4).levels() for seed in range(5)]
     assert sum(len(alarms_of(year)) for year in years) <= 5
+
+
+def test_each_fault_has_a_mark_in_the_line_of_its_kind():
+    starts = [datetime(2026, 1, 1, tzinfo=timezone.utc) + timedelta(days=day) for day in range(30)]
+    faults = [[] for _ in starts]
+    assert faults_over_time(starts, faults) is None
+    faults[3], faults[7], faults[20] = ["x_jump"], ["x_jump", "y_frozen"], ["x_jump"]
+    figure = faults_over_time(starts, faults)
+    # The most frequent one is drawn last, on top; quiet days belong to the picture.
+    expected = [("y_frozen: 1", [7]), ("x_jump: 3", [3, 7, 20])]
+    marks = [(line.y[0], list(line.x)) for line in figure.data]
+    assert marks == [(name, [starts[place].isoformat() for place in places]) for name, places in expected]
+    assert figure.layout.xaxis.range == (starts[0].isoformat(), starts[-1].isoformat())

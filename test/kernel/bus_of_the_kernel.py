@@ -5,16 +5,42 @@ import multiprocessing
 import subprocess
 import time
 
+import numpy as np
+
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.nodes.dsp_emulator import emulate
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
+from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.tuning.design.gains import closed_form
 
 RATE = 100
 """Hz: what the guest's processor carries on a busy computer. No law holds the shipped platform then, friction does."""
 
 
+def in_slow_motion(times):
+    """The shipped stage, in which all takes ``times`` as long under the same forces: commands that come late by a part
+    of a second cost it what the shipped one is cost by that part over ``times``. The strokes are slower still."""
+    powers = {
+        "rate": -1,
+        "platform.mass": 2,
+        "friction.stribeck_velocity": -1,
+        "friction.bristle_damping": 1,
+        "friction.viscous": 1,
+        "drive.bandwidth": -1,
+    }
+    stage = shipped_parameters()["stage"]
+    slow = {name: type(stage[name])(stage[name] * times**power) for name, power in powers.items()}
+    return {**slow, "motion.speed": 0.03, "motion.acceleration": 0.03}
+
+
+LAW_STAGE = in_slow_motion(20)
+"""For strokes under the control law, whose commands must come in time."""
 PATIENCE_S = 60.0
 HOST, BOARD = "vxcan0", "vxcan1"
 """The two ends of a cable, of which each can be spoiled by itself."""
@@ -156,3 +182,33 @@ class Driver:
 
     def close(self):
         self.hardware.close()
+
+
+class ServoDriver(Driver):
+    """The driver's side with feedforward and law in its loop: the law of the controller, with the gains that the closed
+    form has for this stage.
+
+    The machine's reference is that of the map at each sample's own x, since there is no feedforward node here.
+    """
+
+    def __init__(self, fd, file, stage):
+        values = node_values(fd, HOST, file, stage)
+        law = node_parameters("controller", values).control.law
+        values["controller"].update(closed_form(make_scenario(values, [law]), law))
+        controller = node_parameters("controller", values)
+        own = controller.stage
+        self._servo = Servo(make_law(controller.control, own))
+        self.map = load_map(own.guide)
+        self._feedforward = Feedforward(self.map, FeedforwardParameters(), own.motion.highest_speed)
+        # Last, for it begins to receive, and what was not read for a second is a fault.
+        super().__init__(fd, file, stage=stage)
+
+    def current(self, sample):
+        reference = self._feedforward.step(sample.stamp_ns, sample.x)
+        command = self._servo.step(sample.stamp_ns, sample.y, sample.current, reference)
+        return command.current if command else 0.0
+
+    def true_errors(self, begin):
+        """r(x) − y of the machine itself, in m, for the samples from number ``begin`` on that came with the truth."""
+        found = [truth for _, truth in self.samples[begin:] if truth is not None]
+        return np.array([self.map.reference(truth.x)[0] - truth.y for truth in found])

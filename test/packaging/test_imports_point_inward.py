@@ -6,6 +6,8 @@ import re
 from functools import cache
 from pathlib import Path
 
+from straightcomp_ros import contract
+
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
 ARCHITECTURE = (SOURCE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -83,10 +85,44 @@ def modules_in(text):
     return re.findall(rf"(?<![\w/])((?:{'|'.join(itertools.chain(*rows()))})/[\w/]+\.py)\b", text)
 
 
+def loaded_by(path):
+    """A module and all that it imports from this package, directly or not; the parameters know every node."""
+    found, pending = set(), [path]
+    while pending:
+        path = pending.pop()
+        if name_of(path) in found or room_of(path) == COLLECTED[0]:
+            continue
+        found.add(name_of(path))
+        for name in imports_of(path):
+            pieces = name.split(".")[1:] if name.split(".")[0] == PACKAGE else []
+            places = [SOURCE.joinpath(*pieces[:count]).with_suffix(".py") for count in range(1, len(pieces) + 1)]
+            pending.extend(place for place in places if place.is_file())
+    return found
+
+
 def test_every_module_that_the_page_names_exists():
     named = modules_in(ARCHITECTURE)
     assert len(named) > 30
     assert [name for name in named if not (SOURCE / name).is_file()] == []
+
+
+def test_each_step_of_a_sample_is_done_by_modules_of_its_process():
+    steps = re.findall(r"^\| \d+ \| (\w+) \| (.*)", PATH_OF_A_SAMPLE, re.MULTILINE)
+    loaded = {node: loaded_by(SOURCE / "nodes" / f"{node}_node.py") for node, _ in steps}
+    strangers = [(node, name) for node, text in steps for name in modules_in(text) if name not in loaded[node]]
+    assert len(steps) == 10 and strangers == []
+
+
+def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order():
+    streams = [stream.topic for stream in contract.STREAMS]
+    assert re.findall(r"^\| `(\w+)` \| \w+(?:,[^|]*)? \| [\w, ]+ \| ", PATH_OF_A_SAMPLE, re.MULTILINE) == streams
+    drawn = re.findall(r"── (\w+) ──", PATH_OF_A_SAMPLE.split("```")[1])
+    assert drawn == [
+        contract.ENCODER.topic,
+        contract.ENCODER.batch_topic,
+        contract.REFERENCE.batch_topic,
+        contract.COMMAND.topic,
+    ]
 
 
 def test_imports_point_downward_or_to_the_same_row():

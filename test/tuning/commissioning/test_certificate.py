@@ -104,6 +104,24 @@ def test_the_page_and_the_json_have_what_was_found_and_limits_of_later_strokes_a
     assert re.search(r">100 ms</td>\s*<td[^>]*>lost<", page) and "None" not in page
 
 
+def test_the_page_states_the_straightness_with_its_uncertainty_and_what_that_is_made_of(tmp_path):
+    unknown, encoder = Contribution("repeatability", None, counts=False), Contribution("encoder", 29e-9, 5e-9, -90e-9)
+    survey = Contribution("map", 10e-9, 12e-9, 1e-9)
+    before = Statement("before", "forward", "end_points", 1, 22.4e-6, (survey,))
+    after = Statement("after", "forward", "minimum_zone", 1, 0.2e-6, (unknown, encoder, survey))
+    stated = [one.to_display() for one in (before, after)]
+    assert certificate(done(tmp_path, acceptance={"straightness": stated})).passed
+    page = (tmp_path / "certificate.html").read_text()
+    cells = re.findall(r"<td[^>]*>([^<]*)<", page[page.index("after, forward, minimum zone") - 10 :])[:7]
+    # 2 √(5² + 12²) nm.
+    assert cells == ["after, forward, minimum zone", "0.200", "0.111", "0.026", "?", "0.005", "0.012"]
+    assert "before, forward, end points" in page and "None" not in page
+    assert (
+        json.loads((tmp_path / "certificate.json").read_text())["steps"]["acceptance"]["figures"]["straightness"]
+        == stated
+    )
+
+
 @pytest.mark.parametrize(
     ("require", "passed", "words"),
     [

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import pytest
 from tiers import nightly
@@ -9,8 +10,9 @@ from tiers import nightly
 from scripts.stage_files import stage_scenario
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import missing_margin
-from straightcomp_ros.tuning.design.automatic_design import design_gains
-from straightcomp_ros.tuning.design.error_budget import error_budget
+from straightcomp_ros.doctor import Finding
+from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
+from straightcomp_ros.tuning.design.error_budget import OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.gain_search import search
 from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
 from straightcomp_ros.tuning.design.judged_gains import (
@@ -57,6 +59,16 @@ def test_the_budget_begins_with_the_stage_and_has_the_same_causes_for_every_law(
     # That of a law without a friction model.
     plain = error_budget(shipped, "linear", closed_form(shipped, "linear"))
     assert [entry.cause for entry in plain] == list(left)
+
+
+def test_what_modes_cost_is_said_where_a_rigid_platform_would_leave_much_less():
+    def warnings(rigid):
+        budget = [BudgetEntry(OWN, 0.5e-6, 0.1e-6), *([BudgetEntry(RIGID, rigid, 0.1e-6)] if rigid else [])]
+        return Design.warnings.fget(SimpleNamespace(budget=budget, stiction=Finding("stiction", "ok", "")))
+
+    (said,) = warnings(0.14e-6)
+    assert "0.5 µm p-p, where a rigid platform leaves 0.14 µm" in said and "frequency_error" in said
+    assert warnings(0.4e-6) == warnings(None) == []
 
 
 @pytest.fixture(scope="module")

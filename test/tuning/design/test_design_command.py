@@ -73,3 +73,16 @@ def test_what_is_wrong_or_would_lose_something_is_said_before_the_work(stage, ca
     stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {trigger: timer}}\n")
     assert main(["design", str(stage), "-o", str(stage)]) == 2
     assert "has a section '/**/controller' of its own" in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+def test_a_design_warns_of_stiction_as_the_check_does(stage, capsys):
+    tree = yaml.safe_load(stage.read_text())
+    tree["/**"]["ros__parameters"]["stage"]["friction"] = {"bristle_stiffness": 1e8}
+    stage.write_text(yaml.safe_dump(tree))
+    main(["design", str(stage), "--json", *FEW])
+    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+    main(["stage", "check", str(stage), "--json"])
+    (finding,) = (one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"] == "stiction")
+    assert finding["state"] == "warn"
+    assert warning.startswith("stiction: ") and finding["remedy"] in warning

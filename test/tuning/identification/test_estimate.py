@@ -44,6 +44,16 @@ STIFF = {
     "friction.bristle_stiffness": 1.5e6,
     "friction.viscous": 25.0,
 }
+SOFT = {
+    "platform.mass": 4.2,
+    "actuator.air_gap": 1.6e-3,
+    "friction.coulomb": 0.9,
+    "friction.static": 1.1,
+    "friction.stribeck_velocity": 100e-6,
+    "friction.bristle_stiffness": 4e5,
+    "friction.bristle_damping": 600.0,
+    "friction.viscous": 40.0,
+}
 FAR = {
     "platform.mass": 3.3,
     "actuator.turns": 361.0,
@@ -146,6 +156,32 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
     answer, _ = stiff_answer
     assert_found({name: SimpleNamespace(**found) for name, found in answer["parameters"].items()}, STIFF)
     assert not any(found["poorly_determined"] for found in answer["parameters"].values())
+
+
+@pytest.mark.nightly
+def test_another_plant_under_another_law_is_found_too(tmp_path, excitation):
+    bag = record(tmp_path / "bag", values(SOFT, law="smc", guide_file=excitation))
+    estimate = estimate_from_bag(bag, START, ["actuator.turns"])
+    assert_found(estimate.parameters, SOFT)
+    assert estimate.advice == {}
+    assert estimate.path.delay == pytest.approx(250e-6, abs=5e-6)
+    assert "stage.platform.mass: 4." in parameter_file(estimate)
+
+
+@pytest.mark.nightly
+def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path, excitation):
+    widths, truth = {}, truth_of(STIFF)
+    # STIFF has its own mass, and the description's is taken as known: what is compared is relative to it.
+    scale = START.platform.mass / truth["platform.mass"]
+    for count in (5e-8, 4e-7):
+        parameters = values(STIFF, guide_file=excitation)
+        parameters["stage"]["encoder.y_resolution"] = count
+        start = dataclasses.replace(START, encoder=dataclasses.replace(START.encoder, y_resolution=count))
+        found = estimate_from_bag(record(tmp_path / f"{count}", parameters), start, ["platform.mass"]).parameters
+        widths[count] = found["actuator.turns"].high / found["actuator.turns"].value - 1.0
+        for name in ("friction.coulomb", "actuator.current_stiffness"):
+            assert found[name].low <= truth[name] * scale <= found[name].high, name
+    assert widths[4e-7] > 3.0 * widths[5e-8]
 
 
 @pytest.mark.nightly

@@ -68,6 +68,14 @@ def test_every_law_recovers_from_fig_4_and_not_from_beyond_the_stop_nor_from_whe
     assert not (back & ~leaves).any() and not (leaves & ~data.possible).any()
 
 
+def test_what_is_mirrored_is_what_is_computed(data):
+    row, column = 7, 12
+    y, velocity = data.positions[column], data.velocities[row]
+    computed = recovery.peak(data.machine.with_law("smc_observer"), y, velocity)
+    assert velocity < 0.0 and np.isfinite(computed)
+    assert data.peaks["smc_observer"][row, column] == pytest.approx(computed, abs=1e-6)
+
+
 def test_a_known_friction_is_found_again_through_equations_1_and_2():
     rate, mass, magnets, inner = 2000.0, 3.0, ActuatorParameters(), slice(100, -100)
     t = np.arange(4000) / rate

@@ -34,3 +34,8 @@ def test_what_a_stalled_host_has_to_answer_comes_when_the_stall_is_over():
     delays = stalled(2000, PERIOD, PERIOD, 2.0, range(1000, 2000, 157))
     arrivals = (np.arange(delays.size) * PERIOD + delays)[1000:1006] // PERIOD
     assert arrivals.tolist() == [1004, 1004, 1004, 1004, 1005, 1006]
+
+
+def test_a_bag_that_is_not_there_ends_the_script_with_a_sentence(tmp_path, capsys):
+    assert script.main(["--bag", str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err
