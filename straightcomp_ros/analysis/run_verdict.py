@@ -249,7 +249,8 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
     """The verdict on an error that is a line, or is made by jumps: by what is behind it."""
     error = f"error {_um(motion.pp)} p-p"
     at_rest = max(FEW_COUNTS * motion.count, _HUNTS * motion.uncompensated)
-    hunts = [rest for rest in motion.resting() if causes.stick_slip(rest, motion.period)]
+    # What ends with the first half of a pause was settling.
+    hunts = [rest[rest.size // 2 :] for rest in motion.resting() if causes.stick_slip(rest, motion.period)]
     hunting = max((pp for pp in map(peak_to_peak, hunts) if pp > at_rest), default=0.0)
     line = _line(motion)
     if line:

@@ -69,6 +69,7 @@ def promised(smooth: float, as_mapped: float = 0.0, largest: float = 0.0, rms: f
     return lambda: Promise(left[0], lambda enough: left[1], lambda: left[2])
 
 
+PAUSED = np.cumsum(np.select([TIME < 3.0, TIME < 5.0], [0.5, 0.0], -0.5)) * T
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
 NEARLY = 0.02 * R
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
@@ -175,6 +176,10 @@ CASES = {
     "a platform that stands and jumps sticks and slips": [
         ("stick_slip", "stage.friction.static", motion(STEPS, promise=promised(0.05))),
         ("in_order", "", motion(STEPS, promise=promised(0.3))),
+    ],
+    "jumps through a pause are hunting, and one that ends with its first half is settling": [
+        ("stick_slip", "at rest", motion(np.where((TIME > 3.0) & (TIME < 5.0), STEPS, SMALL), x=PAUSED)),
+        ("in_order", "", motion(np.where((TIME > 3.3) & (TIME < 3.4), 0.5e-6, SMALL), x=PAUSED)),
     ],
     "a line at a described mode is the mode's, and so is all of a loop that has no margins because of its modes": [
         ("resonance", "mode at 135 Hz", motion(SMALL + 0.3e-6 * sine(137.0), modes=(80.0, 135.0))),
