@@ -40,8 +40,11 @@ from straightcomp_ros.straightness.survey import Survey, SurveyError
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
 _STROKES = 32
-"""Drawn at most: one in 33 of such strokes exceeds them all, and few runs ask for them. Four left at most 0.23 µm, or
-0.55 with the map rounded otherwise, where a sound run of a stage of 1 kg left 0.69."""
+"""Drawn at most: few runs ask for them. Four left at most 0.23 µm, or 0.55 with the map rounded otherwise, where a sound
+run of a stage of 1 kg left 0.69."""
+_BEYOND = math.log(1000 / (_STROKES + 1))
+"""One in 33 of such strokes exceeds them all. One in 1,000 exceeds them by so many standard deviations, if the largest
+ones are distributed exponentially (J. Pickands, Ann. Statist. 3 (1975) 119-131, without a shape)."""
 _LATE = 0.01
 """Share of a drawn stroke's commands that are up to a period late. As many are no stall (`analysis.interruption`), and
 the p99 of their delay is as described (`late_commands`)."""
@@ -129,8 +132,8 @@ def _simulated(
     smooth: str,
     enough: Left | None = None,
 ) -> Left | None:
-    """The error of the stroke; or, with ``enough``, the largest p-p and RMS of up to `_STROKES` as they come, which
-    reach that with the last."""
+    """The error of the stroke; or, with ``enough``, the largest p-p and RMS of strokes as they come: of so many that
+    these reach that, or else what one in 1,000 exceeds."""
     stage = controller.stage
     if stage.rate < LOWEST_RATE:
         return None
@@ -151,7 +154,7 @@ def _simulated(
     window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
     followed, count = along(stroke.map, stroke.true_x)[0], stage.encoder.y_resolution
     size, own, range_ = followed.size, round(stage.drive.delay * stage.period_ns), stage.uncertainty
-    largest = Left(0.0, 0.0)
+    drawn = list[Left]()
     for number in range(_STROKES if enough else 1):
         conditions: dict[str, Any] = {}
         if enough:
@@ -168,7 +171,8 @@ def _simulated(
         if cycle.current.size < size:
             return None
         error = (followed - cycle.true_y)[window]
-        largest = Left(max(largest.pp, peak_to_peak(error)), max(largest.rms, float(error.std())))
-        if enough and largest.pp >= enough.pp and largest.rms >= enough.rms:
-            break
-    return largest
+        drawn.append(Left(peak_to_peak(error), float(error.std())))
+        largest = Left(*map(max, zip(*drawn, strict=True)))
+        if not enough or (largest.pp >= enough.pp and largest.rms >= enough.rms):
+            return largest
+    return Left(*(most + _BEYOND * float(spread) for most, spread in zip(largest, np.std(drawn, axis=0), strict=True)))
