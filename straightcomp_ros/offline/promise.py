@@ -40,8 +40,8 @@ from straightcomp_ros.straightness.survey import Survey, SurveyError
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
 _STROKES = 32
-"""Drawn at most: few runs ask for them. Four left at most 0.23 µm, or 0.55 with the map rounded otherwise, where a sound
-run of a stage of 1 kg left 0.69."""
+"""Drawn at most: few runs ask for them. Four left at most 0.23 µm, or 0.55 with the map rounded otherwise, where a
+sound run of a stage of 1 kg left 0.69."""
 _BEYOND = math.log(1000 / (_STROKES + 1))
 """One in 33 of such strokes exceeds them all. One in 1,000 exceeds them by so many standard deviations, if the largest
 ones are distributed exponentially (J. Pickands, Ann. Statist. 3 (1975) 119-131, without a shape)."""
