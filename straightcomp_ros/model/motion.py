@@ -83,7 +83,7 @@ class MotionParameters:
 def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -> list[Waypoint]:
     """Corners of a rest-to-rest move from ``start`` (not repeated) to ``goal``; a triangle if too short to cruise."""
     distance = abs(goal - start.position)
-    if distance == 0.0:
+    if _is_there(distance, acceleration):
         return []
     direction = math.copysign(1.0, goal - start.position)
     peak = min(speed, math.sqrt(acceleration * distance))
@@ -98,11 +98,16 @@ def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -
     return [Waypoint(start.time_ns + round(time * _NS), position, velocity) for time, position, velocity in corners]
 
 
+def _is_there(distance: float, acceleration: float) -> bool:
+    """Whether this distance is one of rounding: it would take no more than two nanoseconds."""
+    return distance <= acceleration / _NS**2
+
+
 def move(start: Waypoint, goal: float, speed: float, acceleration: float, jerk: float = 0.0) -> list[Waypoint]:
     """As :func:`trapezoid`, with a limit of the jerk in m/s³ unless that is 0: the corners of seven phases, or of those
     of them that the distance leaves."""
     distance = abs(goal - start.position)
-    if jerk == 0.0 or distance == 0.0:
+    if jerk == 0.0 or _is_there(distance, acceleration):
         return trapezoid(start, goal, speed, acceleration)
     build = acceleration / jerk  # s, until the acceleration is there
     peak = 0.5 * acceleration * (math.sqrt(build * build + 4.0 * distance / acceleration) - build)
@@ -126,7 +131,7 @@ def move(start: Waypoint, goal: float, speed: float, acceleration: float, jerk: 
         at_ns = start.time_ns + round(time * _NS)
         if at_ns > points[-1].time_ns + _SHORTEST_NS:
             points.append(Waypoint(at_ns, start.position + sign * way, sign * v))
-    return [*points[1:-1], Waypoint(points[-1].time_ns, goal, 0.0)]
+    return [*points[1:-1], Waypoint(points[-1].time_ns, goal, 0.0)] if points[1:] else []
 
 
 def jog(motion: MotionParameters, start: float, distance: float) -> list[Waypoint]:

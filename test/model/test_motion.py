@@ -1,5 +1,6 @@
 """Strokes as waypoints, the motion between them, and what a stage refuses."""
 
+import math
 from functools import partial
 from itertools import pairwise
 
@@ -120,11 +121,13 @@ def test_a_trajectory_beyond_the_stage_is_refused_at_the_point_where_it_leaves_i
 
 
 @given(st.floats(-0.01, 1.4), st.floats(1e-9, 1.4), st.floats(0.001, 4 / 3), st.floats(0.01, 2.0), st.floats(0.0, 1e-7))
+@example(1.0000000000000003e-09, 1e-9, 1.0, 1.0, 0.0)  # next to no way
 def test_every_trapezoid_within_the_limits_is_taken(start, goal, speed, acceleration, excess):
     first = Waypoint(0, start, 0.0)
     trajectory = Trajectory([first, *trapezoid(first, goal, speed, acceleration)])
     LIMITS.check(trajectory)
-    assert trajectory.position(trajectory.end_ns) == goal
+    assert trajectory.position(trajectory.end_ns) == pytest.approx(goal, rel=0.0, abs=1e-18)
+    assert all(move(first, one, speed, acceleration, 10.0) == [] for one in (start, math.nextafter(start, 2.0)))
     # A cruise of some nanoseconds, of which the rounded times say little.
     edge = min(start + speed * speed / acceleration + speed * excess, 1.5)
     LIMITS.check(Trajectory([first, *trapezoid(first, edge, speed, acceleration)]))
