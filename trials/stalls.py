@@ -24,13 +24,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from straightcomp_ros.bench.graph_bench import bench_parameters
-from straightcomp_ros.contract import STREAMS
-from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.runtime.loops import PeriodicLoop
-from straightcomp_ros.timing import realtime
-
 _SLEEP_NS, _NOTED_NS = 2_000_000, 5_000_000
 
 
@@ -72,6 +65,14 @@ def _watch(cpu: int, priority: int, parent: int) -> None:
 
 def plain_loop(priority: int, rate: int, seconds: int) -> dict[str, object]:
     """What a loop that computes as ours does, but sends nothing, reports of its periods."""
+    # Not at the top of the file: the watch of the CPUs must begin at once.
+    from straightcomp_ros.bench.graph_bench import bench_parameters
+    from straightcomp_ros.contract import STREAMS
+    from straightcomp_ros.offline.simulation import Simulation
+    from straightcomp_ros.parameters.node_parameters import node_parameters
+    from straightcomp_ros.runtime.loops import PeriodicLoop
+    from straightcomp_ros.timing import realtime
+
     values = bench_parameters({}, rate=rate, seconds=seconds, priority=priority)
     simulation = Simulation(values)
     loop = PeriodicLoop(10**9 // rate, lambda _: None, punctual=True)

@@ -75,12 +75,17 @@ def error_spectrum(time: Array, error: Array) -> Spectrum:
     window = np.hanning(length + 1)[:-1]
     step = length - length // 2
     segments = [sliding_window_view(values, length)[::step] for values in whole]
-    powers = [np.abs(np.fft.rfft((one - one.mean(axis=1, keepdims=True)) * window)) ** 2 for one in segments]
+    powers = [np.abs(_transforms(one, window)) ** 2 for one in segments]
     density = np.average([power.mean(axis=0) for power in powers], axis=0, weights=[len(values) for values in whole])
     density *= period / float(window @ window)
     # One-sided: all but the mean and, of an even length, the highest frequency stand for two.
     density[1 : (length + 1) // 2] *= 2.0
     return Spectrum(np.arange(density.size) / (length * period), density)
+
+
+def _transforms(segments: Array, window: Array) -> NDArray[np.complex128]:
+    """Fourier transforms (m, k) of the segments (m, n), each without its mean, under the window (n,)."""
+    return np.asarray(np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window, axis=1), np.complex128)
 
 
 def stretches(time: Array, *columns: Array) -> Iterator[tuple[Array, ...]]:
@@ -228,5 +233,5 @@ def _power(values: Array, length: int) -> Array:
     """Squared amplitude of each bin in each segment, (segments, bins) in m²; segments overlap by half."""
     segments = sliding_window_view(values, length)[:: length // 2]
     window = np.hanning(length)
-    spectra = np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window, axis=1)
+    spectra = _transforms(segments, window)
     return np.asarray(np.abs(spectra * (2.0 / window.sum())) ** 2)

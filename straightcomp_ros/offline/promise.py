@@ -57,8 +57,8 @@ _SMOOTH = "1"
 
 class Promise(NamedTuple):
     """Error of the described machine with the noise of the survey taken off; what simulates the largest p-p and RMS of
-    strokes as they come, until they have reached those that are given; and what simulates it with the map as it is.
-    None: platform is lost."""
+    strokes as they come: of so many that these reach those given, or else what one in 1,000 exceeds; and what simulates
+    it with the map as it is. None: platform is lost."""
 
     smooth: Left
     largest: Callable[[Left], Left | None]
