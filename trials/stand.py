@@ -30,7 +30,7 @@ from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import Heartbeats, ServiceClient, message_from_waypoints
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.streams import subscribe
+from straightcomp_ros.runtime.streams import message_class, stream_qos
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -105,7 +105,10 @@ class Stand:
         self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
         self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        subscribe(self.node, POSITION, self._on_position)
+        kind, unpack = message_class(POSITION.layout.type_name), POSITION.layout.unpack
+        self.node.create_subscription(
+            kind, POSITION.topic, lambda data: self._on_position(*unpack(data)), stream_qos(), raw=True
+        )
         self._clients: dict[str, ServiceClient] = {}
 
     def __enter__(self) -> Stand:

@@ -1,7 +1,7 @@
 """Starts the nodes as separate processes, watches them, and stops them, like `ros2 launch` but without it.
 
 It imports no ROS: like `ros2 run` it finds executables through the ament index. If no installation of the package is
-sourced, this Python runs the modules of its own.
+sourced, this Python runs the nodes of its own.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def executable_command(executable: str) -> list[str]:
             remedy = f"colcon build --packages-select {PACKAGE}, then source the workspace again"
             raise LaunchError(f"executable '{executable}' is missing in {installed.parent}; remedy: {remedy}")
     if importlib.util.find_spec(f"{PACKAGE}.nodes.{executable}"):
-        return [sys.executable, "-m", f"{PACKAGE}.nodes.{executable}"]
+        return [sys.executable, "-c", f"from {PACKAGE}.nodes.{executable} import main; raise SystemExit(main())"]
     script = Path(sysconfig.get_path("scripts")) / executable
     if os.access(script, os.X_OK):
         return [str(script)]

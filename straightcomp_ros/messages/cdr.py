@@ -191,14 +191,12 @@ def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
     return stamp.sec * NANOSECONDS + stamp.nanosec, numbers
 
 
-def joint_state(
-    names: Sequence[str], *, position: Sequence[str] = (), velocity: Sequence[str] = (), effort: Sequence[str] = ()
-) -> Layout:
-    """Layout of a sensor_msgs/JointState of the joints ``names`` with an empty frame_id.
+def joint_state(names: Sequence[str], *, position: Sequence[str] = (), effort: Sequence[str] = ()) -> Layout:
+    """Layout of a sensor_msgs/JointState of the joints ``names`` with an empty frame_id and no velocities.
 
-    ``position``, ``velocity`` and ``effort`` are the columns of each array, for the first joints; () leaves it empty.
+    ``position`` and ``effort`` are the columns of each array, for the first joints; () leaves it empty.
     """
-    arrays = {"position": tuple(position), "velocity": tuple(velocity), "effort": tuple(effort)}
+    arrays = {"position": tuple(position), "velocity": (), "effort": tuple(effort)}
     places = [(array, joint) for array, columns in arrays.items() for joint, _ in zip(names, columns, strict=False)]
     return _layout("sensor_msgs/msg/JointState", ["", len(names), *names, *arrays.values()], places)
 

@@ -3,7 +3,6 @@
 It activates the nodes, switches the amplifier on, homes, runs the strokes, reacts to faults, and reports.
 """
 
-import sys
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -174,7 +173,3 @@ class CellNode(Runnable):
 
 main = partial(run, "cell", CellNode)
 """Entry point of `ros2 run straightcomp_ros cell_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,6 @@
 """controller: encoder samples and their references in, control current out."""
 
 import math
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -284,7 +283,3 @@ CONTROLLER = "controller", ControllerNodeParameters, ControllerComponent
 """Name, parameters and component of the node."""
 main = partial(run_managed, [CONTROLLER])
 """Entry point of `ros2 run straightcomp_ros controller_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,6 @@
 """driver: publishes the machine's samples, writes the commands to it, switches its amplifier."""
 
 import math
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -422,7 +421,3 @@ DRIVER = "driver", DriverNodeParameters, DriverComponent
 """Name, parameters and component of the node."""
 main = partial(run_managed, [DRIVER])
 """Entry point of `ros2 run straightcomp_ros driver_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,6 @@
 """feedforward: takes encoder samples, publishes the straightness reference for each."""
 
 import math
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -145,7 +144,3 @@ FEEDFORWARD = "feedforward", FeedforwardNodeParameters, FeedforwardComponent
 """Name, parameters and component of the node."""
 main = partial(run_managed, [FEEDFORWARD])
 """Entry point of `ros2 run straightcomp_ros feedforward_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -290,7 +289,3 @@ LOGGER = "logger", LoggerNodeParameters, LoggerComponent
 """Name, parameters and component of the node."""
 main = partial(run_managed, [LOGGER])
 """Entry point of `ros2 run straightcomp_ros logger_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from functools import partial
 from typing import TYPE_CHECKING
@@ -121,7 +120,3 @@ def _server(parameters: OpcuaNodeParameters, names: list[str]) -> GatewayServer:
 
 main = partial(run, "opcua", OpcuaNode)
 """Entry point of `ros2 run straightcomp_ros opcua_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,5 @@
 """player: publishes a bag's samples in place of the driver, at the recorded rate and with the recorded stamps."""
 
-import sys
 import time
 import warnings
 from functools import partial
@@ -112,7 +111,3 @@ class PlayerNode(Runnable):
 
 main = partial(run, "player", PlayerNode)
 """Entry point of `ros2 run straightcomp_ros player_node`."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -4,8 +4,6 @@ They are the same three nodes as in processes of their own, with the same names,
 driver's loop calls the others' cycles as soon as it has samples, and they hand their streams over in memory.
 """
 
-import sys
-
 from straightcomp_ros.contract import COMMAND, ENCODER, REFERENCE
 from straightcomp_ros.nodes.controller_node import CONTROLLER
 from straightcomp_ros.nodes.driver_node import DRIVER
@@ -17,7 +15,3 @@ from straightcomp_ros.runtime.runner import Managed, run_managed
 def main(driver: Managed = DRIVER) -> int:
     """Entry point of `ros2 run straightcomp_ros servo_node`."""
     return run_managed((driver, FEEDFORWARD, CONTROLLER), IntraProcess((ENCODER, REFERENCE, COMMAND)), "servo")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

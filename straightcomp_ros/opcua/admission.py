@@ -115,11 +115,9 @@ def add_user(path: Path, name: str, password: str, role: str) -> None:
     try:
         real = path.resolve()
         with locked(real.with_name(f".{real.name}.lock")):
-            lines = []
-            if path.exists():
-                # Comments and the order of the lines are the administrator's.
-                lines = path.read_text(encoding="utf-8").splitlines()
-                lines = [line for line in lines if line.startswith("#") or line.split(":")[0].strip() != name]
+            # Comments and the order of the lines are the administrator's.
+            lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+            lines = [line for line in lines if line.startswith("#") or line.split(":")[0].strip() != name]
             lines.append(f"{name}:{role}:{salt.hex()}:{hashed.hex()}")
             write_whole(path, "\n".join(lines) + "\n", private=True)
     except OSError as error:

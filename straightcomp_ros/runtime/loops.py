@@ -7,11 +7,12 @@ import os
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from queue import SimpleQueue
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from straightcomp_ros.timing.delays import Histogram
 from straightcomp_ros.timing.node_timing import TIMER_ERROR, MissedPeriods, written
@@ -46,20 +47,44 @@ def from_monotonic(monotonic_ns: int) -> int:
     return monotonic_ns + _OFFSET_NS
 
 
-class Loop(Protocol):
-    """What a node runs instead of an executor."""
+class Loop(ABC):
+    """What a node runs instead of an executor.
+
+    Attributes:
+        missed: periods without a cycle of their own.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._due_ns = 0
+        self.missed = MissedPeriods(period_ns)
+        self._lateness = Histogram()
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
-        """Loop until ``stopped()``; ``idle`` is called every ``idle_every_ns``, for work that can wait."""
+        """Loop until ``stopped()``; ``idle`` is called every ``idle_every_ns``, for work that can wait: see
+        :data:`IDLE_EVERY_NS`."""
+        self._due_ns = next_ns = time.monotonic_ns()
+        enough_ns = self._period_ns // 2
+        while not stopped():
+            now_ns, left_ns = self.turn()
+            late_ns = now_ns - next_ns
+            if late_ns >= 0 and (left_ns >= enough_ns or late_ns >= idle_every_ns):
+                # What waited for too long has two turns: otherwise there would be half as many.
+                for _ in range(1 + (late_ns >= idle_every_ns)):
+                    idle()
+                next_ns = now_ns + idle_every_ns
 
-    def turn(self) -> None:
-        """Wait for one cycle and run it: what idle work calls while it waits for something."""
+    @abstractmethod
+    def turn(self) -> tuple[int, int]:
+        """Wait for one cycle and run it: what idle work calls while it waits for something. Returns the time of its
+        cycle, and how long before the next one is due it has ended, in ns."""
 
     def report(self) -> dict[str, object]:
         """Values for the diagnostics: missed periods, and how late the cycles since the last report were."""
+        return {**self.missed.report(), **written(TIMER_ERROR, self._lateness.take())}
 
 
-class PeriodicLoop:
+class PeriodicLoop(Loop):
     """Calls ``cycle`` once in each period, at absolute wake-up times. After a stall it continues with the next period
     and counts the periods it missed; it never calls twice to catch up.
 
@@ -67,36 +92,24 @@ class PeriodicLoop:
 
     ``cycle`` gets the monotonic time in ns at which the period was to start. A ``punctual`` loop wakes up early by this
     machine's usual delay and busy-waits for the rest; otherwise every answer would be late by a tenth of a period.
-
-    Attributes:
-        missed: periods without a call.
     """
 
     def __init__(self, period_ns: int, cycle: Callable[[int], object], punctual: bool = False) -> None:
-        self._period_ns = period_ns
+        super().__init__(period_ns)
         self._most_early_ns = period_ns // 8 if punctual else 0
-        self._early_ns = 0
-        self._wake_ns = self._slept_ns = self._woken_late_ns = 0
+        self._early_ns = self._slept_ns = self._woken_late_ns = 0
         self._cycle = cycle
-        self.missed = MissedPeriods(period_ns)
-        self._timer_errors = Histogram()
-
-    def report(self) -> dict[str, object]:
-        """See :class:`Loop`."""
-        return {**self.missed.report(), **written(TIMER_ERROR, self._timer_errors.take())}
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
         """See :class:`Loop`."""
-        _exact_sleep()
-        self._wake_ns = time.monotonic_ns()
-        idle_turn = IdleWork(idle, self._wake_ns, self._period_ns, idle_every_ns)
-        while not stopped():
-            self.turn()
-            idle_turn(self._wake_ns - self._period_ns, self._wake_ns - time.monotonic_ns())
+        if sys.platform == "linux":
+            # To save power, Linux wakes a normal thread up to 50 µs late: a tenth of our period.
+            ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
+        super().run(stopped, idle, idle_every_ns)
 
-    def turn(self) -> None:
+    def turn(self) -> tuple[int, int]:
         """See :class:`Loop`."""
-        monotonic_ns, wake_ns = time.monotonic_ns, self._wake_ns
+        monotonic_ns, wake_ns = time.monotonic_ns, self._due_ns
         behind_ns = monotonic_ns() - wake_ns
         if behind_ns > 0:
             periods = behind_ns // self._period_ns
@@ -116,9 +129,10 @@ class PeriodicLoop:
             os.sched_yield()
         while monotonic_ns() < wake_ns:
             pass
-        self._timer_errors.record(monotonic_ns() - wake_ns)
+        self._lateness.record(monotonic_ns() - wake_ns)
         self._cycle(wake_ns)
-        self._wake_ns = wake_ns + self._period_ns
+        self._due_ns = due_ns = wake_ns + self._period_ns
+        return wake_ns, due_ns - monotonic_ns()
 
     def _follow(self, late_ns: int) -> None:
         """Adapt how early to wake up, so that half of all wake-ups are late."""
@@ -126,7 +140,7 @@ class PeriodicLoop:
         self._early_ns = min(max(0, self._early_ns + step_ns), self._most_early_ns)
 
 
-class LockedLoop:
+class LockedLoop(Loop):
     """A loop with the frequency and the phase of a stream: a cycle begins when a message arrives.
 
     A timer locked behind the arrivals would need a margin for their jitter, 100 µs of latency on a busy machine, and
@@ -135,7 +149,7 @@ class LockedLoop:
     messages the loop only does its idle work.
 
     ``wait(timeout_ns)`` returns when a message has arrived, or after that time. ``cycle`` returns the number of
-    messages found, where those sent together count as one, and the age of the newest in ns.
+    messages found, where those sent together count as one, and the age of the newest in ns, by which it was late.
 
     Attributes:
         missed: messages without a cycle of their own, because a cycle found a later one too.
@@ -143,32 +157,16 @@ class LockedLoop:
     """
 
     def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
-        self._period_ns, self._wait, self._cycle = period_ns, wait, cycle
-        self.missed = MissedPeriods(period_ns)
-        self._due_ns = 0
+        super().__init__(period_ns)
+        self._wait, self._cycle = wait, cycle
         self.phase_error_ns = 0.0
-        self._lateness = Histogram()
 
     def report(self) -> dict[str, object]:
-        """See :class:`Loop`; a cycle's lateness is the delay from a message's arrival."""
-        return {
-            **self.missed.report(),
-            "phase_error_us": self.phase_error_ns * 1e-3,
-            **written(TIMER_ERROR, self._lateness.take()),
-        }
-
-    def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
         """See :class:`Loop`."""
-        self._due_ns = time.monotonic_ns()
-        idle_turn = IdleWork(idle, self._due_ns, self._period_ns, idle_every_ns)
-        while not stopped():
-            count = self.turn()
-            now_ns = time.monotonic_ns()
-            # Without a message no cycle is due: the idle work has the whole period.
-            idle_turn(now_ns, self._due_ns - now_ns if count else self._period_ns)
+        return {**super().report(), "phase_error_us": self.phase_error_ns * 1e-3}
 
-    def turn(self) -> int:
-        """See :class:`Loop`; returns the number of messages."""
+    def turn(self) -> tuple[int, int]:
+        """See :class:`Loop`."""
         self._wait(IDLE_EVERY_NS)
         now_ns = time.monotonic_ns()
         count, age_ns = self._cycle()
@@ -179,7 +177,9 @@ class LockedLoop:
                 # At a real-time priority a loop that never waits would keep the middleware's threads from running.
                 os.sched_yield()
             self._due_ns = self._follow(now_ns - age_ns, self._due_ns) + self._period_ns
-        return count
+        now_ns = time.monotonic_ns()
+        # Without a message no cycle is due: the idle work has the whole period.
+        return now_ns, self._due_ns - now_ns if count else self._period_ns
 
     def _follow(self, arrival_ns: int, due_ns: int) -> int:
         """The corrected time at which the message received at ``arrival_ns`` was due."""
@@ -197,28 +197,6 @@ def sendings(sent_ns: Sequence[int], apart_ns: int) -> int:
     ``sent_ns`` are the times at which the messages were sent, ascending.
     """
     return sum(later - sooner >= apart_ns for sooner, later in pairwise(sent_ns)) + bool(sent_ns)
-
-
-class IdleWork:
-    """Schedules the turns of idle work; see :data:`IDLE_EVERY_NS`. ``first_ns`` is the time of the first turn."""
-
-    def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int, every_ns: int) -> None:
-        self._idle, self._next_ns, self._enough_ns, self._every_ns = idle, first_ns, period_ns // 2, every_ns
-
-    def __call__(self, now_ns: int, left_ns: int) -> None:
-        """Do a turn if one is due; call it after a cycle that began at ``now_ns``, ``left_ns`` before the next."""
-        late_ns = now_ns - self._next_ns
-        if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= self._every_ns):
-            # What waited for too long has two turns: otherwise there would be half as many.
-            for _ in range(1 + (late_ns >= self._every_ns)):
-                self._idle()
-            self._next_ns = now_ns + self._every_ns
-
-
-def _exact_sleep() -> None:
-    # To save power, Linux wakes a normal thread up to 50 µs late: a tenth of our period.
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
 
 
 def awaited(job: Callable[[], T], meanwhile: Callable[[], object]) -> T:

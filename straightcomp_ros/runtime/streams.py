@@ -85,21 +85,6 @@ def stream_publisher(node: Node, stream: Stream) -> Publisher:
     return node.create_publisher(message_class(stream.layout.type_name), stream.topic, stream_qos())
 
 
-def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:
-    """Call ``callback(stamp_ns, numbers)`` for each message of a stream as it arrives.
-
-    :func:`_reader` describes what happens to a message of another layout.
-    """
-    read = _reader(node, stream)
-
-    def receive(data: bytes) -> None:
-        message = read(data)
-        if message:
-            callback(*message)
-
-    node.create_subscription(message_class(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
-
-
 class StreamPublisher:
     """Publishes a stream in batches, and each message by itself: at once, or with its batch while it has a subscriber.
 
@@ -311,26 +296,43 @@ class SubscriptionQueue:
 
     A message does not wake this process. A loop that looks into its queue anyway saves two context switches a message.
 
+    A message of another layout (other names or order, from another vendor's publisher) is deserialised and read by its
+    names. One that cannot be read is dropped, with a warning.
+
     Attributes:
         wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
         sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
     """
 
     def __init__(self, node: Node, stream: Stream, queue: RawQueue | BatchQueue) -> None:
-        self._read, self._queue, self.wait = _reader(node, stream), queue, queue.wait
+        self._layout, self._queue, self.wait = stream.layout, queue, queue.wait
+        self._dropped = ThrottledWarning(node, f"messages on '{stream.topic}' are dropped")
         self.sent_ns: list[int] = []
 
     def fetch(self) -> list[tuple[int, Sequence[float], int]]:
         """Messages since the last call: (stamp in ns, numbers, reception time in ns since the epoch)."""
-        read = self._read
-        messages = []
+        unpack = self._layout.unpack
+        messages: list[tuple[int, Sequence[float], int]] = []
         self.sent_ns = sent_ns = []
         for data, info in self._queue.fetch():
-            message = read(data)
+            try:
+                message: tuple[int, Sequence[float]] | None = unpack(data)
+            except LayoutMismatch:
+                message = self._read_by_names(data)
             if message:
                 messages.append((*message, info["received_timestamp"]))
                 sent_ns.append(info["source_timestamp"])
         return messages
+
+    def _read_by_names(self, data: bytes) -> tuple[int, Sequence[float]] | None:
+        layout = self._layout
+        try:
+            return read_by_names(layout, deserialize_message(data, message_class(layout.type_name)))
+        except LayoutMismatch as error:
+            self._dropped.log(f"they lack {error}")
+        except Exception as error:  # The middleware raises errors of several kinds on malformed bytes.
+            self._dropped.log(f"they are malformed: {error}")
+        return None
 
 
 class Streams:
@@ -449,29 +451,3 @@ def _sending(
     publish = unlocked_publish(publisher) if sender else raw_publish(publisher)
     send = (lambda content: publish(pack(content))) if pack else publish
     return (lambda content: sender.run(lambda: send(content))) if sender else send
-
-
-def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence[float]] | None]:
-    """A function from a serialised message to (stamp_ns, numbers), or None if it lacks a field of the stream.
-
-    A message of another layout (other names or order, from another vendor's publisher) is deserialised and read by its
-    names. One that cannot be read is dropped, with a warning.
-    """
-    layout = stream.layout
-    kind = message_class(layout.type_name)
-    unpack, dropped = layout.unpack, ThrottledWarning(node, f"messages on '{stream.topic}' are dropped")
-
-    def read(data: bytes) -> tuple[int, Sequence[float]] | None:
-        try:
-            return unpack(data)
-        except LayoutMismatch:
-            pass
-        try:
-            return read_by_names(layout, deserialize_message(data, kind))
-        except LayoutMismatch as error:
-            dropped.log(f"they lack {error}")
-        except Exception as error:  # The middleware raises errors of several kinds on malformed bytes.
-            dropped.log(f"they are malformed: {error}")
-        return None
-
-    return read

@@ -96,7 +96,8 @@ def apply(
     others = set(map(int, os.listdir(_THREADS))) - own - {threading.get_native_id()}
     priority = realtime.priority - (cpus == REST and realtime.priority > 1)
     if priority > 0:
-        attempt(f"priority {priority}", lambda: _set_priority(priority), "give this user rtprio in limits.conf")
+        fifo = os.SCHED_FIFO, os.sched_param(priority)
+        attempt(f"priority {priority}", lambda: os.sched_setscheduler(0, *fifo), "give this user rtprio in limits.conf")
     granted = priority > 0 and os.sched_getscheduler(0) == os.SCHED_FIFO
     if cpus:
         remedy = f"name CPUs that this process may use, '{LOOP}' or '{REST}'"
@@ -139,10 +140,6 @@ def _set_cpus(names: str, graph: str, loop_alone: bool) -> None:
         # A thread may have ended.
         with suppress(ProcessLookupError):
             os.sched_setaffinity(thread, rest if loop_alone and thread != threading.get_native_id() else cpus)
-
-
-def _set_priority(priority: int) -> None:
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def _set_priorities(priority: int, others: Set[int]) -> None:

@@ -12,9 +12,15 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
-from straightcomp_ros.runtime.streams import subscribe
+from straightcomp_ros.runtime.streams import message_class, stream_qos
 
 PATIENCE_S = 90.0
+
+
+def subscribe(node, stream, callback):
+    """Call ``callback(stamp_ns, numbers)`` for each message of a stream as it arrives."""
+    kind, unpack = message_class(stream.layout.type_name), stream.layout.unpack
+    node.create_subscription(kind, stream.topic, lambda data: callback(*unpack(data)), stream_qos(), raw=True)
 
 
 class Participant:

@@ -9,7 +9,7 @@ import can
 import numpy as np
 import pytest
 import yaml
-from participant import PATIENCE_S, Participant
+from participant import PATIENCE_S, Participant, subscribe
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
@@ -23,7 +23,6 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
-from straightcomp_ros.runtime.streams import subscribe
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 

@@ -9,7 +9,7 @@ from urllib.request import Request, urlopen
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from parameters_of_tests import FORGIVING
-from participant import Participant
+from participant import Participant, subscribe
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -20,7 +20,7 @@ from straightcomp_ros.model.motion import MotionParameters, Waypoint, jog
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.stage_state import StageState
-from straightcomp_ros.runtime.streams import StreamPublisher, subscribe
+from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import Fault
 
 pytestmark = pytest.mark.live

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from parameters_of_tests import short_parameters
-from participant import Participant
+from participant import Participant, subscribe
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
@@ -18,7 +18,7 @@ from straightcomp_ros.offline.graph_replay import replay_through_graph
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.streams import stream_qos, subscribe
+from straightcomp_ros.runtime.streams import stream_qos
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 TEXTS = {

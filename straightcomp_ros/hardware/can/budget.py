@@ -1,9 +1,6 @@
-"""Worst-case time of each frame on the wire, bus load and round-trip time.
+"""Worst-case time of each frame on the wire, and bus load.
 
-They hold for the worst case of bit stuffing on an error-free bus. Sources: ISO 11898-1:2015; for the response times
-R. I. Davis, A. Burns, R. J. Bril, J. J. Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted,
-revisited and revised", Real-Time Systems 35 (2007): a frame waits for at most one frame of lower priority, which cannot
-be interrupted.
+They hold for the worst case of bit stuffing on an error-free bus. Source: ISO 11898-1:2015.
 """
 
 from collections.abc import Mapping
@@ -69,12 +66,3 @@ def traffic(wire: Wire, rate: float) -> dict[Frames, float]:
 def load(sent: Mapping[Frames, float], bitrate: Bitrate) -> float:
     """Fraction of the time for which the bus is busy, at worst."""
     return sum(frame_time(frames, bitrate) * rate for frames, rate in sent.items())
-
-
-def round_trip(sent: Mapping[Frames, float], bitrate: Bitrate, pair: tuple[Frames, Frames]) -> float:
-    """Longest time in s on the bus from sample to command, the two frames ``pair``: each waits for the longest other.
-
-    It holds while it is shorter than a control period. The host's computing time comes on top.
-    """
-    times = {frames: frame_time(frames, bitrate) for frames in sent}
-    return sum(times[own] + max(time for one, time in times.items() if one is not own) for own in pair)

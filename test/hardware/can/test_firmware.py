@@ -24,7 +24,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_
 from straightcomp_ros.hardware.can.dbc_file import DbcError
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
+from straightcomp_ros.hardware.can.frames import Amplifier, Command
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError
@@ -278,18 +278,6 @@ def test_the_sample_counter_wraps_as_the_emulators_does(firmware_of, tmp_path, c
     reference = bad_loop(can, samples=5000)
     assert reference.board.counter == 4999 - 3840
     judge_equal(reference, firmware_of(can, "board_posix"))
-
-
-def test_a_command_timeout_is_reported_at_the_sample_at_which_the_emulator_reports_it(firmware):
-    parameters = SimulatedParameters(command_timeout=0.02)
-    reference = Run(FD, parameters=parameters)
-    for k in range(2):
-        reference.cycle_until(START + k * STAGE.period_ns)
-        ((identifier, payload),) = reference.command(k, k == 1, False, 100)
-        reference.receive(identifier, payload, START + k * STAGE.period_ns + 1000)
-    reference.cycle_until(START + 100_000_000)
-    assert reference.board.fault is BoardFault.COMMAND_TIMEOUT
-    judge_equal(reference, firmware / "board_sanitized", parameters=parameters)
 
 
 def test_the_frames_in_c_are_those_of_the_dbc():
