@@ -10,7 +10,7 @@ import sqlite3
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -185,18 +185,10 @@ def _begin(file: Path) -> int | None:
 
 
 def _information(bag: Path) -> Mapping[str, Any]:
-    file = bag / "metadata.yaml"
     try:
-        stat = file.stat()
-        return _information_of(file.absolute(), stat.st_mtime_ns, stat.st_size)
+        found = load_yaml(bag / "metadata.yaml", _LARGEST_METADATA, _LARGEST_METADATA // 32)[ROOT_KEY]
     except (OSError, ValueError, LookupError, TypeError):
         return {}  # a bag whose metadata cannot be read still has its messages
-
-
-@lru_cache(maxsize=4)
-def _information_of(file: Path, changed_ns: int, size: int) -> Mapping[str, Any]:
-    """Content of a metadata.yaml with this time of its last change; some verbs open a bag several times."""
-    found = load_yaml(file, _LARGEST_METADATA, _LARGEST_METADATA // 32)[ROOT_KEY]
     return found if isinstance(found, Mapping) else {}
 
 

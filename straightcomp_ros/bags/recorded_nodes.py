@@ -16,8 +16,8 @@ from straightcomp_ros.bags.reader import Messages, decoded, messages_on
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, flatten, from_mapping
-from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
+from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, from_mapping
+from straightcomp_ros.parameters.yaml_text import node_sections
 from straightcomp_ros.timing.node_timing import Report, reporting_node
 
 if TYPE_CHECKING:
@@ -38,18 +38,13 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     """
     where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"
     try:
-        tree = load_yaml(attachments.get(PARAMETERS_ATTACHMENT, b"")) or {}
-    except YamlError as error:
+        sections = node_sections(attachments.get(PARAMETERS_ATTACHMENT) or b"{}")
+    except ParameterError as error:
         raise BagError(f"{where}: {error}; record the bag again") from error
     values: dict[str, dict[str, Any]] = {}
-    for key, section in tree.items() if isinstance(tree, Mapping) else [(tree, None)]:
-        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
-            raise BagError(f"{where}: '{key}' has no 'ros__parameters:'; record the bag again")
-        own = values.setdefault(str(key).rsplit("/", 1)[-1], {})
-        try:
-            own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
-        except ParameterError as error:
-            raise BagError(f"{where}: {error}; record the bag again") from error
+    for key, given in sections:
+        own = values.setdefault(key.rsplit("/", 1)[-1], {})
+        own |= {name: value for name, value in given.items() if not belongs_to_ros(name)}
     for node, name in _ONCE_SAMPLES:
         own = values.get(node, {})
         if type(own.get(name)) is int and own.get("stage.rate"):

@@ -69,7 +69,7 @@ def _pack(options: argparse.Namespace) -> None:
 
 def _open(options: argparse.Namespace) -> None:
     from straightcomp_ros.analysis.pictures import plot_run
-    from straightcomp_ros.offline.incident import BAG, DOCTOR, IncidentError, incident_page, judged, unpack
+    from straightcomp_ros.offline.incident import BAG, DOCTOR, IncidentError, incident_page, judged, summary, unpack
 
     file = Path(options.file)
     folder = Path(options.output) if options.output else file.with_suffix("")
@@ -99,19 +99,6 @@ def _open(options: argparse.Namespace) -> None:
     if options.json:
         print_json({**found.to_json(), "folder": str(folder), "as_packed": details, "doctor": doctor})
         return
-    console.print(found.cause)
-    if found.remedy:
-        console.print(f"what to do: {found.remedy}")
-    console.print(f"packed: {details.get('made')}, bag {details.get('bag')}")
-    for name, here in (("verdict", found.verdict), ("audit", found.audit)):
-        there = details.get(name)
-        other = "" if here == there else f" (on the computer that packed it: {there})"
-        console.print(f"{name}: {here}{other}")
-    for one in doctor:
-        if one["state"] != "ok":
-            text = f"doctor there, {one['state']}: {one['name']}: {one['detail']}"
-            console.print(text)
-    for one in details.get("left_out", []):
-        console.print(f"not in it: {one}")
+    console.print(summary({**details, **found.to_json()}, doctor, details))
     written = [folder, *([picture] if picture.exists() else []), page]
     print_written(*written, then=f"open {quote(str(page))} in a browser")

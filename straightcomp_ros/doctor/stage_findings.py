@@ -143,22 +143,17 @@ def _related(
 
     A platform may have grams or tons, but then its magnets fit. A value of zero: the stage has no such fact."""
     motion, platform, magnets, friction = stage.motion, stage.platform, stage.actuator, stage.friction
-    drive, mass = stage.drive, stage.platform.mass
+    drive, mass, limit = stage.drive, platform.mass, magnets.current_limit
     ramp, span = motion.speed / motion.acceleration, straightness.span[1] - straightness.span[0]
     if not motion.file:
         yield "of the survey in a stroke", abs(motion.stroke) / span, 1.5e-3, 2.0, "motion.stroke"
     yield "s to the cruising speed", ramp, 5e-3, 4.9, "motion.speed motion.acceleration"
-    yield (
-        "times the cruising speed as the highest",
-        motion.highest_speed / motion.speed,
-        1.0,
-        2100.0,
-        "motion.highest_speed",
-    )
+    faster = motion.highest_speed / motion.speed
+    yield "times the cruising speed as the highest", faster, 1.0, 2100.0, "motion.highest_speed"
     if motion.jerk:
         share = motion.acceleration / motion.jerk / ramp
         yield "of a ramp until its acceleration", share, 1.01e-3, 1.0, "motion.jerk"
-    force = found.current_stiffness * magnets.current_limit
+    force = found.current_stiffness * limit
     facts = "platform.mass actuator.turns actuator.pole_area actuator.air_gap actuator.current_limit"
     yield "m/s² by the magnets", force / mass, 0.3, 299.0, facts
     flux = MU_0 * magnets.turns * magnets.bias_current / (2.0 * magnets.air_gap)
@@ -169,26 +164,15 @@ def _related(
         ratio = 0.5 * platform.damping / math.sqrt(platform.stiffness * mass)
         yield "as damping ratio of the flexure", ratio, 2e-3, 1.9, "platform.damping"
     if friction.coulomb:
-        yield (
-            "times Coulomb friction as static friction",
-            friction.static / friction.coulomb,
-            1.0,
-            10.0,
-            "friction.static",
-        )
+        stiction = friction.static / friction.coulomb
+        yield "times Coulomb friction as static friction", stiction, 1.0, 10.0, "friction.static"
     bending = friction.static / friction.bristle_stiffness * 1e6
     yield "µm until the platform slides", bending, 0.02, 19.0, "friction.static friction.bristle_stiffness"
     ratio = 0.5 * friction.bristle_damping / math.sqrt(friction.bristle_stiffness * mass)
     yield "as damping ratio of the bristles", ratio, 0.01, 9.9, "friction.bristle_damping"
     if friction.viscous:
         yield "s until viscous friction stops the platform", mass / friction.viscous, 0.02, 19.9, "friction.viscous"
-    yield (
-        "times the current limit by the converter",
-        drive.current_range / magnets.current_limit,
-        0.5,
-        100.0,
-        "drive.gain",
-    )
+    yield "times the current limit by the converter", drive.current_range / limit, 0.5, 100.0, "drive.gain"
     yield "times the rate as the amplifier's bandwidth", drive.bandwidth / stage.rate, 0.02, 19.0, "drive.bandwidth"
 
 

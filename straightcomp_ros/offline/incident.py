@@ -195,7 +195,7 @@ def pack(
             "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
         }
         contents[DETAILS] = json_text(details).encode()
-        contents[SUMMARY] = _summary(details, doctor, contents).encode()
+        contents[SUMMARY] = f"{summary(details, doctor)}\nopen it with: straightcomp incident open FILE\n".encode()
         archive = Path(place) / "incident.zip"
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
             for name in (SUMMARY, *(name for name in contents if name != SUMMARY)):
@@ -324,21 +324,23 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _summary(details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], contents: Mapping[str, bytes]) -> str:
+def summary(
+    details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]], packed: Mapping[str, Any] | None = None
+) -> str:
+    """An incident in lines, its cause first; of one that was opened, also what the ``packed`` details say otherwise."""
+    there = {name: details.get(name) if packed is None else packed.get(name) for name in ("verdict", "audit")}
     lines = [
         str(details["cause"]),
-        "",
         *([f"what to do: {details['remedy']}"] if details["remedy"] else []),
-        f"packed: {details['made']}, bag {details['bag']}",
-        f"verdict: {details['verdict']}",
-        f"audit: {details['audit']}",
-        *(f"doctor, {one['state']}: {one['name']}: {one['detail']}" for one in doctor if one["state"] != "ok"),
-        *(f"left out: {one}" for one in details["left_out"]),
-        f"in it: {', '.join(sorted(contents))}",
-        "",
-        "open it with: straightcomp incident open FILE",
+        f"packed: {details.get('made')}, bag {details.get('bag')}",
+        *(
+            f"{name}: {details[name]}" + f" (on the computer that packed it: {other})" * (other != details[name])
+            for name, other in there.items()
+        ),
+        *(f"doctor there, {one['state']}: {one['name']}: {one['detail']}" for one in doctor if one["state"] != "ok"),
+        *(f"left out: {one}" for one in details.get("left_out", ())),
     ]
-    return "\n".join(one_line(line, LARGEST) for line in lines) + "\n"
+    return "\n".join(one_line(line, LARGEST) for line in lines)
 
 
 def incident_page(found: Judged, details: Mapping[str, Any], doctor: Sequence[Mapping[str, Any]]) -> str:
@@ -414,17 +416,14 @@ def _check(file: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
     names = [entry.filename for entry in entries]
     size = sum(entry.file_size for entry in entries)
     wrong = next((name for name in names if not _NAME.fullmatch(name)), None)
-    if len(entries) > _MOST:
-        raise IncidentError(f"{file}: has {len(entries)} files; allowed: {_MOST}")
-    if wrong is not None:
-        raise IncidentError(f"{file}: has a file {wrong!r}, which no incident has")
-    if len(set(names)) < len(names):
-        raise IncidentError(f"{file}: has two files of one name")
-    if any(stat.S_ISLNK(entry.external_attr >> 16) for entry in entries):
-        raise IncidentError(f"{file}: has a link")
-    if any(entry.flag_bits & 1 for entry in entries):
-        raise IncidentError(f"{file}: is encrypted")
-    if size > LARGEST:
-        raise IncidentError(f"{file}: is {size} bytes when it is unpacked; allowed: {LARGEST}")
-    if not {SUMMARY, DETAILS} <= set(names):
-        raise IncidentError(f"{file}: is no incident: it has no {DETAILS}")
+    for refused, why in (
+        (len(entries) > _MOST, f"has {len(entries)} files; allowed: {_MOST}"),
+        (wrong is not None, f"has a file {wrong!r}, which no incident has"),
+        (len(set(names)) < len(names), "has two files of one name"),
+        (any(stat.S_ISLNK(entry.external_attr >> 16) for entry in entries), "has a link"),
+        (any(entry.flag_bits & 1 for entry in entries), "is encrypted"),
+        (size > LARGEST, f"is {size} bytes when it is unpacked; allowed: {LARGEST}"),
+        (not {SUMMARY, DETAILS} <= set(names), f"is no incident: it has no {DETAILS}"),
+    ):
+        if refused:
+            raise IncidentError(f"{file}: {why}")

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
-from straightcomp_ros.straightness.survey import Survey, SurveyError
+from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
 
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
@@ -83,27 +83,15 @@ def promise_of(
             node_parameters("feedforward", {"feedforward": {**stage, **feedforward}}),
             node_parameters("controller", {"controller": controller}),
         )
-        left = partial(_simulated, *nodes, _motion(record, nodes[2].stage.motion), _Hashed(straightness.survey))
-        smooth = left(_SMOOTH)
+        runs = tuple((run.direction, run.x.tobytes(), run.deviation.tobytes()) for run in straightness.survey.runs)
+        strokes = partial(_strokes, *nodes, _motion(record, nodes[2].stage.motion), runs)
+        left = strokes(_SMOOTH)
+        smooth = left(None)
         if smooth is None:
             return None
-        return Promise(smooth, partial(left, _SMOOTH), partial(left, nodes[1].stage.guide.smooth))
+        return Promise(smooth, partial(_largest, left), lambda: strokes(nodes[1].stage.guide.smooth)(None))
     except (ParameterError, SurveyError, MetricsError, ValueError):
         return None
-
-
-class _Hashed:
-    """A survey as a key: surveys with the same points are the same."""
-
-    def __init__(self, survey: Survey) -> None:
-        self.survey = survey
-        self._key = tuple((run.direction, run.x.tobytes(), run.deviation.tobytes()) for run in survey.runs)
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Hashed) and self._key == other._key
 
 
 def _motion(record: StrokeRecord, described: Any) -> Any:
@@ -122,42 +110,41 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     return dataclasses.replace(described, start=start, stroke=stroke, speed=speed, highest_speed=highest)
 
 
-@lru_cache(maxsize=64)
-def _simulated(
+@lru_cache(maxsize=16)
+def _strokes(
     driver: DriverNodeParameters,
     feedforward: FeedforwardNodeParameters,
     controller: ControllerNodeParameters,
     motion: Any,
-    hashed: _Hashed,
+    runs: tuple[tuple[Direction, bytes, bytes], ...],
     smooth: str,
-    enough: Left | None = None,
-) -> Left | None:
-    """The error of the stroke; or, with ``enough``, the largest p-p and RMS of strokes as they come: of so many that
-    these reach that, or else what one in 1,000 exceeds."""
+) -> Callable[[int | None], Left | None]:
+    """What simulates the error of a stroke: as described, for None, or the one of this number as they come; each once.
+    ``runs`` of the survey: direction, x and deviation."""
     stage = controller.stage
     if stage.rate < LOWEST_RATE:
-        return None
+        return lambda number: None
     law = make_law(controller.control, stage)
+    guide = dataclasses.replace(feedforward.stage.guide, smooth=smooth)
     scenario = Scenario(
         driver=driver,
         description=stage,
         controls={controller.control.law: controller.control},
         feedforward=feedforward.feedforward,
-        followed=dataclasses.replace(
-            feedforward.stage, guide=dataclasses.replace(feedforward.stage.guide, smooth=smooth)
-        ),
+        followed=dataclasses.replace(feedforward.stage, guide=guide),
         lead_ns=controller.lead_ns,
         trajectory=Trajectory(forward_and_back(motion)),
-        survey=hashed.survey,
+        survey=Survey(tuple(Run("", way, np.frombuffer(x), np.frombuffer(deviation)) for way, x, deviation in runs)),
     )
     stroke = scenario.stroke()
     window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
     followed, count = along(stroke.map, stroke.true_x)[0], stage.encoder.y_resolution
     size, own, range_ = followed.size, round(stage.drive.delay * stage.period_ns), stage.uncertainty
-    drawn = list[Left]()
-    for number in range(_STROKES if enough else 1):
+
+    @cache
+    def left(number: int | None) -> Left | None:
         conditions: dict[str, Any] = {}
-        if enough:
+        if number is not None:
             random = np.random.default_rng(number)
             late = np.where(random.random(size) < _LATE, random.integers(0, stage.period_ns, size), 0)
             friction = range_.friction ** random.uniform(-1.0, 1.0)
@@ -171,8 +158,18 @@ def _simulated(
         if cycle.current.size < size:
             return None
         error = (followed - cycle.true_y)[window]
-        drawn.append(Left(peak_to_peak(error), float(error.std())))
+        return Left(peak_to_peak(error), float(error.std()))
+
+    return left
+
+
+def _largest(left: Callable[[int | None], Left | None], enough: Left) -> Left | None:
+    drawn = list[Left]()
+    for number in range(_STROKES):
+        if (one := left(number)) is None:
+            return None
+        drawn.append(one)
         largest = Left(*map(max, zip(*drawn, strict=True)))
-        if not enough or (largest.pp >= enough.pp and largest.rms >= enough.rms):
+        if largest.pp >= enough.pp and largest.rms >= enough.rms:
             return largest
     return Left(*(most + _BEYOND * float(spread) for most, spread in zip(largest, np.std(drawn, axis=0), strict=True)))

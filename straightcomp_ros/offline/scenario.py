@@ -57,26 +57,6 @@ _compiling = threading.Lock()
 _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """Conditions of one cycle, apart from plant and law; all arrays (n,), one entry for each sample.
-
-    Attributes:
-        stamps: time of each sample in ns, int64; the first is 0, and they rise.
-        delays: time from each sample until its command takes effect, in ns, int64, zero or more. A command never
-            overtakes the one before: it then takes effect together with it, and replaces it.
-        references: (n, 3) r in m, ṙ in m/s, r̈ in m/s² for the law.
-        noise: added to the position y before the encoder rounds, m.
-        x: true position of the stage in m, which only disturbances ask for; by default it stays at 0.
-    """
-
-    stamps: NDArray[np.int64]
-    delays: NDArray[np.int64]
-    references: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    x: NDArray[np.float64] | None = None
-
-
 class Cycle(NamedTuple):
     """True y and the encoder's y in m, and the commanded control current in A, (samples,) each.
 
@@ -91,7 +71,11 @@ class Cycle(NamedTuple):
 def run_cycle(
     law: Law,
     plant: PlantParameters,
-    conditions: Conditions,
+    stamps: NDArray[np.int64],
+    delays: NDArray[np.int64],
+    references: NDArray[np.float64],
+    noise: NDArray[np.float64] | None = None,
+    x: NDArray[np.float64] | None = None,
     initial: PlantState = _AT_REST,
     hold: Hold = _SHIPPED_HOLD,
 ) -> Cycle:
@@ -100,23 +84,32 @@ def run_cycle(
     The law starts at rest at its first reading. The time limits of amplifier, board and `Servo` for late commands and
     lost samples are not modelled.
 
-    The law's functions must be `compilable`. Of the plant's ``initial`` state the forces are not read; ``hold`` is how
-    the board holds the platform when the next command is late.
+    Args:
+        law: its functions must be `compilable`.
+        plant: the machine.
+        stamps: time of each sample in ns, (n,) int64; the first is 0, and they rise.
+        delays: time from each sample until its command takes effect, in ns, (n,) int64, zero or more. A command never
+            overtakes the one before: it then takes effect together with it, and replaces it.
+        references: (n, 3) r in m, ṙ in m/s, r̈ in m/s² for the law.
+        noise: (n,) added to the position y before the encoder rounds, m; none by default.
+        x: (n,) true position of the stage in m, which only disturbances ask for; by default it stays at 0.
+        initial: state of the plant, of which the forces are not read.
+        hold: how the board holds the platform when the next command is late.
     """
-    count = conditions.stamps.size
+    count = stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
     machine = commanded_plant(plant, hold, initial)
     machine.state[BIAS] = plant.actuator.bias_current
-    x = np.zeros(count) if conditions.x is None else conditions.x
+    noise, x = (np.zeros(count) if one is None else one for one in (noise, x))
     # At the first sample nothing has moved yet: this reading is the one that the loop takes again.
-    advance_to_sample(*machine, conditions.stamps[:0], current[:0], 0, 0, conditions.noise[0], x[0])
+    advance_to_sample(*machine, stamps[:0], current[:0], 0, 0, noise[0], x[0])
     first = float(machine.state[READING])
     done = kernel(law.function)(
         *machine,
-        conditions.stamps,
-        np.maximum.accumulate(conditions.stamps + conditions.delays),
-        conditions.references,
-        conditions.noise,
+        stamps,
+        np.maximum.accumulate(stamps + delays),
+        references,
+        noise,
         x,
         law.gains,
         law.start(first),
@@ -310,15 +303,9 @@ class Scenario:
         late = np.full(stroke.stamps.size, round(own * self.period_ns))
         if isinstance(delays, np.ndarray):
             late[: delays.size] = delays[: late.size]
-        conditions = Conditions(
-            stroke.stamps,
-            late,
-            stroke.given,
-            np.zeros(stroke.stamps.size) if noise is None else noise,
-            stroke.true_x,
-        )
+        given = stroke.stamps, late, stroke.given, noise, stroke.true_x
         initial = PlantState(y=self.driver.simulated.initial_y + offset)
-        return run_cycle(law, plant or self.driver.plant, conditions, initial, self.driver.hold)
+        return run_cycle(law, plant or self.driver.plant, *given, initial, self.driver.hold)
 
 
 def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:

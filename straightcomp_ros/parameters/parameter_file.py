@@ -7,14 +7,13 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.parameters.declaration import Declaration, ParameterError, flatten
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, by_node
 from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
+from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml, node_sections
 
 ALL_NODES = "/**"
 """Key of a parameter file for what holds for every node."""
-_PARAMETERS = "ros__parameters"
 DEFAULT_FILE = "config/straightcomp.yaml"
 DEFAULT_STAGE = "config/stage_synthetic.yaml"
 """Installed files: settings of the nodes, and the description of the synthetic stage."""
@@ -33,24 +32,16 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """
     source = f"parameter file {path}"
     try:
-        tree = load_yaml(Path(path))
+        sections = node_sections(Path(path))
     except OSError as error:
         raise ParameterError(f"{source}: cannot be read: {error.strerror}") from error
-    except YamlError as error:
+    except ParameterError as error:
         raise ParameterError(f"{source}: {error}") from error
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
-    if not isinstance(tree, Mapping):
-        raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
-    for key, section in tree.items():
-        name = str(key).rsplit("/", 1)[-1]
+    for key, given in sections:
+        name = key.rsplit("/", 1)[-1]
         if name not in (*NODE_PARAMETERS, "**"):
             raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(NODE_PARAMETERS)}, {ALL_NODES}")
-        if not isinstance(section, Mapping) or not isinstance(section.get(_PARAMETERS), Mapping):
-            raise ParameterError(f"{source}: node '{key}' has no 'ros__parameters:'")
-        try:
-            given = flatten(section[_PARAMETERS])
-        except ParameterError as error:
-            raise ParameterError(f"{source}: {error}") from error
         if name != "**":
             if twice := values[name].keys() & given.keys():
                 raise ParameterError(f"{source}: '{min(twice)}' of node '{name}' is given twice")
@@ -119,7 +110,7 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
         for node, section in by_node(values).items()
     } | {ALL_NODES: common}
     # rcl refuses an empty section.
-    tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
+    tree = {key: {PARAMETERS: section} for key, section in sections.items() if section}
     return dump_yaml(tree)
 
 

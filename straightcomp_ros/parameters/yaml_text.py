@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import errno
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 import yaml
 
+from straightcomp_ros.parameters.declaration import ParameterError, flatten
+
 MOST_BYTES = 4 << 20
 MOST_NODES = 50_000
 """Largest number of values and keys, each counted as often as aliases repeat it: the largest parameter file has 300."""
 _DEEPEST = 50
+PARAMETERS = "ros__parameters"
 _TAG = "tag:yaml.org,2002:"
 _CORE = {"!", *(_TAG + kind for kind in ("null", "bool", "int", "float", "str", "seq", "map"))}
 _FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -56,6 +60,25 @@ def load_yaml(source: Path | str | bytes, most_bytes: int = MOST_BYTES, most_nod
 def _begin(path: Path, size: int) -> bytes:
     with path.open("rb") as file:
         return file.read(size)
+
+
+def node_sections(source: Path | bytes) -> list[tuple[str, dict[str, Any]]]:
+    """Of a ROS 2 parameter file, or its content, the key of each section and its parameters by dotted name.
+
+    Raises:
+        ParameterError: it is not YAML, has another layout, or gives a parameter twice.
+        OSError: the file cannot be read.
+    """
+    try:
+        tree = load_yaml(source)
+    except YamlError as error:
+        raise ParameterError(str(error)) from error
+    if not isinstance(tree, Mapping):
+        raise ParameterError("has no 'NODE: ros__parameters:' level")
+    for key, section in tree.items():
+        if not isinstance(section, Mapping) or not isinstance(section.get(PARAMETERS), Mapping):
+            raise ParameterError(f"node '{key}' has no '{PARAMETERS}:'")
+    return [(str(key), flatten(section[PARAMETERS])) for key, section in tree.items()]
 
 
 def bounded_bytes(path: Path, most_mb: int = 256) -> bytes:

@@ -14,7 +14,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.scenario import Conditions, references, run_cycle
+from straightcomp_ros.offline.scenario import references, run_cycle
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import can_run, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -28,10 +28,11 @@ PERIOD = 500_000
 MAP = load_map(MapParameters())
 
 
-def steady(count: int, delays=PERIOD // 2, noise=0.0) -> Conditions:
-    """A platform at rest on a reference of 1 µm."""
+def steady(law, count: int, delays=PERIOD // 2, noise=0.0):
+    """The cycle of a platform at rest on a reference of 1 µm."""
     references = np.tile([1e-6, 0.0, 0.0], (count, 1))
-    return Conditions(np.arange(count) * PERIOD, np.full(count, delays), references, np.full(count, noise))
+    given = np.arange(count) * PERIOD, np.full(count, delays), references, np.full(count, noise)
+    return run_cycle(law, PlantParameters(), *given)
 
 
 CYCLE = {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1}
@@ -124,7 +125,7 @@ def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_boar
         positions.append(truth.y)
         command = servo.step(sample.stamp_ns, sample.y, sample.current, (1e-6, 0.0, 0.0))
         hardware.write(command.current, sample.stamp_ns + delay)
-    cycle = run_cycle(make_law(ControlParameters(), STAGE), PlantParameters(), steady(400, delays=delays))
+    cycle = steady(make_law(ControlParameters(), STAGE), 400, delays=delays)
     np.testing.assert_array_equal(cycle.true_y, positions)
 
 
@@ -143,7 +144,7 @@ def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
 
 def test_noise_reaches_the_encoder_and_not_the_platform_and_a_law_starts_anew_in_each_cycle():
     noise, law = 3e-6 * (np.arange(50) == 49), make_law(ControlParameters(), STAGE)
-    quiet, disturbed = (run_cycle(law, PlantParameters(), steady(50, noise=one)) for one in (0.0 * noise, noise))
+    quiet, disturbed = (steady(law, 50, noise=one) for one in (0.0 * noise, noise))
     np.testing.assert_array_equal(quiet.true_y, disturbed.true_y)
     np.testing.assert_array_equal(quiet.current[:49], disturbed.current[:49])
     assert disturbed.y[49] - quiet.y[49] == pytest.approx(3e-6, abs=1e-7)
@@ -158,6 +159,6 @@ def test_a_current_that_is_no_number_ends_the_cycle():
         current = math.nan if state.samples > 6.5 else 0.0
         return Count(state.samples + 1.0), Command(current, r - y, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    cycle = run_cycle(Law(Count(0.0), lambda y: Count(0.0), step), PlantParameters(), steady(20))
+    cycle = steady(Law(Count(0.0), lambda y: Count(0.0), step), 20)
     assert cycle.true_y.size == cycle.y.size == cycle.current.size == 7
     assert np.isfinite(cycle.current).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -65,27 +64,11 @@ def add(
     # Other processes take longer to start than one bag takes.
     jobs = jobs if len(first) > 1 else 1
     for row, strokes in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
-        with _whole():
-            store.put(row, strokes)
-            tally.strokes += row.strokes
-            if row.reason is None:
-                tally.added += 1
-            else:
-                tally.refused += 1
+        store.put(row, strokes)
+        tally.strokes += row.strokes
+        tally.added += row.reason is None
+        tally.refused += row.reason is not None
         yield row
-
-
-@contextmanager
-def _whole() -> Iterator[None]:
-    """Delays Ctrl-C until the end of the block: what was stored is also counted."""
-    interrupts: list[int] = []
-    former = signal.signal(signal.SIGINT, lambda number, frame: interrupts.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)
-    if interrupts:
-        raise KeyboardInterrupt
 
 
 def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator[BagPlace]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
-from straightcomp_ros.offline.scenario import Conditions, run_cycle
+from straightcomp_ros.offline.scenario import run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
 from straightcomp_ros.tuning.paper.machine import Machine, largest
@@ -93,9 +93,9 @@ def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.fl
     """
     count, period_ns = machine.samples(_DURATION), machine.stage.period_ns
     delays = np.full(count, round(machine.stage.drive.delay * period_ns))
-    conditions = Conditions(np.arange(count) * period_ns, delays, np.zeros((count, 3)), np.zeros(count))
-    initial = PlantState(y=y, velocity=velocity, bias=machine.bias)
-    return run_cycle(make_law(machine.control, machine.stage), _beyond_its_stop(machine), conditions, initial).true_y
+    given = np.arange(count) * period_ns, delays, np.zeros((count, 3))
+    law, initial = make_law(machine.control, machine.stage), PlantState(y=y, velocity=velocity, bias=machine.bias)
+    return run_cycle(law, _beyond_its_stop(machine), *given, initial=initial).true_y
 
 
 def settling_time(machine: Machine, true_y: NDArray[np.float64]) -> float:
