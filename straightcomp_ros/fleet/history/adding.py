@@ -64,10 +64,11 @@ def add(
     # Other processes take longer to start than one bag takes.
     jobs = jobs if len(first) > 1 else 1
     for row, strokes in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
-        store.put(row, strokes)
+        # Before it is stored: Ctrl-C may end that, and all that is stored is counted.
         tally.strokes += row.strokes
         tally.added += row.reason is None
         tally.refused += row.reason is not None
+        store.put(row, strokes)
         yield row
 
 
