@@ -10,7 +10,7 @@ import pytest
 from recording import record
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files
+from straightcomp_ros.bags.folder import SqliteInput, found_files
 from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.bags.topics import TopicQos, definition, resolved
@@ -133,15 +133,6 @@ def test_files_that_are_compressed_as_a_whole_are_named_with_what_unpacks_them(t
     for bag in (folder, folder / name):
         with pytest.raises(BagError, match="unlz4" if name.endswith("lz4") else "unzstd"):
             found_files(bag)
-
-
-def test_an_empty_last_file_of_several_does_not_belong_to_the_bag(tmp_path):
-    for name, content in (("run_0.mcap", b"x"), ("run_1.mcap", b""), ("run_2.mcap", b"")):
-        (tmp_path / name).write_bytes(content)
-    assert [file.name for file in bag_files(tmp_path)] == ["run_0.mcap", "run_1.mcap"]
-    for name in ("run_0.mcap", "run_1.mcap"):
-        (tmp_path / name).unlink()
-    assert [file.name for file in bag_files(tmp_path)] == ["run_2.mcap"]
 
 
 def test_parameters_of_ros_itself_are_not_those_of_a_node():

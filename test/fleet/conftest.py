@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from generated_bags import template_of, write_bag
+from generated_bags import write_bag
 from stores import COUNT, SAMPLES, STAGES, added, files_of
 
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
@@ -20,9 +20,8 @@ TWENTY_THOUSAND = 20_454
 def months(tmp_path_factory):
     """A folder with COUNT good bags of STAGES stages, one that was cut off, and one with damage in its middle."""
     folder = tmp_path_factory.mktemp("months")
-    template = template_of(SAMPLES / "smc")
     for number in range(COUNT):
-        write_bag(template, folder / f"stage_{number % STAGES}" / f"run_{number}", number, STAGES)
+        write_bag(folder / f"stage_{number % STAGES}" / f"run_{number}", number, STAGES)
     shutil.copytree(SAMPLES / "cut_off", folder / "cut_off")
     damaged = folder / "damaged"
     shutil.copytree(SAMPLES / "smc", damaged)

@@ -3,11 +3,12 @@
 import hashlib
 from pathlib import Path
 
+from generated_bags import SAMPLES  # noqa: F401 - of the tests
+
 from straightcomp_ros.fleet.history.adding import Tally, add
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.store import Store
 
-SAMPLES = Path(__file__).resolve().parents[2] / "bags"
 COUNT, STAGES = 6, 2
 """Good bags of the fixture ``months``, and their stages."""
 

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from generated_bags import template_of, write_bag
+from generated_bags import run, write_bag
 from stores import COUNT, SAMPLES, added
 from tiers import nightly
 
@@ -165,24 +165,14 @@ NAMES = ["轴" * 28, "ü" * 300 + "1", "ü" * 300 + "2", "[/x]", "gantry[left]",
 NAMES += [r"\frac{$", "<b>bold</b>", "%41", "A", "\x1b[2Jx", "2026-99-99", "007"]
 
 
-def write(template, folder, number, parameters):
-    attachments = {**template.attachments, PARAMETERS_ATTACHMENT: parameters.encode()}
-    write_bag(template._replace(attachments=attachments), folder, number)
-
-
 @pytest.fixture(scope="module")
-def template():
-    return template_of(SAMPLES / "smc")
-
-
-@pytest.fixture(scope="module")
-def named(template, tmp_path_factory):
+def named(tmp_path_factory):
     """A store with a bag of each of NAMES, and its tally."""
     folder = tmp_path_factory.mktemp("named")
-    text = template.attachments[PARAMETERS_ATTACHMENT].decode()
+    text = run()[1][PARAMETERS_ATTACHMENT].decode()
     for number, name in enumerate(NAMES):
         parameters = text.replace("stage.name: synthetic", f"stage.name: {json.dumps(name)}")
-        write(template, folder / "bags" / f"{number:02}", number, parameters)
+        write_bag(folder / "bags" / f"{number:02}", number, parameters=parameters)
     return folder / "store", added(folder / "store", folder / "bags")
 
 
@@ -220,11 +210,11 @@ def test_files_reports_and_tables_show_each_name_as_it_is(named, tmp_path, capsy
 
 
 @pytest.mark.parametrize("jobs", [1, *nightly([2])])
-def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(template, tmp_path, capsys, jobs):
-    good = template.attachments[PARAMETERS_ATTACHMENT].decode()
+def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(tmp_path, capsys, jobs):
+    good = run()[1][PARAMETERS_ATTACHMENT].decode()
     cases = {"a": good, "b": BOMB, "c": good, "d": "x: " + "[" * 400, "e[/x]": "[/x]: 1", "f": good}
     for number, (name, parameters) in enumerate([*cases.items(), (os.fsdecode(b"g\xff"), good)]):
-        write(template, tmp_path / "bags" / name, number, parameters)
+        write_bag(tmp_path / "bags" / name, number, parameters=parameters)
     command = ["add", tmp_path / "bags", "-o", tmp_path / "store", "--jobs", jobs]
     assert main(["history", *map(str, command), "--json"]) == 0
     printed = capsys.readouterr()

@@ -268,7 +268,10 @@ def test_limits_alone_decide_the_exit_code_of_an_evaluation(spoilt, tmp_path, ca
     for pp, code in ((10, 0), (1, 1)):
         limits.write_text(f"true_pp_um: {pp}\n")
         assert main(["evaluate", str(spoilt), "--limits", str(limits), "--json"]) == code
-        assert json.loads(capsys.readouterr().out)["verdict"] == "starved"
+        printed = capsys.readouterr()
+        assert json.loads(printed.out)["verdict"] == "starved" and ("true_pp_um is" in printed.err) == bool(code)
+    limits.write_text("true_pp: 1\n")
+    assert main(["evaluate", str(spoilt), "--limits", str(limits)]) == 2
 
 
 def test_an_attached_survey_that_is_too_short_shows_in_the_recording(tmp_path):
