@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from scripts.law_figures import LawFigures, figures_of, law_of
-from straightcomp_ros.analysis.figure_words import PAPER_PP_UM
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.starts import Spread, Values, with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.machine import machine_from
+from straightcomp_ros.tuning.paper.stroke import PAPER_PP_UM
 
 SGN = "`smc` with sgn σ as printed"
 NAMES = {

@@ -213,7 +213,7 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     same_place = "it is the same at each place of x in every stroke: learning.learn takes it off"
     if any(sum(ours) > 1 and float(alike[np.ix_(ours, ours)][0].min()) > _REPEATS for ours in of_way):
         return same_place
-    waves = locked_to_x(time, x, error, strokes, _strongest(time, error, strokes[0])) if strokes else None
+    waves = locked_to_x(time, x, error, strokes, _of_few_waves(time, error, strokes[0])) if strokes else None
     if waves and waves.amplitude > _A_WAVE * float(error.std()):
         return same_place
     step = max(1, round(_STEP / period))
@@ -248,11 +248,16 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     return UNKNOWN
 
 
-def _strongest(time: Array, error: Array, stroke: Stroke) -> Line:
+def _of_few_waves(time: Array, error: Array, stroke: Stroke) -> Line:
     """The strongest line of ``error`` (n,) in the ``stroke``, of a few waves and more."""
-    tried, spectrum = _spectrum(time[stroke.samples], error[stroke.samples], _FASTEST)
-    few = int(np.searchsorted(tried, _FEW_WAVES / float(np.ptp(time[stroke.samples]))))
-    best = few + int(spectrum[few:].argmax())
+    time, error = time[stroke.samples], error[stroke.samples]
+    return _strongest(*_spectrum(time, error, _FASTEST), _FEW_WAVES / float(np.ptp(time)), math.inf)
+
+
+def _strongest(tried: Array, spectrum: Array, low: float, high: float) -> Line:
+    """The strongest line of a :func:`_spectrum` from ``low`` to ``high``."""
+    first, last = np.searchsorted(tried, (low, high)).tolist()
+    best = first + int(spectrum[first : last + 1].argmax())
     return Line(float(spectrum[best]), float(tried[best]))
 
 
@@ -263,10 +268,7 @@ def _ascending(x: Array, values: Array) -> tuple[Array, Array]:
 
 def _coherent(along: Array, error: Array, near: float) -> Line:
     """The line in ``error`` (n,) that best keeps its phase over ``along`` (n,), within `_AROUND` of ``near``."""
-    tried, spectrum = _spectrum(along, error, near)
-    first, last = np.searchsorted(tried, ((1.0 - _AROUND) * near, (1.0 + _AROUND) * near)).tolist()
-    best = first + int(spectrum[first : last + 1].argmax())
-    return Line(float(spectrum[best]), float(tried[best]))
+    return _strongest(*_spectrum(along, error, near), (1.0 - _AROUND) * near, (1.0 + _AROUND) * near)
 
 
 def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bool:

@@ -43,9 +43,6 @@ _PARTS = (
 )
 """Patterns of names that have many members, and what they become."""
 
-PAPER_PP_UM = {"linear": 1.77, "smc": 0.40}
-"""Peak-to-peak error in µm that the paper prints, by law, to compare: encoder 0.1 µm, 12-bit D/A, 2 kHz."""
-
 
 def in_words(name: str) -> tuple[str, str]:
     """Words and unit, which may be empty, of a figure such as ``encoder_pp_forward_um``."""

@@ -121,15 +121,10 @@ class Statement(NamedTuple):
 
     def to_display(self) -> dict[str, Any]:
         """As a person reads it: lengths in µm, the budget as a list."""
+        lengths = ("measured", "value", "standard_uncertainty", "expanded_uncertainty")
         return {
-            "when": self.when,
-            "direction": self.direction,
-            "line": self.line,
-            "strokes": self.strokes,
-            "measured_um": self.measured * 1e6,
-            "value_um": self.value * 1e6,
-            "standard_uncertainty_um": self.standard_uncertainty * 1e6,
-            "expanded_uncertainty_um": self.expanded_uncertainty * 1e6,
+            **{name: getattr(self, name) for name in ("when", "direction", "line", "strokes")},
+            **{f"{name}_um": getattr(self, name) * 1e6 for name in lengths},
             "coverage_factor": COVERAGE_FACTOR,
             "unknown": self.unknown,
             "budget": [

@@ -34,7 +34,6 @@ from straightcomp_ros.cli.options import (
 from straightcomp_ros.cli.output import (
     CommandFailed,
     console,
-    linked,
     notes,
     print_json,
     print_written,
@@ -132,7 +131,6 @@ def run(options: argparse.Namespace) -> None:
         print_verdict(result.verdict)
         stroke = node_parameters("cell", values).stage.motion.stroke
         console.print(_shown(result, figures, stroke))
-        console.print("Picture: ", linked(picture), sep="")
         report = f"straightcomp evaluate {quote(str(result.bag))} --report report.html"
         then = f"{report}; docs/tutorial.md goes on from here"
         if result.verdict.verdict == STARVED:

@@ -7,11 +7,9 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.style import Style
 from rich.text import Text
 
 from straightcomp_ros.cli import CommandFailed, Terminated, printable
@@ -102,12 +100,6 @@ def noted_warnings(category: type[Warning] = Warning) -> Iterator[list[str]]:
     texts += dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, category))
     for text in texts:
         notes.print(f"warning: {text}", style="yellow")
-
-
-def linked(path: Path) -> Text:
-    """The address of a file, which most terminals open by a click; a link (OSC 8) where the terminal takes styles."""
-    address = path.absolute().as_uri()
-    return Text(address, style=Style(link=address))
 
 
 def print_written(*files: object, then: str) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from straightcomp_ros.analysis.figure_words import PAPER_PP_UM, in_words
+from straightcomp_ros.analysis.figure_words import in_words
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, printable, styled
 
@@ -112,19 +112,15 @@ def doubtful(text: str) -> str | Text:
 
 
 def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:
-    """Those figures that are there, and the paper's true p-p error to compare.
-
-    A figure of ``over_starts``, median (min to max), takes the place of that of one run.
-    """
-    over_starts, law = over_starts or {}, figures["law"]
-    headings = ("figure", "value", "unit", "paper")
-    table = titled_table(f"Straightness compensation, law '{law}'", *headings, left=("unit",))
+    """Those figures that are there; one of ``over_starts``, median (min to max), takes the place of that of one run."""
+    over_starts = over_starts or {}
+    title = f"Straightness compensation, law '{figures['law']}'"
+    table = titled_table(title, "figure", "value", "unit", left=("unit",))
     for key, digits in _ROWS.items():
         words, unit = in_words(key)
         if figures.get(key) is not None:
-            paper = f"{PAPER_PP_UM[law]:.2f}" if key == "true_pp_um" and law in PAPER_PP_UM else ""
             value = over_starts[key].text(digits) if key in over_starts else f"{figures[key]:.{digits}f}"
-            table.add_row(words, marked(key, value, figures), unit, paper)
+            table.add_row(words, marked(key, value, figures), unit)
     return table
 
 

@@ -69,7 +69,7 @@ def test_a_query_without_a_store_asks_the_default_one_and_prints_many_columns_be
     monkeypatch.chdir(tmp_path)
     assert main(["history", "query", "SELECT * FROM strokes ORDER BY stage LIMIT 2"]) == 0
     printed = capsys.readouterr().out
-    assert all(words in printed for words in ("row 1 of 2", "row 2 of 2", "control_activity_A", "stage_0"))
+    assert all(words in printed for words in ("rows: 2", "\n  control_activity_A: ", "\n  stage: stage_0"))
 
 
 def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):

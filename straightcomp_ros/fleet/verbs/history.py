@@ -42,8 +42,6 @@ SUMMARY = "the figures of many bags in one store, and questions to it"
 PURPOSE = "fleet"
 _STORE, _STORE_HELP = "history", "folder or URL (default: %(default)s)"
 _LONGEST_WAIT = 86_400.0
-_MOST_COLUMNS = 12
-"""Rows with more columns are printed one below the other: side by side no terminal has room for them."""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -143,10 +141,6 @@ def _query(options: argparse.Namespace) -> None:
     rows = [{name: _plain(value) for name, value in row.items()} for row in found.to_pylist()]
     if options.json:
         print_json({"rows": rows})
-    elif len(found.column_names) > _MOST_COLUMNS:
-        for number, row in enumerate(rows, 1):
-            cells = ((name, shown(value)) for name, value in row.items())
-            console.print(titled_table(f"row {number} of {len(rows)}", "column", "value", rows=cells))
     elif found.column_names:
         numbers = (types.is_integer, types.is_floating, types.is_decimal)
         left = {field.name for field in found.schema if not any(is_kind(field.type) for is_kind in numbers)}

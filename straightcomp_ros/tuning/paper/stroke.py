@@ -6,7 +6,6 @@ from collections.abc import Iterable
 import numpy as np
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.figure_words import PAPER_PP_UM
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
@@ -21,6 +20,8 @@ from straightcomp_ros.tuning.paper.surface import lag
 PAPER_GUIDE_UM = 22.4
 _TOLERANCE = 0.15
 """Part of a figure within which another plant's agrees with it: friction, delay and amplifier are not printed."""
+PAPER_PP_UM = {"linear": 1.77, "smc": 0.40}
+"""Peak-to-peak error in µm that the paper prints, by law: encoder 0.1 µm, 12-bit D/A, 2 kHz."""
 _PAPER_RATIO = 0.00013
 """|y/y0| of the paper; only the error is as small."""
 _POINTS = 2001
