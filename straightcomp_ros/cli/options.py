@@ -174,12 +174,12 @@ def chosen_parameters(options: argparse.Namespace) -> Values:
 
 def stage_values(options: argparse.Namespace) -> Values:
     """The same with the stage file of :func:`add_stage_argument`, and --set where the verb has it."""
-    return _changed(None, options.file, _settings(getattr(options, "set", [])))
+    return _changed(None, options.file, settings(getattr(options, "set", [])))
 
 
 def chosen_changes(options: argparse.Namespace) -> Values:
     """What --set and --law change, by node and dotted name; raises ParameterError."""
-    changes = _settings(options.set)
+    changes = settings(options.set)
     if options.law:
         changes.setdefault("controller", {})["control.law"] = options.law
     return changes
@@ -200,12 +200,13 @@ def _changed(params_file: str | None, stage: str | None, changes: Values) -> Val
 def changed(values: Values, assignments: list[str]) -> Values:
     """A copy of ``values`` with what assignments NODE.NAME=VALUE change; raises ParameterError for another form."""
     copied = {node: dict(section) for node, section in values.items()}
-    for node, section in _settings(assignments).items():
+    for node, section in settings(assignments).items():
         copied[node].update(section)
     return copied
 
 
-def _settings(assignments: list[str]) -> Values:
+def settings(assignments: list[str]) -> Values:
+    """What assignments NODE.NAME=VALUE set, by node and dotted name; raises ParameterError for another form."""
     from straightcomp_ros.parameters.declaration import ParameterError
     from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
     from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml

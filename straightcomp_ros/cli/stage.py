@@ -4,6 +4,7 @@ import argparse
 import itertools
 import math
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -17,6 +18,7 @@ from straightcomp_ros.cli.options import (
     add_stage_argument,
     output_file,
     output_folder,
+    settings,
     stage_values,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written
@@ -25,7 +27,6 @@ from straightcomp_ros.parameters.declaration import Declaration, ParameterError,
 from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, commented
-from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey import read_survey
@@ -63,7 +64,7 @@ def _new(options: argparse.Namespace) -> None:
     folder = output_folder("DIR", str(options.folder))
     file, survey = folder / FILE, folder / SURVEY
     declared = {one.name: one for one in declarations(StageParameters)}
-    given = dict(map(_assignment, options.set))
+    given = _given(options.set)
     source = find_survey(options.survey or MapParameters().file)
     for path in (file, survey):
         if path.exists() and not options.force and not path.samefile(source):
@@ -89,19 +90,9 @@ def _new(options: argparse.Namespace) -> None:
     print_written(file, survey, then=f"straightcomp stage check {quote(str(file))}")
 
 
-def _assignment(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise ParameterError(f"--set {text!r}: allowed: NAME=VALUE, e.g. stage.platform.mass=8")
-    return name.removeprefix(f"{STAGE}."), _value(value)
-
-
-def _value(text: str) -> Any:
-    try:
-        return load_yaml(text)
-    except YamlError:
-        # The declaration refuses the text, with what is allowed.
-        return text
+def _given(assignments: Iterable[str]) -> dict[str, Any]:
+    """Facts by name from NAME=VALUE, with or without ``stage.`` before it."""
+    return settings([f"{STAGE}.{one.removeprefix(f'{STAGE}.')}" for one in assignments]).get(STAGE, {})
 
 
 def _asked(declaration: Declaration) -> Any:
@@ -113,7 +104,7 @@ def _asked(declaration: Declaration) -> Any:
         except EOFError as error:
             raise CommandFailed("no answer; give facts by --set, or --yes for the defaults", exit_code=2) from error
         try:
-            return declaration.check(_value(answer)) if answer else None
+            return declaration.check(*_given([f"{declaration.name}={answer}"]).values()) if answer else None
         except ParameterError as error:
             print(f"  {error}")
 

@@ -138,25 +138,14 @@ def _query(options: argparse.Namespace) -> None:
     from straightcomp_ros.fleet.history.store import Store
 
     found = Store(options.store).query(options.sql, options.force)
-    rows = [{name: _plain(value) for name, value in row.items()} for row in found.to_pylist()]
+    rows = found.to_pylist()
     if options.json:
-        print_json({"rows": rows})
+        print_json({"rows": rows}, lambda value: value.isoformat() if isinstance(value, date) else str(value))
     elif found.column_names:
         numbers = (types.is_integer, types.is_floating, types.is_decimal)
         left = {field.name for field in found.schema if not any(is_kind(field.type) for is_kind in numbers)}
         below = ([shown(value) for value in row.values()] for row in rows)
         console.print(titled_table(f"rows: {len(rows)}", *found.column_names, left=left, rows=below))
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON and tables have it: times as ISO 8601, other types that JSON lacks as texts."""
-    if isinstance(value, list):
-        return [_plain(one) for one in value]
-    if isinstance(value, dict):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, date):
-        return value.isoformat()
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 def _advise_arguments(parser: argparse.ArgumentParser) -> None:
