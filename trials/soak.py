@@ -34,7 +34,7 @@ from straightcomp_ros.cli.output import notes, print_json, require_ros
 from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.safety.faults import HELD_UP, Fault
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.timing.node_timing import SAMPLES
 from trials import stalls
@@ -49,6 +49,9 @@ WARM_UP_S = 10.0
 _PAUSE_S = (0.2, 2.0)
 _STALL_MS, _STALL_S = 80.0, 1.0
 """Total duration of stalls, in the time before a fault, that may have caused it."""
+HELD_UP = (Fault.COMMAND_TIMEOUT, Fault.SAMPLE_TIMEOUT, Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
+"""Faults that may be latched after a stall of a node, its peers or the whole machine: without commands the platform may
+reach its stop before the timeout."""
 _BACK_S, _PATIENCE_S = 15.0, 10.0
 _MOVED = 50e-6
 """m by which a stage has moved that moves."""

@@ -3,8 +3,7 @@
 import secrets
 import socket
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -130,10 +129,17 @@ def recorded(
     bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
     duration, _ = _cycle(values, opcua_strokes)
     output.mkdir(parents=True, exist_ok=True)
+    environment, programs = dict(environment or isolated_environment()), emulated_machine(values, parameter_file)
+    client = None
     try:
-        with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client, secret):
+        with tempfile.TemporaryDirectory(prefix="straightcomp_") as folder:
+            if opcua_strokes:
+                # On a command line every user could read the password.
+                environment[_PASSWORD] = password = secrets.token_urlsafe(16)
+                values, client = _driven_by_opcua(values, Path(folder) / "users", opcua_strokes, password)
+                programs["opcua"] = [*executable_command("opcua_node"), "--ros-args", *in_namespace(namespace)]
+                programs["opcua"] += ["--params-file", str(parameter_file)]
             write_whole(parameter_file, as_parameter_file(values))
-            programs = {**emulated_machine(values, parameter_file), **gateway}
             return run_cycle(
                 bag,
                 parameter_file,
@@ -143,8 +149,7 @@ def recorded(
                 programs=programs,
                 in_place_of_cell=client,
                 namespace=namespace,
-                # On a command line every user could read the password.
-                environment={**(environment or isolated_environment()), **secret},
+                environment=environment,
                 composed=composed,
             )
     except LaunchError as error:
@@ -195,24 +200,15 @@ def _held_up(bag: Path) -> str:
     return blamed({node: held_up([one.values for one in reports.get(node, [])]) for node in IN_THE_LOOP})
 
 
-@contextmanager
-def _driven_by_opcua(
-    values: Values, parameter_file: Path, strokes: int, namespace: str
-) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None, Mapping[str, str]]]:
-    """Parameters with a gateway for this run alone, the gateway's command by name, the command of a client that runs
-    ``strokes``, and what the environment gets for it; with 0 strokes neither gateway nor client."""
-    if not strokes:
-        yield values, {}, None, {}
-        return
-    with tempfile.TemporaryDirectory(prefix="straightcomp_opcua_") as folder:
-        users, password, port = Path(folder) / "users", secrets.token_urlsafe(16), free_port()
-        add_user(users, _USER, password, OPERATOR)
-        gateway = {**values.get("opcua", {}), "opcua.users": str(users), "opcua.port": port}
-        command = [*executable_command("opcua_node"), "--ros-args", *in_namespace(namespace)]
-        command += ["--params-file", str(parameter_file)]
-        url = OpcuaParameters(port=port).endpoint
-        client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
-        yield {**values, "opcua": gateway}, {"opcua": command}, client, {_PASSWORD: password}
+def _driven_by_opcua(values: Values, users: Path, strokes: int, password: str) -> tuple[Values, list[str]]:
+    """Parameters with a gateway for this run alone, whose file of ``users`` is made here, and the command of a client
+    that runs ``strokes``."""
+    add_user(users, _USER, password, OPERATOR)
+    port = free_port()
+    gateway = {**values.get("opcua", {}), "opcua.users": str(users), "opcua.port": port}
+    url = OpcuaParameters(port=port).endpoint
+    client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
+    return {**values, "opcua": gateway}, client
 
 
 def free_port() -> int:

@@ -10,9 +10,9 @@ import numpy as np
 from straightcomp_ros.control.laws import ControlParameters, dither_of, make_law, needs_dither
 from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin
 from straightcomp_ros.doctor import Finding, State, judged
-from straightcomp_ros.hardware.can.board_dbc import gaps
-from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
+from straightcomp_ros.hardware.can.board_dbc import Wire, gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.model.actuator import MU_0
 from straightcomp_ros.model.motion import reach
@@ -100,8 +100,10 @@ class Consequences:
         self.holding_current = force / actuator.current_stiffness
         self.encoder_floor = FLOOR_COUNTS * stage.encoder.y_resolution  # p-p error that its count leaves at best
         # Fraction of the time for which a bus of 1 Mbit/s is busy, and one of FD with 5 Mbit/s.
-        self.can_load = load(traffic(CanParameters(fd=False).make_wire(), stage.rate), CLASSIC_1M)
-        self.can_fd_load = load(traffic(CanParameters(fd=True).make_wire(), stage.rate), FD_1M_5M)
+        self.can_load, self.can_fd_load = (
+            sum(bus_load(CanParameters(fd=bool(data)).make_wire(), stage.rate, 1e6, data).values())
+            for data in (0.0, 5e6)
+        )
         self.margins: Margins | None = None  # of a law that has a linearisation at rest
         with contextlib.suppress(ValueError):
             self.margins = loop_margins(make_law(control, stage), stage)
@@ -330,6 +332,46 @@ def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Fin
     yield judged("bus", found.can_fd_load <= _BUS_FULL, detail, remedy)
 
 
+def classic_bits(size: int, *, extended: bool = False) -> int:
+    """Most bits of a classic frame with ``size`` bytes, with intermission (ISO 11898-1:2015).
+
+    With an identifier of 11 bits there are 34 bits that are stuffed with the payload, at worst with one bit after every
+    four, and 13 that are not. An identifier of 29 bits adds 20.
+    """
+    stuffable = 34 + 20 * extended + 8 * size
+    return stuffable + (stuffable - 1) // 4 + 13
+
+
+def fd_time(size: int, nominal: float, data: float, *, extended: bool = False) -> float:
+    """Longest time in s of an FD frame with bit rate switch (ISO 11898-1:2015).
+
+    Nominal rate: SOF, identifier of 11 bits, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuff bits; an identifier
+    of 29 bits adds 19; ACK, its delimiter, EOF and intermission, 12 bits. Data rate: ESI, DLC and payload, at worst
+    with a stuff bit after every four; stuff count, CRC and their fixed stuff bits; the CRC delimiter.
+    """
+    arbitration, payload, crc = 17 + 19 * extended, 5 + 8 * size, 17 if size <= 16 else 21
+    slow = arbitration + (arbitration - 1) // 4 + 12
+    fixed_stuff = 1 + (4 + crc - 1) // 4
+    return slow / nominal + (payload + (payload + 3) // 4 + 4 + crc + fixed_stuff + 1) / data
+
+
+def frame_time(frames: Frames, nominal: float, data: float) -> float:
+    """Longest time of one of these frames on an error-free bus in s, with the space to the next frame; bit rates in
+    bit/s, ``data`` 0 on a classic bus."""
+    extended = bool(frames.identifier & EXTENDED_ID)
+    if frames.fd and data:
+        return fd_time(frames.size, nominal, data, extended=extended)
+    return classic_bits(frames.size, extended=extended) / nominal
+
+
+def bus_load(wire: Wire, rate: float, nominal: float, data: float) -> dict[Frames, float]:
+    """Fraction of the time that each kind of frame takes, at worst, while the servo runs at ``rate`` in Hz."""
+    rates = {frames: rate / frames.every for frames in (*wire.commands, *wire.reports.values())}
+    if wire.heartbeat:
+        rates[wire.heartbeat] = 1.0 / wire.heartbeat.period
+    return {frames: frame_time(frames, nominal, data) * sent for frames, sent in rates.items()}
+
+
 def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
     """Check the frames of a machine that is a board on CAN or has a DBC file, none of another: ranges, resolution,
     protection, load of the bus."""
@@ -351,7 +393,7 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
         yield Finding("wire protection", "warn", gap, "Ask the maker of the board, or accept what follows.")
     if not missing:
         yield Finding("wire protection", "ok", "CRC, counters, echo and heartbeat are there")
-    busy = load(traffic(wire, stage.rate), Bitrate(can.bitrate, can.data_bitrate if can.fd else None))
+    busy = sum(bus_load(wire, stage.rate, can.bitrate, can.data_bitrate if can.fd else 0.0).values())
     detail = f"at {stage.rate} Hz the bus of {can.bitrate / 1e6:g} Mbit/s is busy by {busy:.0%}"
     remedy = "Shorten the frames, raise can.bitrate or can.data_bitrate, or lower stage.rate."
     yield judged("wire bus", busy <= _BUS_FULL, detail, remedy, "fail" if busy > 1.0 else "warn")

@@ -6,8 +6,6 @@ What is detected, and by which node, is in the table of ``docs/safety.md``.
 import enum
 from typing import NamedTuple
 
-ALLOWANCE_MS = 300.0
-"""Allowance for stalls of a machine without real-time scheduling, beyond a fault's own time."""
 _OFF = "amplifier off, fault latched"
 _RESET = "`driver/reset_fault`, then `driver/enable`"
 
@@ -203,8 +201,3 @@ def one_line(text: str, longest: int = LONGEST_REASON) -> str:
 
 Finding = tuple[Fault, str]
 """A fault, and the reason in words."""
-
-
-HELD_UP = (Fault.COMMAND_TIMEOUT, Fault.SAMPLE_TIMEOUT, Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
-"""Faults that may be latched after a stall of a node, its peers or the whole machine: without commands the platform may
-reach its stop before the timeout."""

@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 
-from straightcomp_ros.safety.faults import HELD_UP, Fault
+from straightcomp_ros.safety.faults import Fault
 from trials import soak as soak_run
 from trials.faults import row_of, trials_of
-from trials.soak import Soak
+from trials.soak import HELD_UP, Soak
 from trials.soak_verdict import HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Look, gaps, grown
 from trials.stand import Seen, Stand
 

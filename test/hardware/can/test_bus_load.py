@@ -6,15 +6,7 @@ import pytest
 from can_boards import FOREIGN
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.hardware.can.budget import (
-    CLASSIC_1M,
-    FD_1M_5M,
-    classic_bits,
-    fd_time,
-    frame_time,
-    load,
-    traffic,
-)
+from straightcomp_ros.doctor.stage_findings import bus_load, classic_bits, fd_time, frame_time
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "can.md"
@@ -47,7 +39,7 @@ def test_an_identifier_of_29_bits_takes_longer_and_the_longest_frame_of_can_fd_h
     # SRR, IDE and 18 more bits of the identifier, all stuffed with the rest.
     assert classic_bits(8, extended=True) == 160 and classic_bits(0, extended=True) == 80
     assert fd_time(8, 1, 10**9, extended=True) == pytest.approx(36 + 8 + 12, abs=1e-3)
-    assert frame_time(FOREIGN.make_wire().command, CLASSIC_1M) == pytest.approx(160e-6)
+    assert frame_time(FOREIGN.make_wire().command, 1e6, 0.0) == pytest.approx(160e-6)
     # 64 bytes: 517 bits and 130 stuffed, stuff count 4, CRC 21, 7 fixed stuff bits, delimiter.
     assert fd_time(64, 10**9, 1) == pytest.approx(680)
 
@@ -55,16 +47,16 @@ def test_an_identifier_of_29_bits_takes_longer_and_the_longest_frame_of_can_fd_h
 def test_the_document_shows_what_the_code_computes():
     """There, a classic bus at 1 Mbit/s carries the servo, and CAN FD halves load and latency."""
     lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
-    for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        wire = CanParameters(fd=fd).make_wire()
-        sent = traffic(wire, DEFAULT_RATE)
-        rows = [(one.name, f"{one.size} B", frame_time(one, bitrate), load({one: sent[one]}, bitrate)) for one in sent]
+    for name, data in (("classic, 1 Mbit/s", 0.0), ("CAN FD, 1 and 5 Mbit/s", 5e6)):
+        wire = CanParameters(fd=bool(data)).make_wire()
+        loads = bus_load(wire, DEFAULT_RATE, 1e6, data)
+        times = {one: frame_time(one, 1e6, data) for one in sorted(loads, key=lambda one: one.identifier)}
+        rows = [(one.name, f"{one.size} B", time, loads[one]) for one, time in times.items()]
         # A frame waits for at most one of lower priority, which cannot be interrupted (Davis, Burns, Bril and Lukkien,
         # Real-Time Systems 35, 2007); here for the longest other.
-        times = {one: frame_time(one, bitrate) for one in sent}
         waits = (max(time for one, time in times.items() if one is not own) for own in (wire.sample, wire.command))
         pair = times[wire.sample] + times[wire.command] + sum(waits)
-        rows.append(("all; sample to command", "", pair, load(sent, bitrate)))
+        rows.append(("all; sample to command", "", pair, sum(loads.values())))
         for what, payload, time, share in rows:
             lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
     assert "\n".join(lines) in DOCUMENT.read_text()
