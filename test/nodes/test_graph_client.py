@@ -124,13 +124,6 @@ def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_gr
     assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON and faults["logger"].isprintable()
 
 
-def test_a_counter_of_a_status_that_is_no_number_counts_as_absent(seen):
-    driver, until = seen
-    for lost, value in enumerate(("n/a", "", "-1", "1e400", "9" * 5000, "²"), 1):
-        driver.report("controller", "no samples", samples=value, lost_samples=str(lost))
-        assert until(lambda seen, lost=lost: seen.lost_samples == lost).samples == 0
-
-
 def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
     asked, driver = [], Driver()
 

@@ -133,11 +133,6 @@ def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
     assert AtMostALineASecond in map(type, logging.getLogger().handlers)
 
 
-def test_wrong_credentials_are_refused(plain):
-    refused = dict.fromkeys(("wrong password", "unknown"), "BadUserAccessDenied")
-    assert probed("logins", plain.url) == {"operator": "done", "anonymous": "done", **refused}
-
-
 def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
     plain.commands.clear()
     results = probed("around", plain.url)

@@ -223,17 +223,6 @@ LACKING = {
         ["CoilCurrent has no CRC: a damaged number of a sample or measured current or reference of x is believed"],
     ),
     "foreign": (board_of(FOREIGN_FILE), ["DSP_MEAS counts to 256 only", "there is no heartbeat", UNREFERENCED]),
-    "foreign without a CRC of the state": (
-        board_of(FOREIGN_FILE, **unprotected("status", crc="")),
-        [
-            *("DSP_MEAS counts to 256 only", "there is no heartbeat", UNREFERENCED),
-            "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed",
-        ],
-    ),
-    "split": (
-        SPLIT,
-        ["DSP_X counts to 15 only", "DSP_I has no CRC: a damaged measured", "there is no heartbeat", UNREFERENCED],
-    ),
     "bare": (
         BARE,
         [
