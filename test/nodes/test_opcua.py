@@ -50,8 +50,8 @@ def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd
     settings = [word for name, value in SLOW.items() for word in ("--set", f"{name}={value}")]
     code = main(["demo", "--opcua", "--strokes", "2", "--json", "-o", str(tmp_path), *settings])
     figures = json.loads(capfd.readouterr().out)
-    # At so low a rate no law holds the platform.
-    assert code == (0 if figures["verdict"] == "in_order" else 1)
+    # At so low a rate no law holds the platform; a busy computer is no failure without priority.
+    assert code == (0 if figures["verdict"] in ("in_order", "starved") else 1)
     assert figures["received_samples"] > 200
     log = (tmp_path / "logs" / "opcua.log").read_text()
     places = [log.index(f" {state}: ") for state in ("resetting", "idle", "starting", "execute", "complete")]
