@@ -252,13 +252,13 @@ def last_stable(stable: Callable[[float], bool], inside: float, outside: float) 
     last = inside
     for value in np.linspace(inside, outside, 100)[1:].tolist():
         if not stable(value):
-            return _border(stable, last, value, halvings=40)
+            return bisected(stable, last, value, halvings=40)
         last = value
     return outside
 
 
-def _border(stable: Callable[[float], bool], inside: float, outside: float, halvings: int = _HALVINGS) -> float:
-    """Where the loop becomes unstable between ``inside``, which is stable, and ``outside``, which is not."""
+def bisected(stable: Callable[[float], bool], inside: float, outside: float, halvings: int = _HALVINGS) -> float:
+    """Where what holds ``inside`` and not ``outside`` ends: the last value at which it holds, by bisection."""
     for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if stable(middle) else (inside, middle)
@@ -354,7 +354,7 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
         return _stable(sampled_plant(stage, samples * period), linear)
 
     if not stable_at(latest):
-        longest = _border(stable_at, stage.drive.delay, latest)
+        longest = bisected(stable_at, stage.drive.delay, latest)
         yield (
             f"is stable with commands up to {longest:.2f} samples late; allowed: >= {latest:g}, "
             "stage.drive.delay × stage.uncertainty.longest_delay"
@@ -371,5 +371,5 @@ def _gains_missed(stable: Callable[[float], bool], where: str, gains: tuple[floa
         return
     for limit, direction, allowed in ((low, "down", "<="), (high, "up", ">=")):
         if not stable(limit):
-            border = _border(stable, 1.0, limit)
+            border = bisected(stable, 1.0, limit)
             yield f"is{where} stable {direction} to {border:.2f} times its loop gain; allowed: {allowed} {limit:g}"

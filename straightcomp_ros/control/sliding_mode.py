@@ -66,22 +66,31 @@ def closed_loop_poles(design: SlidingDesign, stage: StageParameters) -> NDArray[
     return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, stage)))
 
 
-def reaching_bound(design: SlidingDesign, stage: StageParameters) -> float:
-    """Smallest ρ in m/s² that fulfils (11) within the travel, at rest on the reference.
+def reaching_demand(
+    design: SlidingDesign, stage: StageParameters, y: float, current: float, *, released: bool
+) -> float:
+    """ρ in m/s² that (11) demands at rest at ``y`` >= 0 in m, for the current i_c in A, with nothing integrated.
 
-    There SAx + SB_r r = (K̄_y/M) y (x₁ = 0, ẏ = 0, y = r), the matched disturbance is friction over mass and the
-    stiffness error m_y, and |m_i| is largest at full travel with the current that holds position and friction.
+    There SAx + SB_r r = (K̄_y/M) y on the reference (x₁ = 0, ẏ = 0, y = r), and ωn² y more where the platform is
+    ``released`` with r = 0. The matched disturbance is friction over mass and the stiffness error m_y. Infinite where
+    |m_i| >= 1.
     """
     actuator, mass = stage.actuator, stage.platform.mass
-    travel, friction = stage.guide.travel, stage.friction.static
-    a = travel / actuator.air_gap
-    hold = (actuator.position_stiffness * travel + friction) / actuator.current_stiffness
-    m_y, m_i = stiffness_errors(a, min(1.0, hold / actuator.bias_current))
+    m_y, m_i = stiffness_errors(y / actuator.air_gap, current / actuator.bias_current)
     if abs(m_i) >= 1.0:
         return math.inf
-    position = actuator.position_stiffness / mass * travel
-    disturbance = m_y * position + friction / mass
-    return (abs(m_i) * position + disturbance + design.gamma) / (1.0 - abs(m_i))
+    position = actuator.position_stiffness / mass * y
+    motion = position + design.omega_n**2 * y if released else position
+    disturbance = m_y * position + stage.friction.static / mass
+    return (abs(m_i) * motion + disturbance + design.gamma) / (1.0 - abs(m_i))
+
+
+def reaching_bound(design: SlidingDesign, stage: StageParameters) -> float:
+    """Smallest ρ in m/s² that fulfils (11) within the travel, at rest on the reference: |m_i| is largest at full travel
+    with the current that holds position and friction."""
+    actuator, travel = stage.actuator, stage.guide.travel
+    hold = (actuator.position_stiffness * travel + stage.friction.static) / actuator.current_stiffness
+    return reaching_demand(design, stage, travel, min(actuator.bias_current, hold), released=False)
 
 
 class Gains(NamedTuple):

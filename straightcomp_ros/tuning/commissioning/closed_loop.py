@@ -279,8 +279,8 @@ def frequency_response(work: Work) -> Outcome:
     margins, of_model = found.margins
     gain, phase = found.largest_deviations
     figures = {
-        "margins": margins.to_display(),
-        "model_margins": of_model.to_display(),
+        "margins": margins._asdict(),
+        "model_margins": of_model._asdict(),
         "coherent_lines": int(lines.sum()),
         "lines": int(lines.size),
         "largest_deviation_dB": gain,
@@ -304,7 +304,7 @@ def frequency_response(work: Work) -> Outcome:
     if wrong:
         return Outcome(False, wrong, figures)
     within = f"the model explains the plant within {gain:.2f} dB and {phase:.1f}°"
-    return Outcome(True, f"{within}; {_in_words(margins)}, peak of |S| {margins.peak:.2f}", figures)
+    return Outcome(True, f"{within}; {_in_words(margins)}, peak of |S| {margins.sensitivity_peak:.2f}", figures)
 
 
 def margins_missed(margins: ResponseMargins) -> str:
@@ -313,13 +313,13 @@ def margins_missed(margins: ResponseMargins) -> str:
     A gain margin beyond the lines is larger than any that is demanded. The gain crossover must be among them: every law
     that holds this unstable plant has one.
     """
-    if margins.phase is None:
+    if margins.phase_deg is None:
         return (
             "no gain crossover is among the coherent lines, so that the phase margin is unknown; look for noise on y, "
             "and for more friction than was identified"
         )
     low, high = margins.gain_low or 0.0, margins.gain_high or np.inf
-    if margins.phase >= LEAST_PHASE and high >= LEAST_GAIN and low <= 1.0 / LEAST_GAIN:
+    if margins.phase_deg >= LEAST_PHASE and high >= LEAST_GAIN and low <= 1.0 / LEAST_GAIN:
         return ""
     return (
         f"the measured margins are too small: {_in_words(margins)} (allowed: phase >= {LEAST_PHASE:g}°, gain down to "
@@ -330,7 +330,7 @@ def margins_missed(margins: ResponseMargins) -> str:
 def _in_words(margins: ResponseMargins) -> str:
     ends = (("down to", margins.gain_low), ("up to", margins.gain_high))
     known = " and ".join(f"{words} {gain:.2f}" for words, gain in ends if gain is not None)
-    return f"phase margin {margins.phase:.0f}°, gain {f'{known} times' if known else 'beyond the lines'}"
+    return f"phase margin {margins.phase_deg:.0f}°, gain {f'{known} times' if known else 'beyond the lines'}"
 
 
 def _measured(work: Work, draws: int = MultisineParameters().draws) -> ComparedResponse:

@@ -13,7 +13,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,31 +121,19 @@ def _coherence(one: Complex, other: Complex) -> Array:
 
 
 class ResponseMargins(NamedTuple):
-    """Margins; None where the response does not reach that far, all of them without a response."""
+    """Margins by their names in JSON; None where the response does not reach that far, all without a response."""
 
     gain_low: float | None = None  # factors of the loop gain between which it stays stable
     gain_high: float | None = None
-    phase: float | None = None  # smallest one over the gain crossovers, degrees
-    crossover: float | None = None  # the highest gain crossover, Hz
-    delay: float | None = None  # further delay of the commands up to which it stays stable, s
-    peak: float | None = None  # of the sensitivity's magnitude
-    peak_frequency: float | None = None  # there, Hz
-
-    def to_display(self) -> dict[str, Any]:
-        """The margins with their units in the names."""
-        return {
-            "gain_low": self.gain_low,
-            "gain_high": self.gain_high,
-            "phase_deg": self.phase,
-            "crossover_Hz": self.crossover,
-            "delay_us": None if self.delay is None else self.delay * 1e6,
-            "sensitivity_peak": self.peak,
-            "sensitivity_peak_Hz": self.peak_frequency,
-        }
+    phase_deg: float | None = None  # smallest one over the gain crossovers
+    crossover_Hz: float | None = None  # the highest gain crossover
+    delay_us: float | None = None  # further delay of the commands up to which it stays stable
+    sensitivity_peak: float | None = None
+    sensitivity_peak_Hz: float | None = None  # where that is
 
 
 def margin_rows(*margins: Mapping[str, float | None]) -> list[tuple[str, ...]]:
-    """Rows of a table: each margin in words, and its value in each of ``margins`` (`ResponseMargins.to_display`)."""
+    """Rows of a table: each margin in words, and its value in each of ``margins``, `ResponseMargins` by name."""
 
     def shown(value: float | None) -> str:
         return "beyond the lines" if value is None else f"{value:.4g}"
@@ -179,11 +167,11 @@ def response_margins(frequencies: Array, open_loop: NDArray[np.complex128]) -> R
     return ResponseMargins(
         gain_low=max((float(np.exp(gain)) for gain in gains if gain < 0.0), default=None),
         gain_high=min((float(np.exp(gain)) for gain in gains if gain > 0.0), default=None),
-        phase=min((float(np.degrees(abs(distance))) for distance in distances), default=None),
-        crossover=max(crossovers, default=None),
-        delay=min(delays, default=None),
-        peak=float(sensitivity[highest]),
-        peak_frequency=float(frequencies[highest]),
+        phase_deg=min((float(np.degrees(abs(distance))) for distance in distances), default=None),
+        crossover_Hz=max(crossovers, default=None),
+        delay_us=min(delays) * 1e6 if delays else None,
+        sensitivity_peak=float(sensitivity[highest]),
+        sensitivity_peak_Hz=float(frequencies[highest]),
     )
 
 

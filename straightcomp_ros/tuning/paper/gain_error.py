@@ -4,9 +4,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
+from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
-from straightcomp_ros.tuning.paper.machine import Machine, Response, largest, release
+from straightcomp_ros.tuning.paper.machine import Machine, Response, release
 
 PAPER_LIMIT = 0.35
 FAR = 0.6
@@ -83,7 +84,7 @@ def far_release(machine: Machine) -> PaperFigure:
     free, gap, bias = unclamped(machine), machine.gap, machine.bias
     unlimited, limited = (released(one, FAR) for one in (free, free.with_limit(bias)))
     # From where the platform is back at the centre at the end; to 0.4 % of y0.
-    returns_from = largest(lambda a: bool(abs(released(free, a).y[-1]) < _RETURNED * gap), 0.1, FAR, steps=7)
+    returns_from = bisected(lambda a: bool(abs(released(free, a).y[-1]) < _RETURNED * gap), 0.1, FAR, 7)
 
     figure, axes = sheet("Fig. 4: release from 0.6 $y_0$", "ab;cd", size=(9.0, 6.5))
     curves = (

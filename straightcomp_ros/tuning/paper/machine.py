@@ -6,7 +6,6 @@ The loop runs on its own: any initial position, any reference over time, no guid
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -112,17 +111,6 @@ class Response(NamedTuple):
     friction: NDArray[np.float64]  # force of friction, N, positive where it resists a positive velocity
     command: NDArray[np.float64]  # i_c asked by the law, A
     sigma: NDArray[np.float64]  # sliding variable as the law computes it, m/s
-
-
-def largest(returns: Callable[[float], bool], low: float, high: float, steps: int) -> float:
-    """Largest value between ``low`` and ``high`` that ``returns``, by bisection to 1 / 2^steps of the interval."""
-    for _ in range(steps):
-        middle = 0.5 * (low + high)
-        if returns(middle):
-            low = middle
-        else:
-            high = middle
-    return low
 
 
 def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) -> Response:

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS, make_law
+from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
 from straightcomp_ros.offline.scenario import run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
-from straightcomp_ros.tuning.paper.machine import Machine, largest
+from straightcomp_ros.tuning.paper.machine import Machine
 
 PUBLISHED, FULL_CURRENT = "law (9), unclamped", "full current"
 POINTS = 51
@@ -199,7 +200,7 @@ def recovery(machine: Machine) -> PaperFigure:
         settled = settling_time(one, releases[law]) * 1e3
         diverges = "it diverges (Fig. 4)"
         note = diverges if law == PUBLISHED else f"the paper: {diverges}; here within 1 % of y0 after {settled:.0f} ms"
-        farthest = largest(lambda y, one=one: recovers(one, y), 0.0, one.stop, steps=8)  # type: ignore[misc]
+        farthest = bisected(lambda y, one=one: recovers(one, y), 0.0, one.stop, 8)  # type: ignore[misc]
         reach = f"at rest it recovers up to {farthest / one.gap:.2f} y0; the stop is at {stop:g} y0"
         paper, back = 0.0 if law == PUBLISHED else None, float(recovers(one, FAR * one.gap))
         claims += [

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
-from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles
-from straightcomp_ros.model.actuator import stiffness_errors
-from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles, reaching_demand
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.machine import Machine, release
 
@@ -65,22 +63,6 @@ def rate_implied(time: float, rho: float, sigma_0: float) -> float:
 def gain_implied(time: float, phi: float, sigma_0: float) -> float:
     """ρ in m/s² for which the surface is reached after ``time`` in s at the rate ``phi``."""
     return phi * abs(sigma_0) / math.expm1(phi * time)
-
-
-def reaching_demand(design: SlidingDesign, stage: StageParameters, y: float, current: float) -> float:
-    """ρ in m/s² that (11) demands at rest at ``y`` with r = 0 and nothing integrated, for the current i_c in A.
-
-    There SAx + SB_r r = (ωn² + K̄_y/M) y, and SBη is the stiffness error and friction over mass. Infinite
-    where |m_i| >= 1.
-    """
-    actuator, mass = stage.actuator, stage.platform.mass
-    m_y, m_i = stiffness_errors(y / actuator.air_gap, current / actuator.bias_current)
-    if abs(m_i) >= 1.0:
-        return math.inf
-    stiffness = actuator.position_stiffness / mass
-    motion = (design.omega_n**2 + stiffness) * abs(y)
-    disturbance = m_y * stiffness * abs(y) + stage.friction.static / mass
-    return (abs(m_i) * motion + disturbance + design.gamma) / (1.0 - abs(m_i))
 
 
 def free_motion(time: NDArray[np.float64], design: SlidingDesign, y_0: float, velocity_0: float) -> NDArray[np.float64]:
@@ -140,7 +122,7 @@ def near_release(machine: Machine) -> PaperFigure:
     phi, rho, paper, tenth = design.phi, design.rho, PAPER_REACHING_TIME, 0.1 * PAPER_REACHING_TIME
     latest = f"with ρ = {rho:g} m/s² no φ fits: the latest, at φ = 0, is {reaching_time(0.0, rho, sigma_0):.3f} s"
     implied = f"φ = 100 1/s would need ρ = {gain_implied(paper, 100.0, sigma_0):.1e} m/s²"
-    demand = reaching_demand(design, machine.stage, float(response.y[0]), float(response.command[0]))
+    demand = reaching_demand(design, machine.stage, float(response.y[0]), float(response.command[0]), released=True)
     far_off = f"here (11) asks for ρ > {demand:.2g} m/s² at the release: with that, {paper:g} s is far off"
     deviation = float(np.abs(response.y[reached:] - closed_y).max()) * 1e6
     claims = [

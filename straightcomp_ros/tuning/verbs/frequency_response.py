@@ -117,8 +117,8 @@ def _figures(found: ComparedResponse) -> dict[str, Any]:
         "late_share": found.late_share,
         "speed_rms_mm_s": measured.speed * 1e3,
         "friction_damping_Ns_m": found.damping,
-        "margins": of_measured.to_display(),
-        "model_margins": of_model.to_display(),
+        "margins": of_measured._asdict(),
+        "model_margins": of_model._asdict(),
         "model_explains_the_plant": found.explained,
         "modes": [mode.to_display() for mode in found.modes],
         "frequency_Hz": measured.frequencies.tolist(),
@@ -135,7 +135,7 @@ def _curve(values: Any) -> dict[str, list[float]]:
 
 
 def _print(found: ComparedResponse, name: str) -> None:
-    rows = margin_rows(*(one.to_display() for one in found.margins))
+    rows = margin_rows(*(one._asdict() for one in found.margins))
     title = f"Loop of stage '{name}' under law '{found.law}'"
     console.print(titled_table(title, "margin", "measured", "description", rows=rows))
     if found.explained:

@@ -1,26 +1,47 @@
 """Work on the map of the guide: import surveys of instruments and controllers, export the map."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from straightcomp_ros.analysis.map_building import BuiltMap, Choices, agreeing, build
+from straightcomp_ros.bags.fields import Field
+from straightcomp_ros.bags.folder import STORED
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import PICTURES, add_force, add_json, add_repeatable, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, print_written
 from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
-from straightcomp_ros.straightness.survey import MARK
-
-if TYPE_CHECKING:
-    from straightcomp_ros.analysis.map_building import BuiltMap
-    from straightcomp_ros.straightness.survey import Direction, Survey
-    from straightcomp_ros.tuning.survey.error_table import Conventions
-    from straightcomp_ros.tuning.survey.recording import Passage, Series
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import (
+    MARK,
+    Direction,
+    Survey,
+    SurveyError,
+    check_run,
+    read_survey,
+    write_survey,
+)
+from straightcomp_ros.tuning.survey.alignment import align
+from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, sampled
+from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of, written
+from straightcomp_ros.tuning.survey.recording import (
+    Passage,
+    Sensor,
+    Series,
+    build_from_series,
+    recognise,
+    series_of_bag,
+    series_of_csv,
+)
+from straightcomp_ros.tuning.survey.separation import separated
 
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 PURPOSE = "set up"
@@ -124,11 +145,6 @@ def _build(options: argparse.Namespace) -> None:
 
 
 def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
-    from straightcomp_ros.analysis.map_building import Choices, build
-    from straightcomp_ros.parameters.declaration import ParameterError
-    from straightcomp_ros.straightness.guide_map import MapParameters
-    from straightcomp_ros.straightness.survey import SurveyError
-    from straightcomp_ros.tuning.survey.recording import Series, build_from_series
 
     try:
         choices = Choices(
@@ -149,10 +165,6 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
 
 def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
     """What a bag or a CSV file has recorded over time, or the survey in a file."""
-    from straightcomp_ros.bags.fields import Field
-    from straightcomp_ros.bags.folder import STORED
-    from straightcomp_ros.straightness.survey import read_survey
-    from straightcomp_ros.tuning.survey.recording import Sensor, series_of_bag, series_of_csv
 
     if not source.exists():
         raise CommandFailed(f"survey {source} does not exist; give a bag or a CSV file", exit_code=2)
@@ -210,10 +222,6 @@ def _convert(options: argparse.Namespace) -> None:
 
     The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
     use --negate if it has the other sign."""
-    import numpy as np
-
-    from straightcomp_ros.straightness.survey import Survey, check_run, write_survey
-    from straightcomp_ros.tuning.survey.formats import FORMATS, format_of
 
     conventions = _chosen_conventions(options)
     source, output = Path(options.file), output_file(options, "--output")
@@ -244,8 +252,6 @@ def _convert(options: argparse.Namespace) -> None:
 
 def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
     """Declare the options of all tools that read error tables of controllers, or those that have them ``written``."""
-    from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions
-    from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN
 
     formats = tuple(WRITTEN if written else FORMATS)
     add = parser.add_argument
@@ -263,7 +269,6 @@ def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False
 
 def _chosen_conventions(options: argparse.Namespace) -> Conventions:
     """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
-    from straightcomp_ros.tuning.survey.error_table import Conventions
 
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
@@ -273,7 +278,6 @@ def _chosen_conventions(options: argparse.Namespace) -> Conventions:
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    from straightcomp_ros.straightness.guide_map import MapParameters
 
     add = parser.add_argument
     add("--output", "-o", required=True, metavar="FILE", help="error table to write")
@@ -289,11 +293,6 @@ def _export(options: argparse.Namespace) -> None:
 
     The table's correction is the map's reference: what has to be added to the platform's position. Before the first
     motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
-    from straightcomp_ros.parameters.output_files import write_whole
-    from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-    from straightcomp_ros.tuning.survey.error_table import sampled
-    from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of, written
-
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
     output = output_file(options, "--output")
@@ -345,10 +344,6 @@ def _reverse(options: argparse.Namespace) -> None:
     Turned over, the readings of the second survey keep the sensor's own sign: guide = (m1 − m2) / 2, edge =
     (m1 + m2) / 2. If its deviations have the sign of the machine's axis, turn it over before, with `map convert
     --negate` or `map build --invert`."""
-    import numpy as np
-
-    from straightcomp_ros.straightness.survey import SurveyError, read_survey, write_survey
-    from straightcomp_ros.tuning.survey.separation import separated
 
     output, edge, shift = output_file(options, "--output"), output_file(options, "--edge"), options.shift
     if shift is not None:
@@ -404,11 +399,6 @@ def _align(options: argparse.Namespace) -> None:
 
     The strokes cover most of the survey, best in both directions. A sensor that rides on the platform needs
     --on-platform, which takes the platform's own y off."""
-    from straightcomp_ros.analysis.map_building import agreeing
-    from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
-    from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
-    from straightcomp_ros.tuning.survey.alignment import align
-    from straightcomp_ros.tuning.survey.recording import Series, recognise
 
     for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0), ("delay", -1000.0, 1000.0)):
         check_range(f"--{name}", getattr(options, name), low, high)

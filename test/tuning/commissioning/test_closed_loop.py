@@ -188,10 +188,10 @@ def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
         ({}, ""),
         ({"gain_low": None, "gain_high": None}, ""),
         ({"gain_high": 1.2}, "phase margin 40°, gain down to 0.50 and up to 1.20 times (allowed: phase >= 10°, gain"),
-        ({"gain_high": None, "phase": 5.0}, "phase margin 5°, gain down to 0.50 times"),
+        ({"gain_high": None, "phase_deg": 5.0}, "phase margin 5°, gain down to 0.50 times"),
         ({"gain_low": 0.9, "gain_high": None}, "phase margin 40°, gain down to 0.90 times"),
-        ({"gain_low": None, "gain_high": None, "phase": 9.0}, "phase margin 9°, gain beyond the lines"),
-        ({"phase": None}, "no gain crossover is among the coherent lines"),
+        ({"gain_low": None, "gain_high": None, "phase_deg": 9.0}, "phase margin 9°, gain beyond the lines"),
+        ({"phase_deg": None}, "no gain crossover is among the coherent lines"),
     ],
 )
 def test_margins_are_judged_to_both_sides_and_named_in_the_sentence(margins, words):
@@ -212,7 +212,7 @@ def test_margins_are_those_of_the_coherent_lines_and_end_the_step_where_they_are
     coherent = response_margins(frequencies[lines], loop[lines])
     assert coherent != response_margins(frequencies, loop)
     # The simulation, which is the model, is the measurement itself here.
-    assert figures["margins"] == figures["model_margins"] == coherent.to_display()
+    assert figures["margins"] == figures["model_margins"] == coherent._asdict()
     monkeypatch.setattr(closed_loop, "LEAST_PHASE", 90.0)
     outcome, _ = response()
     assert not outcome.passed and outcome.sentence.startswith("the measured margins are too small: phase margin")

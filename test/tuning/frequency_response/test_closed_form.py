@@ -36,8 +36,8 @@ def test_margins_of_the_response_are_those_of_the_closed_loops_poles(law):
     poles = loop_margins(made, STAGE)
     assert found.gain_low == pytest.approx(poles.gain_low, rel=2e-3)
     assert found.gain_high == pytest.approx(poles.gain_high, rel=2e-3)
-    assert found.phase == pytest.approx(poles.phase, abs=0.2)
-    assert found.delay == pytest.approx(poles.longest_delay - STAGE.drive.delay * STAGE.period, rel=5e-3)
+    assert found.phase_deg == pytest.approx(poles.phase, abs=0.2)
+    assert found.delay_us == pytest.approx((poles.longest_delay - STAGE.drive.delay * STAGE.period) * 1e6, rel=5e-3)
 
 
 def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from straightcomp_ros.control.sliding_mode import SlidingDesign, state_matrices
+from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_demand, state_matrices
 from straightcomp_ros.model.actuator import magnetic_force, stiffness_errors
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
@@ -17,7 +17,6 @@ from straightcomp_ros.tuning.paper.surface import (
     free_motion,
     gain_implied,
     rate_implied,
-    reaching_demand,
     reaching_time,
     sliding_variable_over,
 )
@@ -112,5 +111,5 @@ def test_free_motion_solves_equation_12():
 
 def test_the_reaching_condition_asks_for_nothing_without_friction_and_cannot_be_met_beyond_the_gain_error_limit():
     frictionless = dataclasses.replace(STAGE, friction=LuGreParameters(coulomb=0.0, static=0.0))
-    assert reaching_demand(DESIGN, frictionless, 0.0, 0.5) == pytest.approx(DESIGN.gamma)
-    assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * ACTUATOR.air_gap, ACTUATOR.bias_current))
+    assert reaching_demand(DESIGN, frictionless, 0.0, 0.5, released=True) == pytest.approx(DESIGN.gamma)
+    assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * ACTUATOR.air_gap, ACTUATOR.bias_current, released=True))
