@@ -45,14 +45,6 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
     assert len(law._run.signatures) == before == 1
 
 
-def test_two_laws_of_a_kind_have_each_a_state_of_its_own():
-    one, other, fresh = (make_law(ControlParameters(), STAGE) for _ in range(3))
-    for sample in samples(50):
-        one.step(*sample)
-    for sample in samples(50):
-        assert repr(other.step(*sample)) == repr(fresh.step(*sample))
-
-
 def test_a_law_whose_step_is_not_called_compiles_nothing():
     code = "import sys; from straightcomp_ros.control.laws import ControlParameters, make_law\n"
     code += "from straightcomp_ros.stage.description import StageParameters\n"

@@ -73,23 +73,6 @@ def test_with_feedforward_the_surface_is_that_of_the_error():
     assert answer.current == pytest.approx((acceleration - a[2, 1] * r) / b[2], rel=1e-3)
 
 
-def test_the_surface_is_reached_in_the_time_of_its_closed_form():
-    """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
-    design, period, y0 = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6), 2e-6, 2e-4
-    servo = make_law(ControlParameters(law="smc", smc=design), limited(100.0, rate=500_000))
-    a, b = state_matrices(STAGE)
-    servo.reset(y0)
-    y, v, t = y0, 0.0, 0.0
-    sigma = sigma_0 = 2 * design.zeta * design.omega_n * y0
-    while sigma > 0.01 * sigma_0 and t < 0.1:
-        answer = servo.step(y, 0.0, 0.0, 0.0)
-        sigma = answer.sliding_variable
-        acceleration = a[2, 1] * y + b[2] * answer.current
-        y, v, t = y + period * v + 0.5 * period**2 * acceleration, v + period * acceleration, t + period
-    ratio = (1 + design.phi * sigma_0 / design.rho) / (1 + design.phi * 0.01 * sigma_0 / design.rho)
-    assert t == pytest.approx(math.log(ratio) / design.phi, rel=0.02)
-
-
 def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it():
     gains = sliding_mode.gains(DESIGN, limited(0.05), switching=False, feedforward=False)
     for sign in (1.0, -1.0):

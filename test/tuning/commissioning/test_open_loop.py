@@ -4,10 +4,23 @@ import dataclasses
 import itertools
 import math
 
-import broken
 import numpy as np
 import pytest
-from roughly_known import MACHINES, values_of, work_on
+from roughly_known import (
+    MACHINES,
+    encoder_backwards,
+    encoder_dead,
+    encoder_of_twice_the_count,
+    lossy_bus,
+    noisy_encoder,
+    one_coil_dead,
+    readback_backwards,
+    readback_dead,
+    readback_of_half_the_scale,
+    readback_with_an_offset,
+    values_of,
+    work_on,
+)
 
 from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.model.converters import DriveParameters
@@ -41,13 +54,13 @@ def test_a_machine_that_the_description_allows_passes(machine, tmp_path):
 @pytest.mark.parametrize(
     ("machine", "wiring", "words"),
     [
-        ({}, broken.readback_backwards, "readback is wired backwards"),
-        ({}, broken.readback_of_half_the_scale, "shows 0.5 times the commanded current"),
-        ({}, broken.readback_dead, "the measured current does not answer"),
-        ({}, broken.readback_with_an_offset, "the readback shows 100 mA without a command"),
-        ({}, broken.encoder_backwards, "a positive current moves the platform toward negative y"),
-        ({}, broken.encoder_dead, "do not move the platform"),
-        ({}, broken.one_coil_dead, "the magnets do not balance; look for a coil without current"),
+        ({}, readback_backwards, "readback is wired backwards"),
+        ({}, readback_of_half_the_scale, "shows 0.5 times the commanded current"),
+        ({}, readback_dead, "the measured current does not answer"),
+        ({}, readback_with_an_offset, "the readback shows 100 mA without a command"),
+        ({}, encoder_backwards, "a positive current moves the platform toward negative y"),
+        ({}, encoder_dead, "do not move the platform"),
+        ({}, one_coil_dead, "the magnets do not balance; look for a coil without current"),
         ({"amplifier": 0.1}, sound, "the amplifier has 50 Hz, 0.1 times what is described"),
         ({"stage.drive.delay": 2.2}, sound, "commands act 2.20 samples after theirs"),
     ],
@@ -67,13 +80,11 @@ def test_a_platform_that_something_pulls_is_named_within_milliseconds(tmp_path):
     assert not outcome.passed and "the magnets do not balance" in outcome.sentence
 
 
-@pytest.mark.parametrize(
-    ("wiring", "words"), [(broken.lossy_bus, "were lost"), (broken.noisy_encoder, "y moves by 5 counts RMS")]
-)
+@pytest.mark.parametrize(("wiring", "words"), [(lossy_bus, "were lost"), (noisy_encoder, "y moves by 5 counts RMS")])
 def test_a_bus_that_loses_samples_and_a_noisy_encoder_are_named(tmp_path, wiring, words):
     outcome = connection(work_on(values_of(), tmp_path, wiring))
     assert not outcome.passed and words in outcome.sentence
-    assert (70 < outcome.figures["lost_samples"] < 130) is (wiring is broken.lossy_bus)
+    assert (70 < outcome.figures["lost_samples"] < 130) is (wiring is lossy_bus)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +122,7 @@ def test_a_platform_that_strays_from_its_reference_ends_the_stroke(tmp_path):
     # With half of the position fed back, the law is softer than the magnets' negative stiffness.
     values = values_of()
     values["controller"] |= {"control.law": "linear", "control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
-    machine = SimulatedMachine(values, broken.encoder_of_twice_the_count)
+    machine = SimulatedMachine(values, encoder_of_twice_the_count)
     with pytest.raises(LeftTravel, match=r"left its reference by \d+ µm under law 'linear' \(allowed: 200 µm\)"):
         machine.stroke(values, tmp_path / "bag", 2e-4)
 

@@ -1,16 +1,27 @@
-"""What is measured on a linear loop is its response, within circles that are as wide as they should be."""
+"""Responses: measured within circles as wide as they should be, in closed form, their margins; and the excitation."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.excitation import MultisineParameters, multisine
-from straightcomp_ros.control.margins import LoopResponse
+from straightcomp_ros.control.excitation import (
+    ExcitationParameters,
+    FrequencyResponseError,
+    MultisineParameters,
+    made_injection,
+    multisine,
+    simple_currents,
+)
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
+from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_margins, loop_response
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ComparedResponse,
     MeasuredResponse,
     measured_response,
+    response_margins,
 )
 
 RATE = 1000.0
@@ -118,3 +129,178 @@ def test_the_speed_is_that_of_the_motion_at_the_lines():
     sine = np.tile(np.fft.irfft(spectrum, 1000), 24)
     found = measured_response(excitation, excitation.currents, excitation.currents, sine)
     assert found.speed == pytest.approx(2.0 * np.pi * line * 2e-6 / np.sqrt(2.0))
+
+
+F = np.geomspace(0.1, 100.0, 3000)
+S = 2j * np.pi * F
+
+
+def test_an_integrator_with_a_delay_has_the_textbooks_margins():
+    delay, gain = 0.01, 50.0
+    found = response_margins(F, gain * np.exp(-S * delay) / S)
+    # ω_c = k, φ = 90° − k τ; ω_180 = π/(2τ), gain margin π/(2 k τ)
+    assert found.crossover_Hz == pytest.approx(gain / (2.0 * np.pi), rel=1e-4)
+    assert found.phase_deg == pytest.approx(90.0 - np.degrees(gain * delay), abs=0.01)
+    assert found.gain_high == pytest.approx(np.pi / (2.0 * gain * delay), rel=1e-4)
+    assert found.gain_low is None
+    assert found.delay_us == pytest.approx((np.pi / (2.0 * gain) - delay) * 1e6, rel=1e-4)
+    assert found.sensitivity_peak == pytest.approx(np.abs(1.0 / (1.0 + gain * np.exp(-S * delay) / S)).max())
+
+
+def test_what_lies_beyond_the_lines_is_not_known():
+    found = response_margins(F[F < 5.0], 50.0 / S[F < 5.0])
+    assert found[:5] == (None,) * 5
+
+
+def test_a_delay_turns_the_loop_only_one_way():
+    # Phase of −L at the crossover is −30°: the critical point lies behind, so a delay has to turn L by 330°.
+    loop = np.full(F.shape, -np.exp(-1j * np.radians(30.0))) * (10.0 / F)
+    found = response_margins(F, loop)
+    assert found.phase_deg == pytest.approx(30.0)
+    assert found.delay_us == pytest.approx(330.0 / 360.0 / 10.0 * 1e6, rel=1e-4)
+
+
+def test_lines_that_are_not_finite_are_left_out_and_no_line_has_no_margins():
+    loop = 50.0 * np.exp(-S * 0.01) / S
+    whole, holed = response_margins(F, loop), loop.copy()
+    holed[[3, 40]] = np.nan
+    assert response_margins(F, holed) == whole
+    assert response_margins(F, np.full(F.shape, np.nan + 0j)) == (None,) * 7
+    assert response_margins(F[:0], loop[:0]) == (None,) * 7
+
+
+STAGE = StageParameters()
+GRID = np.geomspace(0.5, 990.0, 4000)
+
+
+@pytest.mark.parametrize("delay", [0.3, 1.0, 1.6])
+def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equations(delay):
+    stage = dataclasses.replace(STAGE, drive=dataclasses.replace(STAGE.drive, delay=delay))
+    f = np.array([2.0, 10.0, 40.0])
+    s = 2j * math.pi * f
+    actuator, damping = stage.actuator, 120.0
+    mechanics = actuator.current_stiffness / (stage.platform.mass * s**2 + damping * s - actuator.position_stiffness)
+    amplifier = 1.0 / (1.0 + s / (2.0 * math.pi * stage.drive.bandwidth))
+    held = np.exp(-s * (delay + 0.5) * stage.period)
+    law = make_law(ControlParameters(law="linear"), stage)
+    ratio = loop_response(law, stage, f, damping).plant / (mechanics * amplifier * held)
+    np.testing.assert_allclose(ratio, 1.0, atol=5e-3)
+
+
+@pytest.mark.parametrize("law", ["linear", "smc"])
+def test_margins_of_the_response_are_those_of_the_closed_loops_poles(law):
+    made = make_law(ControlParameters(law=law), STAGE)
+    found = response_margins(GRID, loop_response(made, STAGE, GRID).open_loop)
+    poles = loop_margins(made, STAGE)
+    assert found.gain_low == pytest.approx(poles.gain_low, rel=2e-3)
+    assert found.gain_high == pytest.approx(poles.gain_high, rel=2e-3)
+    assert found.phase_deg == pytest.approx(poles.phase, abs=0.2)
+    assert found.delay_us == pytest.approx((poles.longest_delay - STAGE.drive.delay * STAGE.period) * 1e6, rel=5e-3)
+
+
+def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it():
+    law = make_law(ControlParameters(), STAGE)
+    loop = loop_response(law, STAGE, GRID)
+    np.testing.assert_allclose(loop.sensitivity * (1.0 + loop.open_loop), 1.0)
+    seeing = response_margins(GRID, loop.open_loop).gain_high
+    assert seeing is not None
+    # The observer sees a current that is too large and takes back what it did: the margin is another than without.
+    assert abs(seeing / loop_margins(law, STAGE).gain_high - 1.0) > 0.02
+
+
+def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does():
+    friction, speed = STAGE.friction, 3e-5
+    v = speed * np.random.default_rng(1).standard_normal(2_000_000)
+    slow = np.exp(-((v / friction.stribeck_velocity) ** 2))
+    force = (friction.coulomb + (friction.static - friction.coulomb) * slow) * np.sign(v) + friction.viscous * v
+    assert friction_damping(friction, speed) == pytest.approx(np.mean(v * force) / np.mean(v * v), rel=3e-3)
+
+
+HZ = 2000.0
+
+
+def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_asked():
+    excitation = multisine(MultisineParameters(current=0.2), HZ, flat)
+    used = excitation.used(excitation.currents)
+    assert used.shape == (40, 2000)
+    spectrum = np.abs(np.fft.rfft(used, axis=1)) / 1000.0
+    others = np.delete(spectrum, excitation.bins, axis=1)
+    assert others.max() < 1e-12
+    np.testing.assert_allclose(np.sqrt(np.mean(used**2, axis=1)), 0.2)
+    assert excitation.frequencies[0] == 2.0 and excitation.frequencies[-1] == 500.0
+    np.testing.assert_allclose(excitation.frequencies, excitation.bins * 1.0)
+
+
+@pytest.mark.parametrize(("period", "lead"), [(0.2, 400), (0.8, 1000), (1.0, 1000), (4.0, 4000)])
+def test_a_draw_of_other_phases_begins_before_its_period_and_goes_over_into_it_without_a_step(period, lead):
+    parameters = MultisineParameters(lowest=5.0, highest=20.0, lines=8, period=period, draws=3)
+    excitation = multisine(parameters, HZ, flat)
+    currents, used, each = excitation.currents, excitation.used(excitation.currents), lead + excitation.samples
+    assert currents.size == 3 * each == round(parameters.seconds * HZ) and currents[0] == 0.0
+    for draw, one in enumerate(used):
+        settled = currents[draw * each + lead // 2 : draw * each + lead]
+        np.testing.assert_allclose(settled, one[-settled.size :], atol=1e-12)
+    assert np.abs(used[0] - used[1]).max() > 0.1
+    assert np.abs(np.diff(currents)).max() < 1.5 * np.abs(np.diff(used, axis=1)).max()
+
+
+def amplitudes_under(parameters, loop):
+    """The lines of a multisine, and the sizes (n,) in A of their currents."""
+    excitation = multisine(parameters, HZ, loop)
+    spectrum = np.fft.rfft(excitation.used(excitation.currents)[0])
+    return excitation.frequencies, np.abs(spectrum)[excitation.bins] / 1000.0
+
+
+def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor_and_within_the_travel():
+    def loop(frequencies):
+        sensitivity = np.minimum(1.0, frequencies / 100.0).astype(complex)
+        return LoopResponse(flat(frequencies).plant, 1.0 / sensitivity - 1.0, sensitivity)
+
+    def soft(frequencies):
+        return LoopResponse(1.0 / frequencies.astype(complex) ** 2, 0j * frequencies, 1.0 + 0j * frequencies)
+
+    frequencies, amplitudes = amplitudes_under(MultisineParameters(), loop)
+    assert amplitudes[0] / amplitudes[-1] == pytest.approx(3.0)
+    middle = int(np.argmin(np.abs(frequencies - 60.0)))
+    assert amplitudes[middle] / amplitudes[-1] == pytest.approx(100.0 / frequencies[middle])
+    frequencies, amplitudes = amplitudes_under(MultisineParameters(travel=6e-4), soft)
+    assert np.sqrt(0.5 * np.sum((amplitudes / frequencies**2) ** 2)) <= 1e-4 * (1.0 + 1e-9)
+
+
+def test_a_slow_rate_lowers_the_highest_frequency_and_a_lowest_one_of_less_than_one_period_is_refused():
+    assert multisine(MultisineParameters(), 1000.0, flat).frequencies[-1] == 400.0
+    with pytest.raises(FrequencyResponseError, match=r"lowest frequency 0.5 Hz with a period of 1 s; allowed: >= 1 Hz"):
+        multisine(MultisineParameters(lowest=0.5), HZ, flat)
+
+
+def injected(parameters, law=OPEN_LOOP):
+    """All currents (n,) in A of an injection."""
+    injection = made_injection(parameters, make_law(ControlParameters(law=law), STAGE), STAGE)
+    currents = []
+    while not injection.finished:
+        currents.append(injection.step(0.0, 0.0))
+    return np.array(currents)
+
+
+def test_a_shake_takes_each_step_back_and_repeats_with_its_seed():
+    shake = ExcitationParameters(signal="shake", current=0.01, duration=0.25)
+    currents = simple_currents(shake, STAGE)
+    assert currents.size == 500 and np.abs(currents).max() <= 0.01 and (currents[::2] == -currents[1::2]).all()
+    assert (simple_currents(shake, STAGE) == currents).all()
+    assert np.abs(np.cumsum(currents)).max() <= 0.01
+
+
+@pytest.mark.parametrize(("signal", "sign"), [("ramp_up", 1.0), ("ramp_down", -1.0)])
+def test_a_ramp_goes_evenly_to_its_current_but_to_the_limit_at_most_and_drops_to_zero(signal, sign):
+    currents = sign * injected(ExcitationParameters(signal=signal, current=0.5, duration=2.0))
+    assert currents.size == 4000 and currents[0] == 0.0 and currents[-1] == 0.0
+    assert currents[-2] == pytest.approx(0.5, rel=1e-3)
+    assert np.allclose(np.diff(currents[:-1]), 0.5 / 3999)
+    assert np.abs(injected(ExcitationParameters(signal=signal, current=10.0))).max() == STAGE.highest_current
+
+
+def test_a_multisine_is_injected_under_a_law_with_a_slow_rise():
+    parameters = ExcitationParameters(draws=3)
+    currents = injected(parameters, "smc_observer")
+    assert currents.size == parameters.seconds * STAGE.rate
+    assert np.abs(currents[:10]).max() < 0.05 * np.abs(currents).max()

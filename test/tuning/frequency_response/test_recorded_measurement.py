@@ -1,11 +1,18 @@
 """A bag of the excited loop gives the response of the loop if the whole excitation is in it."""
 
+import contextlib
 import dataclasses
+import functools
+import io
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import nightly
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.excitation import MultisineParameters, multisine_injection
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, Waypoint
@@ -68,3 +75,75 @@ def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path, share):
     _, control, stage = recorded(tmp_path / "bag", share)
     with pytest.raises(ExcitationEnded, match="ended early"):
         response_from_bag(tmp_path / "bag", EXCITATION, control, stage)
+
+
+STAGES = Path(__file__).resolve().parents[2] / "stages"
+
+
+@functools.cache
+def measured(*options, exit_code=0):
+    """What the command says; each is run once."""
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert main(["frequency-response", "--json", *options]) == exit_code
+    return json.loads(said.getvalue())
+
+
+SLOW = {
+    "smc": ("--law", "smc"),
+    "heavy_platform": ("--stage", str(STAGES / "heavy_platform.yaml")),
+    "rate_1_khz": ("--stage", str(STAGES / "rate_1_khz.yaml")),
+    # Against much friction slow motions drown in its reversals; all others are measured.
+    "sticky": ("--stage", str(STAGES / "sticky.yaml")),
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "from_hz"),
+    [
+        pytest.param((), 15.0, id="shipped"),
+        pytest.param(("--law", "linear"), 15.0, id="linear"),
+        pytest.param(("--moving",), 10.0, id="moving"),
+        *(pytest.param(one, 15.0, id=name, marks=pytest.mark.nightly) for name, one in SLOW.items()),
+    ],
+)
+def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_is_coherent(options, from_hz):
+    answer = measured(*options)
+    coherent, frequencies = np.array(answer["coherence"]) > 0.9, np.array(answer["frequency_Hz"])
+    assert np.abs(np.array(answer["deviation_dB"])[coherent]).max() < 1.0
+    assert coherent[frequencies > from_hz].all() and frequencies[0] == 2.0
+    if not answer["moving"]:
+        assert np.abs(np.array(answer["deviation_deg"])[coherent]).max() < 5.0
+        assert answer["model_explains_the_plant"] and answer["clipped_samples"] == 0
+
+
+def test_the_measured_margins_are_near_those_of_the_description():
+    answer = measured("--law", "linear")
+    found, model = answer["margins"], answer["model_margins"]
+    assert found["phase_deg"] == pytest.approx(model["phase_deg"], abs=2.0)
+    for name, rel in {"gain_high": 0.05, "gain_low": 0.1, "delay_us": 0.05, "sensitivity_peak": 0.05}.items():
+        assert found[name] == pytest.approx(model[name], rel=rel), name
+
+
+@pytest.mark.parametrize("truth", ["mass=1.4", *nightly(["force=0.7", "amplifier=0.4"])])
+def test_a_description_that_is_wrong_is_rejected(truth):
+    wrong = ("--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
+    assert not measured(*wrong, exit_code=1)["model_explains_the_plant"]
+
+
+def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys):
+    # Without feedforward the law lags behind the moving reference by more than is allowed.
+    assert main(["frequency-response", "--moving", "--law", "linear", "--travel", "5e-7"]) == 1
+    assert "take less current, or allow more travel" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("mass", "verdict"), [(1.4, "does not explain the plant"), *nightly([(1.0, "explains the plant")])]
+)
+def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(capsys, tmp_path, mass, verdict):
+    plot = tmp_path / "loop.svg"
+    options = ("--law", "linear", "--draws", "4", "--set", f"driver.simulated.truth.mass={mass}")
+    assert main(["frequency-response", *options, "-o", str(plot)]) == (mass != 1.0)
+    said = capsys.readouterr()
+    assert f"the description {verdict}" in " ".join((said.out + said.err).split())
+    assert "phase margin" in said.out and "N·s/m" in said.err
+    assert plot.read_text().startswith("<?xml")

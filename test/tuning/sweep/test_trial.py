@@ -6,14 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import SeedSequence, default_rng
 
+from scripts import late_commands as script
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
+from straightcomp_ros.tuning.commissioning.acceptance import stalled
 from straightcomp_ros.tuning.sweep.trial import draw, mismeasured, run_trials, sample_times, streams
 
 STAGE = StageParameters()
@@ -137,3 +141,35 @@ def test_a_law_gets_the_verdict_that_its_machine_deserves(values, law, stage, ot
     values = {**values, **others, "stage": {**values["stage"], **stage}}
     (result,) = run_trials(make_scenario(within(EXACT, values, delay), [law]), 1, [0])
     assert result.verdict.verdict == verdict and result.pp < np.inf
+
+
+PERIOD = 500_000
+
+
+@pytest.fixture
+def shipped():
+    values = shipped_parameters()
+    values["stage"]["motion.stroke"] = 0.1
+    values["stage"]["drive.delay"] = 1.0
+    return values
+
+
+def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(shipped):
+    def rms(delays):
+        return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]
+
+    irregular = np.random.default_rng(2).integers(0, PERIOD, 8000)
+    assert rms(np.maximum(irregular, PERIOD)) == rms(np.full(8000, PERIOD))
+    assert rms(irregular) > 1.02 * rms(np.full(8000, PERIOD))
+    assert script.typical_delays(PERIOD).max() < PERIOD
+
+
+def test_what_a_stalled_host_has_to_answer_comes_when_the_stall_is_over():
+    delays = stalled(2000, PERIOD, PERIOD, 2.0, range(1000, 2000, 157))
+    arrivals = (np.arange(delays.size) * PERIOD + delays)[1000:1006] // PERIOD
+    assert arrivals.tolist() == [1004, 1004, 1004, 1004, 1005, 1006]
+
+
+def test_a_bag_that_is_not_there_ends_the_script_with_a_sentence(tmp_path, capsys):
+    assert script.main(["--bag", str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err
