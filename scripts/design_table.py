@@ -24,9 +24,8 @@ from straightcomp_ros.offline.starts import spread
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
-from straightcomp_ros.tuning.design.gain_search import search
+from straightcomp_ros.tuning.design.gain_search import Judge, prepared_stroke, search
 from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import Judge, prepared_stroke
 
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"

@@ -46,6 +46,10 @@ class FrequencyResponseError(ValueError):
     """No frequency response can be measured; the message names what is wrong and what would help."""
 
 
+class ExcitationEnded(FrequencyResponseError):
+    """The platform left the allowed travel, and the excitation faded out."""
+
+
 @dataclass(frozen=True)
 class MultisineParameters:
     """The excitation of a frequency response."""

@@ -14,11 +14,22 @@ where T is unknown. γ falls as 1/(k + 2) with the updates k down to `gain`, whi
 Near rest, where the direction means nothing, the correction fades with the speed squared. A pass is not learned from if
 the amplifier was off, samples were missing, its beginning was not seen, or the stage's motion was cut short: held,
 ended or overridden. A pass that is cut short is corrected like any other: the reference keeps its rates.
+
+The correction is a uniform cubic B-spline: it has two continuous derivatives, so that the law's rates can be corrected
+along with the reference, and a lookup needs four coefficients. Each coefficient is the average of the wanted correction
+around its node; interpolating these averages would only add back the noise between two nodes.
+
+For each node the table keeps the mean square error of the best pass, that without a correction, and the stage's speed.
+Comparing node by node lets strokes of different lengths share one table. A correction learned at one speed says little
+of another (a lag grows with it, and c'' ẋ² with its square): it fades where the speed differs, and nodes that a pass
+crosses at another speed start anew.
+
+The tables of both directions are kept in a CSV file, one line for each node of x, forward and backward side by side.
 """
 
 import math
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,9 +37,286 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.control.learned_table import LearnedTable, read_tables, write_tables
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
+from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.yaml_text import bounded_bytes
 from straightcomp_ros.straightness.feedforward import restarted, updated
+
+Array = NDArray[np.float64]
+
+_ENDS = 4
+"""Nodes beyond the outermost visited ones, over which the spline fades out."""
+_SAME_SPEED, _OTHER_SPEED = 0.1, 0.3
+"""Relative differences of the speed up to which the correction is applied in full, and from which it is not."""
+_LEAST_COMMON = 100
+"""Fewest samples at nodes seen before for which two passes are compared."""
+_MANY = 100
+"""Updates assumed of a table that was read from a file, so that it is updated with the final gain."""
+COEFFICIENT, BEST, BEST_SQUARE, BARE_SQUARE, SPEED = range(5)
+"""Rows of a table's nodes."""
+_UNKNOWN = np.array([[0.0], [0.0], [math.nan], [math.nan], [0.0]])
+"""A node that was not visited."""
+
+_QUANTITIES = ("correction_m", "speed_m_per_s", "rms_m", "bare_rms_m")
+_HEADER = ("x_m", *(f"{direction}_{quantity}" for direction in ("forward", "backward") for quantity in _QUANTITIES))
+_LAW = "# law:"
+_LARGEST = 1e-3
+"""m; a larger value is in the wrong unit."""
+
+
+class LearningFileError(ParameterError):
+    """A learning file is refused; the message names file, line, value and what is allowed."""
+
+
+class LearnedTable:
+    """Correction over x for one direction of motion.
+
+    Args:
+        spacing: of the nodes, m; node k lies at k times the spacing.
+        margin: fraction by which the RMS error of two like passes may differ by chance.
+
+    Attributes:
+        first: number of the first node.
+        nodes: (5, n): coefficient of the spline in m; that of the best pass so far in m; mean square of r − y in that
+            pass, and without any correction, in m², NaN at nodes that were not visited; speed of the stage when it was
+            learned in m/s, 0 at nodes that were not visited.
+        updates: number of updates.
+        caution: factor of the gain, halved when an update increased the error, doubled up to 1 when one reduced it.
+        tried: whether the coefficients differ from those of the best pass.
+    """
+
+    def __init__(self, spacing: float, margin: float) -> None:
+        self.spacing = spacing
+        self._margin = margin
+        self._factors = (1.0 / spacing, 0.5 / spacing, 1.0 / (spacing * spacing))
+        self.first = 0
+        self.clear()
+        self._publish()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.nodes = np.zeros((5, 0))
+        self.updates, self.caution, self.tried = 0, 1.0, False
+
+    def restore(self, first: int, best: Array, best_square: Array, bare_square: Array, speed: Array) -> None:
+        """Take the rows of a saved table; (n,) each, from node ``first`` on."""
+        self.first = first
+        self.nodes = np.array([best, best, best_square, bare_square, speed])
+        self.updates, self.caution, self.tried = _MANY, 1.0, False
+        self._publish()
+
+    def between(self, first: int, end: int) -> Array:
+        """``nodes`` from ``first`` to before ``end``, which are all of the table's or more."""
+        if not self.nodes.size:
+            return np.repeat(_UNKNOWN, end - first, axis=1)
+        before, after = self.first - first, end - self.first - self.nodes.shape[1]
+        unknown = [np.repeat(_UNKNOWN, count, axis=1) for count in (before, after)]
+        return np.concatenate([unknown[0], self.nodes, unknown[1]], axis=1)
+
+    def at(self, x: float, speed: float) -> tuple[float, float, float, float]:
+        """Weight of the correction at a speed in m/s, the correction in m, and its first two derivatives by x in m/m
+        and 1/m; no correction outside of the table."""
+        first, end, plain, plain_speed = self._lookup
+        per_metre, half_per_metre, per_metre_squared = self._factors
+        u = x * per_metre - first
+        i = int(u)
+        if not 1 <= i < end:
+            return 1.0, 0.0, 0.0, 0.0
+        learned = plain_speed[i]
+        away = abs(speed - learned)
+        weight = 1.0
+        if away > _SAME_SPEED * learned > 0.0:
+            weight = max(0.0, (_OTHER_SPEED - away / learned) / (_OTHER_SPEED - _SAME_SPEED))
+        t = u - i
+        s = 1.0 - t
+        b0, b1, b2, b3 = plain[i - 1 : i + 3]
+        tt, ss = t * t, s * s
+        return (
+            weight,
+            (b0 * ss * s + b1 * (3.0 * tt * (t - 2.0) + 4.0) + b2 * (3.0 * ss * (s - 2.0) + 4.0) + b3 * tt * t) / 6.0,
+            (b1 * t * (3.0 * t - 4.0) - b2 * s * (3.0 * s - 4.0) + b3 * tt - b0 * ss) * half_per_metre,
+            (b0 * s + b1 * (3.0 * t - 2.0) + b2 * (3.0 * s - 2.0) + b3 * t) * per_metre_squared,
+        )
+
+    def learn(
+        self,
+        x: Array,
+        error: Array,
+        weight: Array,
+        wanted: Callable[[float], Array],
+        speed: Array,
+        gain: float,
+        limit: float,
+    ) -> None:
+        """Compare a pass with the best one, and update the table if it was not worse.
+
+        Of its samples, (n,): ``x`` and ``error``, r − y, in m, ``weight`` of the correction as applied, ``speed`` of
+        the stage in m/s; ``wanted(gain)`` is the correction for the next pass at these, m. ``gain`` is that of the
+        learning before ``caution``, ``limit`` the largest coefficient in m.
+        """
+        low = math.floor(float(x.min()) / self.spacing) - _ENDS
+        end = math.ceil(float(x.max()) / self.spacing) + _ENDS + 1
+        if self.nodes.size:
+            low, end = min(low, self.first), max(end, self.first + self.nodes.shape[1])
+        self.nodes, self.first = self.between(low, end), low
+        node = np.floor(x / self.spacing + 0.5).astype(np.intp) - self.first
+        visits = np.bincount(node, minlength=end - low)
+        with np.errstate(invalid="ignore"):
+            square = np.bincount(node, error * error, visits.size) / visits
+            passed_at = np.bincount(node, speed, visits.size) / visits
+        other = np.abs(passed_at - self.nodes[SPEED]) > _OTHER_SPEED * self.nodes[SPEED]
+        self.nodes[:, other & (self.nodes[SPEED] > 0.0)] = _UNKNOWN
+        self.nodes[SPEED, other] = passed_at[other]
+        if self._accepted(visits, square):
+            values = wanted(gain * self.caution)
+            weights = np.bincount(node, weight, visits.size)
+            known = np.flatnonzero(weights > 0.0)
+            if known.size:
+                means = np.bincount(node, weight * values, visits.size)[known] / weights[known]
+                # At high speed a node may lie between two samples.
+                between = np.arange(known[0], known[-1] + 1)
+                self.nodes[COEFFICIENT, between] = np.clip(np.interp(between, known, means), -limit, limit)
+                self.updates += 1
+                self.tried = True
+        self._publish()
+
+    def _accepted(self, visits: NDArray[np.intp], square: Array) -> bool:
+        """Whether a pass is good enough to learn from; if not, the table goes back to the best pass."""
+        coefficients, best, best_square, bare_square, _ = self.nodes
+        now, least = _sums(visits, square, best_square)
+        visited = visits > 0
+        if now > least * (1.0 + self._margin) ** 2:
+            if self.tried:
+                coefficients[:] = best
+                self.tried = False
+                self.caution *= 0.5
+                return False
+            # The machine has changed: the best pass counts no more. The table may still be better than none.
+            now, bare = _sums(visits, square, bare_square)
+            if now > bare:
+                self.clear()
+                return False
+            best_square[visited] = square[visited]
+        elif now <= least:
+            if self.tried:
+                self.caution = min(1.0, 2.0 * self.caution)
+            # Only where the stage was: elsewhere the last update is not proved yet.
+            proved = slice(*(np.flatnonzero(visited)[[0, -1]] + (0, 1)))
+            best[proved] = coefficients[proved]
+            self.tried = not np.array_equal(best, coefficients)
+            best_square[visited] = square[visited]
+        for kept in (best_square, bare_square):
+            new = visited & np.isnan(kept)
+            kept[new] = square[new]
+        return True
+
+    def _publish(self) -> None:
+        """Lists for :meth:`at`, whose time would be mostly NumPy's overhead; replaced at once: it may run in another
+        thread."""
+        self._lookup = (
+            self.first,
+            self.nodes.shape[1] - 2,
+            self.nodes[COEFFICIENT].tolist(),
+            self.nodes[SPEED].tolist(),
+        )
+
+
+def _sums(visits: NDArray[np.intp], square: Array, other: Array) -> tuple[float, float]:
+    """Sums of squares of a pass and of another one over the nodes known of both, weighted by the visits of the first;
+    zeros where there is too little to compare."""
+    common = (visits > 0) & np.isfinite(other)
+    if visits[common].sum() < _LEAST_COMMON:
+        return 0.0, 0.0
+    return float(visits[common] @ square[common]), float(visits[common] @ other[common])
+
+
+def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:
+    """Write the best tables of the law named ``law``, forward at True and backward at False, of the same spacing.
+
+    The file is replaced in one step: an interruption leaves the old one. No empty file is written. OSError if it cannot
+    be.
+    """
+    spacing = tables[True].spacing
+    filled = [table for table in tables.values() if table.nodes.size]
+    if not filled:
+        return
+    first = min(table.first for table in filled)
+    last = max(table.first + table.nodes.shape[1] for table in filled)
+    columns = []
+    for forward in (True, False):
+        nodes = tables[forward].between(first, last)
+        columns += [nodes[BEST], nodes[SPEED], np.sqrt(nodes[BEST_SQUARE]), np.sqrt(nodes[BARE_SQUARE])]
+    lines = [
+        "# Correction of the reference learned by straightcomp, as coefficients of a uniform cubic B-spline over x.",
+        "# rms: of r - y in the best pass; bare_rms: without a correction; empty where nothing was learned.",
+        f"{_LAW} {law}",
+        ",".join(_HEADER),
+    ]
+    for node, row in zip(range(first, last), np.column_stack(columns).tolist(), strict=True):
+        cells = ("" if math.isnan(value) else f"{value:.6g}" for value in row)
+        lines.append(f"{node * spacing:.9g}," + ",".join(cells))
+    write_whole(path, "\n".join(lines) + "\n")
+
+
+def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:
+    """Read what :func:`write_tables` wrote into ``tables``, for the law named ``law``.
+
+    LearningFileError if it cannot be read, was learned with another law or spacing, or is damaged.
+    """
+    file = f"learning file {path}"
+    try:
+        lines = bounded_bytes(path).decode().splitlines()
+    except OSError as error:
+        raise LearningFileError(f"{file}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise LearningFileError(f"{file}: byte {error.start} is not UTF-8") from error
+    learned_with = next((line[len(_LAW) :].strip() for line in lines if line.startswith(_LAW)), None)
+    if learned_with != law:
+        said = "names no law" if learned_with is None else f"was learned with law '{learned_with}'"
+        raise LearningFileError(f"{file}: {said}; allowed: '{_LAW} {law}', the law that runs")
+    rows = [
+        (f"{file}, line {number}", line.split(","))
+        for number, line in enumerate(lines, 1)
+        if line.strip() and not line.startswith("#")
+    ]
+    header = rows.pop(0)[1] if rows else []
+    if tuple(header) != _HEADER:
+        raise LearningFileError(f"{file}: header {','.join(header)!r}; allowed: {','.join(_HEADER)!r}")
+    if not rows:
+        raise LearningFileError(f"{file}: has a header but no rows; allowed: at least one")
+    numbers = np.array([_numbers(*row) for row in rows])
+    x, spacing = numbers[:, 0], tables[True].spacing
+    first = round(float(x[0]) / spacing)
+    wrong = np.flatnonzero(np.abs(x - (first + np.arange(x.size)) * spacing) > 1e-3 * spacing)
+    if wrong.size:
+        at = int(wrong[0])
+        raise LearningFileError(
+            f"{rows[at][0]}: x_m {float(x[at]):.9g}; allowed: {(first + at) * spacing:.9g}, "
+            f"nodes {spacing:g} m apart without a gap (learning.spacing)"
+        )
+    for forward, columns in ((True, numbers[:, 1:5]), (False, numbers[:, 5:9])):
+        correction, speed, rms, bare_rms = columns.T
+        tables[forward].restore(first, correction, rms * rms, bare_rms * bare_rms, speed)
+
+
+def _numbers(where: str, cells: Sequence[str]) -> list[float]:
+    """The cells of a row in SI units, NaN for an RMS that was not measured."""
+    if len(cells) != len(_HEADER):
+        raise LearningFileError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
+    numbers = []
+    for name, cell in zip(_HEADER, cells, strict=True):
+        try:
+            value = float(cell or "nan")
+        except ValueError:
+            value = math.inf
+        largest = math.inf if name == "x_m" or "speed" in name else _LARGEST
+        unknown = name.endswith("rms_m") and not cell
+        if not (unknown or (math.isfinite(value) and abs(value) <= largest)):
+            words = "a finite number" if largest == math.inf else f"a number within ± {largest:g} m"
+            raise LearningFileError(f"{where}: {name} {cell!r}; allowed: {words}")
+        numbers.append(value)
+    return numbers
+
 
 Reference = Sequence[float]
 Job = Callable[[], None]

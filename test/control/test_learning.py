@@ -12,15 +12,16 @@ from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control import learning as learning_module
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.learned_table import (
+from straightcomp_ros.control.learning import (
     BARE_SQUARE,
     BEST_SQUARE,
     LearnedTable,
+    Learning,
     LearningFileError,
+    LearningParameters,
     read_tables,
     write_tables,
 )
-from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation

@@ -11,14 +11,13 @@ import pytest
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition
 from straightcomp_ros.tuning.commissioning import CommissioningError
-from straightcomp_ros.tuning.frequency_response import ExcitationEnded
 from straightcomp_ros.tuning.graph import running_machine
 from straightcomp_ros.tuning.graph.running_machine import Access, FirstParameters, RunningMachine
 

@@ -12,7 +12,7 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, main, make_parser
-from straightcomp_ros.control.learned_table import LearningFileError
+from straightcomp_ros.control.learning import LearningFileError
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
 

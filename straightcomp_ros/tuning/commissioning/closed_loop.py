@@ -21,7 +21,7 @@ import numpy as np
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.error_detail import sustained_oscillation
-from straightcomp_ros.control.excitation import FrequencyResponseError, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationEnded, FrequencyResponseError, MultisineParameters
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
@@ -34,14 +34,13 @@ from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
 from straightcomp_ros.tuning.design.feasible_gains import DesignError, safe_law
-from straightcomp_ros.tuning.frequency_response import ExcitationEnded
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     WITHIN_DB,
     WITHIN_DEG,
     ComparedResponse,
     ResponseMargins,
+    measure_simulated,
 )
-from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.identification.estimate import DERIVED, Estimate, estimate_from_bag, excitation_survey
 
 LAW = "smc_observer"

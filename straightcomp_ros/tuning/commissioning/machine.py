@@ -30,8 +30,7 @@ from straightcomp_ros.parameters.node_parameters import DriverNodeParameters, Va
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
-from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
-from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse, measure_simulated
 
 Array = NDArray[np.float64]
 

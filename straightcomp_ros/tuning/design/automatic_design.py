@@ -6,7 +6,7 @@
 1. A closed form gives a start (`gains.py`): for a platform with modes one with a notch for each, one with a roll-off
    and one without either, which is left with less bandwidth. All that can hold the demands are searched.
 2. If it misses the linear demands (`stability.py`) and no gains hold them, the stage is refused (`feasible_gains.py`).
-3. CMA-ES looks for the least cost (`gain_search.py`, `judged_gains.py`).
+3. CMA-ES looks for the least cost (`gain_search.py`).
 4. The best candidates run the whole stroke from more starts; the best of them is verified on uncertain machines, by a
    sweep. If one of these fails, the demands are tightened, and the search goes on.
 5. The budget and the limits of the result are computed (`error_budget.py`, `stability.py`).
@@ -27,9 +27,8 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import STARTS, Spread, spread
 from straightcomp_ros.tuning.design.error_budget import NOTED, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
-from straightcomp_ros.tuning.design.gain_search import Found, search
+from straightcomp_ros.tuning.design.gain_search import UNEVEN, Found, Judge, RunFigures, prepared_stroke, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import UNEVEN, Judge, RunFigures, prepared_stroke
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
 from straightcomp_ros.tuning.sweep.trial import LawSummary, summarise, sweep
 

@@ -21,8 +21,8 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.tuning.design.gain_search import PreparedStroke, prepared_stroke
 from straightcomp_ros.tuning.design.gains import rule, scaled, scaled_facts, with_gains
-from straightcomp_ros.tuning.design.judged_gains import PreparedStroke, prepared_stroke
 from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times, streams
 
 _STARTS = 3

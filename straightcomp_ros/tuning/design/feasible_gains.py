@@ -19,7 +19,7 @@ from straightcomp_ros.control.margins import closed_loop, linearised, spectral_r
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
 from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
-from straightcomp_ros.tuning.design.gain_search import cheapest
+from straightcomp_ros.tuning.design.gain_search import cheapest, prepared_stroke, shortened
 from straightcomp_ros.tuning.design.gains import (
     SEARCHED,
     Values,
@@ -30,7 +30,6 @@ from straightcomp_ros.tuning.design.gains import (
     starts,
     with_gains,
 )
-from straightcomp_ros.tuning.design.judged_gains import prepared_stroke, shortened
 from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corner_at, corners_of
 
 T = TypeVar("T")

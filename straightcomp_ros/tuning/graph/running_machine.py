@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.analysis.judged_motion import is_simulated
 from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
 from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
-from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
 from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping
@@ -35,9 +35,7 @@ from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.timing.cpus import use_kept_free
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Series, excited, recorded_series
-from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse
-from straightcomp_ros.tuning.frequency_response.measurement import response_from_bag
+from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse, response_from_bag
 from straightcomp_ros.tuning.graph.waiting_client import ANSWER_S, WaitingClient
 
 _AT_ONCE = ("excitation.", "error_limit")

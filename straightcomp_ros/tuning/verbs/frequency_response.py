@@ -33,8 +33,8 @@ from straightcomp_ros.tuning.frequency_response.measured_response import (
     WITHIN_DEG,
     ComparedResponse,
     margin_rows,
+    measure_simulated,
 )
-from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated
 from straightcomp_ros.tuning.verbs import add_graph_option, graph_access, refuse_parameters_of_running
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"

@@ -22,16 +22,16 @@ from straightcomp_ros.parameters.parameter_file import read_stage_file, shipped_
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, design_gains
 from straightcomp_ros.tuning.design.error_budget import OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains
-from straightcomp_ros.tuning.design.gain_search import search
-from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
-from straightcomp_ros.tuning.design.judged_gains import (
+from straightcomp_ros.tuning.design.gain_search import (
     Judge,
     Judgement,
     RunFigures,
     extreme_machines,
     prepared_stroke,
+    search,
     shortened,
 )
+from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
 from straightcomp_ros.tuning.design.stability import StabilityCheck
 
 LAW = "smc_observer"

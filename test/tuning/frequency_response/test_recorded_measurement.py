@@ -13,15 +13,14 @@ from tiers import nightly
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.excitation import MultisineParameters, multisine_injection
+from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters, multisine_injection
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.frequency_response import ExcitationEnded
-from straightcomp_ros.tuning.frequency_response.measurement import measure_simulated, response_from_bag
+from straightcomp_ros.tuning.frequency_response.measured_response import measure_simulated, response_from_bag
 
 EXCITATION = MultisineParameters(draws=8)
 
