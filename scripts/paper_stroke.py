@@ -8,7 +8,7 @@ import numpy as np
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.model.plant import PlantParameters, plant_state
 from straightcomp_ros.offline.scenario import run_cycle
 from straightcomp_ros.offline.starts import Spread, offsets, spread
 from straightcomp_ros.stage.description import StageParameters
@@ -65,7 +65,7 @@ class Stroke:
             start: where the platform stands at the start, m.
         """
         late = np.full(self._stamps.size, round(delay * STAGE.period_ns))
-        true_y = run_cycle(law, plant, self._stamps, late, self._reference, initial=PlantState(y=start)).true_y
+        true_y = run_cycle(law, plant, self._stamps, late, self._reference, initial=plant_state(y=start)).true_y
         return float(np.ptp((self._true_r - true_y)[self._window])) * 1e6
 
     def errors(self, *arguments: Any, **options: Any) -> Spread:

@@ -18,7 +18,7 @@ import numpy as np
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
-from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, PlantState, advance_to_sample, commanded_plant
+from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, advance_to_sample, commanded_plant, plant_state
 from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
@@ -94,7 +94,7 @@ class SimulatedHardware(Hardware):
         self._parameters = parameters
         self._guide, self._guide_offset = follower(guide), guide.offset
         self._bias = plant.actuator.bias_current
-        self._plant = commanded_plant(plant, parameters.hold(stage), PlantState(y=parameters.initial_y))
+        self._plant = commanded_plant(plant, parameters.hold(stage), plant_state(y=parameters.initial_y))
         self._effective_ns, self._asked = np.empty(16, np.int64), np.empty(16)
         self._waiting = 0
         """Commands at the beginning of these two arrays that are yet to take effect."""

@@ -159,27 +159,8 @@ def read_force_table(path: Path) -> Table:
 
 DISTURBANCES = 57
 """Index of these constants in the plant's, after friction and modes."""
-(
-    _SEED,
-    _FREQUENCY,
-    _FIRST,
-    _SECOND,
-    _THIRD,
-    _COGGING,
-    _PITCH,
-    _SLOPE,
-    _DRAG,
-    _GRAVITY,
-    _OFFSET,
-    _WANDER,
-    _VIBRATION,
-    _GUIDE,
-    _GUIDE_DAMPING,
-    _ERROR,
-    _SIGNAL,
-    _NODES,
-) = range(DISTURBANCES, DISTURBANCES + 18)
-_TABLE = DISTURBANCES + 18
+_SEED, _FREQUENCY, _FIRST, _SECOND, _THIRD, _COGGING, _PITCH, _SLOPE, _DRAG, _GRAVITY = range(DISTURBANCES, 67)
+_OFFSET, _WANDER, _VIBRATION, _GUIDE, _GUIDE_DAMPING, _ERROR, _SIGNAL, _NODES, _TABLE = range(67, 76)
 TIME = 7
 X, FORCE, FORCE_RATE, OFFSET, _SWING, _QUADRATURE, _DRAWN = range(22, 29)
 """Indices in the plant's state: x m, force N and its rate N/s, offset of the amplifier A, vibration of the guide m/s²

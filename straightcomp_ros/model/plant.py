@@ -56,45 +56,21 @@ _RESOLVED = 0.5
 """Largest substep times the rate of the platform on its bristles and flexure; splitting is stable below 2."""
 _NEVER = 2**62
 """Later than any time in ns, and small enough for compiled code."""
+_FIELDS = 29
+"""Numbers of the plant's state."""
 
 
-class PlantState(NamedTuple):
-    """Position m, velocity m/s, bristle deflection m, control and bias current A, and the two forces in N.
+def plant_state(y: float = 0.0, velocity: float = 0.0, control: float = 0.0, bias: float = 0.0) -> Array:
+    """A state (29,): position m, velocity m/s, bristle deflection m, control and bias current A, friction and magnetic
+    force N.
 
     Only friction beyond plain LuGre, modes and disturbances use the others: time s, age of the contact s, the blocks
     that slip (bit i of an integer is block i), and the forces of the Maxwell-slip blocks in N; two modes, q in m and
     its rate in m/s (`modes.py`); and what disturbs, in the order of `disturbances.py`.
     """
-
-    y: float = 0.0
-    velocity: float = 0.0
-    bristle: float = 0.0
-    control: float = 0.0
-    bias: float = 0.0
-    friction_force: float = 0.0
-    magnetic_force: float = 0.0
-    time: float = 0.0
-    age: float = 0.0
-    slipping: float = 0.0
-    block_0: float = 0.0
-    block_1: float = 0.0
-    block_2: float = 0.0
-    block_3: float = 0.0
-    block_4: float = 0.0
-    block_5: float = 0.0
-    block_6: float = 0.0
-    block_7: float = 0.0
-    mode_0: float = 0.0
-    mode_0_rate: float = 0.0
-    mode_1: float = 0.0
-    mode_1_rate: float = 0.0
-    x: float = 0.0
-    force: float = 0.0
-    force_rate: float = 0.0
-    offset: float = 0.0
-    vibration: float = 0.0
-    quadrature: float = 0.0
-    drawn: float = 0.0
+    state = np.zeros(_FIELDS)
+    state[[0, 1, 3, 4]] = y, velocity, control, bias
+    return state
 
 
 class Plant(NamedTuple):
@@ -239,7 +215,7 @@ def advance(
     """Advance ``state`` by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with the
     next, so that a control cycle in which a command takes effect is one call.
 
-    ``constants`` are those of :class:`PlantParameters`; ``state``, (29,) in the order of :class:`PlantState`, is
+    ``constants`` are those of :class:`PlantParameters`; ``state``, (29,) in the order of :func:`plant_state`, is
     changed in place. Currents are those commanded of the amplifier in A, durations in ns, zero or more.
     """
     plant = _from_array(constants)
@@ -259,7 +235,6 @@ def advance(
     state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
 
 
-_FIELDS = len(PlantState._fields)
 BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, PLACE, READING = range(_FIELDS, _FIELDS + 7)
 """Indices in :attr:`CommandedPlant.state`, after the plant's own."""
 _NOW, _HOLD_AT, _HOLDING = range(3)
@@ -288,7 +263,7 @@ class CommandedPlant(NamedTuple):
     Attributes:
         constants: those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes
             below zero, resolution of the encoder in m.
-        state: (36,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
+        state: (36,) that of the plant, see :func:`plant_state`; bias current and control
             current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
             position that is held, position where the encoder of y looks and its newest reading, in m. While the bias
             current asked for is zero, the amplifier is off and commands have no effect.
@@ -309,12 +284,12 @@ class CommandedPlant(NamedTuple):
         self.times[_NOW] = time_ns
 
 
-def commanded_plant(plant: PlantParameters, hold: Hold, initial: PlantState) -> CommandedPlant:
-    """The machine at time 0 with its amplifier off."""
+def commanded_plant(plant: PlantParameters, hold: Hold, initial: Array) -> CommandedPlant:
+    """The machine at time 0 in the state ``initial``, (29,), with its amplifier off."""
     drive, encoder = plant.drive, plant.encoder
     return CommandedPlant(
         np.array([*plant.constants(), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
-        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, initial.y, encoder.y_reading(initial.y)]),
+        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, initial[0], encoder.y_reading(float(initial[0]))]),
         np.array([0, _NEVER, False]),
     )
 

@@ -33,9 +33,9 @@ from straightcomp_ros.model.plant import (
     READING,
     Hold,
     PlantParameters,
-    PlantState,
     advance_to_sample,
     commanded_plant,
+    plant_state,
 )
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import (
@@ -52,7 +52,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap, find_survey
 from straightcomp_ros.straightness.survey import Survey, read_survey
 
 _SHIPPED_HOLD = SimulatedParameters().hold(StageParameters())
-_AT_REST = PlantState()
+_AT_REST = plant_state()
 _compiling = threading.Lock()
 _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
 
@@ -76,7 +76,7 @@ def run_cycle(
     references: NDArray[np.float64],
     noise: NDArray[np.float64] | None = None,
     x: NDArray[np.float64] | None = None,
-    initial: PlantState = _AT_REST,
+    initial: NDArray[np.float64] = _AT_REST,
     hold: Hold = _SHIPPED_HOLD,
 ) -> Cycle:
     """Run one cycle with the amplifier on from the first sample, as `Simulation` does.
@@ -304,7 +304,7 @@ class Scenario:
         if isinstance(delays, np.ndarray):
             late[: delays.size] = delays[: late.size]
         given = stroke.stamps, late, stroke.given, noise, stroke.true_x
-        initial = PlantState(y=self.driver.simulated.initial_y + offset)
+        initial = plant_state(y=self.driver.simulated.initial_y + offset)
         return run_cycle(law, plant or self.driver.plant, *given, initial, self.driver.hold)
 
 

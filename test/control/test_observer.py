@@ -19,7 +19,7 @@ from straightcomp_ros.control.observer import (
 )
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current, magnetic_force
 from straightcomp_ros.model.friction import LuGreParameters
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
+from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.stage.description import StageParameters
 
 ACTUATOR = ActuatorParameters().constants()
@@ -32,7 +32,7 @@ FREE = PlantParameters(
 
 def test_the_prediction_is_the_plant_without_friction():
     estimate = Estimate(2e-4, -1e-3, 0.0, 0.02)
-    state = np.array(PlantState(y=2e-4, velocity=-1e-3, control=0.02, bias=1.0))
+    state = plant_state(y=2e-4, velocity=-1e-3, control=0.02, bias=1.0)
     advance(FREE.constants(), state, 1.0, 0.05, 500_000)
     ahead = predicted(ACTUATOR, FREE.platform.mass, interval(RATE, PERIOD), estimate, 0.05)
     assert ahead.current == pytest.approx(state[3], rel=1e-9)

@@ -13,7 +13,7 @@ from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dit
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged
 from straightcomp_ros.model.friction import bristle_after, friction_force
-from straightcomp_ros.model.plant import PlantState, advance
+from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -167,7 +167,7 @@ def stage(**facts):
 def following(described, truth, seconds, amplitude=0.0):
     """Errors r − y in m and commands in A, (n,) each, of a platform ``truth`` on a sine of 1 Hz, after 1 s at rest."""
     servo, n = make_law(ControlParameters(), described), round(seconds / T)
-    constants, state = truth.plant.constants(), np.array(PlantState(y=0.37e-6))
+    constants, state = truth.plant.constants(), plant_state(y=0.37e-6)
     servo.reset(state[0])
     errors, commands, last = np.empty(n), np.empty(n), 0.0
     for k in range(n):

@@ -19,8 +19,8 @@ from straightcomp_ros.model.disturbances import (
     locked_force,
 )
 from straightcomp_ros.model.friction import LuGreParameters
-from straightcomp_ros.model.modes import ModeParameters, at_encoder, modes_of
-from straightcomp_ros.model.plant import PlantParameters, PlantState, PlatformParameters, advance
+from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, at_encoder, modes_of
+from straightcomp_ros.model.plant import PlantParameters, PlatformParameters, advance, plant_state
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 
 MASS = 3.0
@@ -32,7 +32,7 @@ def constants(**values):
 
 
 def test_mains_are_sines_of_the_frequency_and_its_multiples():
-    k, state = constants(mains__force=0.3, mains__second=0.2, mains__third=0.1), np.array(PlantState())
+    k, state = constants(mains__force=0.3, mains__second=0.2, mains__third=0.1), plant_state()
     state[TIME] = 0.0123
     a = 2.0 * math.pi * 50.0 * 0.0123
     expected = 0.3 * math.sin(a) + 0.2 * math.sin(2 * a) + 0.1 * math.sin(3 * a)
@@ -61,7 +61,7 @@ def test_a_table_of_force_that_does_not_serve_is_refused_by_name(text, tmp_path)
 def test_drift_and_vibration_have_their_rms_frequency_and_seed():
     def drawn(seed):
         k = constants(seed=seed, drift__current=5e-3, drift__time=0.05, vibration__acceleration=0.2)
-        state, rows = np.array(PlantState()), []
+        state, rows = plant_state(), []
         for n in range(40_000):
             aim(k, state, MASS, 0.0, 5e-4 if n else 0.0)
             state[FORCE] += 5e-4 * state[FORCE_RATE]
@@ -79,7 +79,7 @@ def test_drift_and_vibration_have_their_rms_frequency_and_seed():
 
 
 def test_gravity_pulls_a_tilted_platform():
-    k, state = constants(tilt=0.01), np.array(PlantState())
+    k, state = constants(tilt=0.01), plant_state()
     aim(k, state, MASS, 0.0, 0.0)
     assert disturbing_force(k, state) == pytest.approx(MASS * 9.80665 * math.sin(0.01))
 
@@ -97,8 +97,8 @@ def test_a_platform_rings_as_its_modes_say():
         PlatformParameters(modes=modes_of(*modes)), friction=free, encoder=EncoderParameters(y_resolution=1e-12)
     )
     k, impulse = plant.constants(), 1e-5
-    start = replace_rates(PlantState(velocity=impulse), [impulse * mode.coil for mode in modes])
-    state = np.array(start)
+    state = plant_state(velocity=impulse)
+    state[[MODE_STATE + 1, MODE_STATE + 3]] = [impulse * mode.coil for mode in modes]
     for n in range(1, 41):
         advance(k, state, 0.0, 0.0, 500_000)
         t = 5e-4 * n
@@ -112,15 +112,11 @@ def test_a_platform_rings_as_its_modes_say():
         assert at_encoder(k, state) == pytest.approx(impulse * expected, abs=1e-3 * impulse * t)
 
 
-def replace_rates(state, rates):
-    return state._replace(mode_0_rate=rates[0], mode_1_rate=rates[1])
-
-
 def test_a_force_bends_a_mode_by_its_participation():
     mode = ModeParameters(200.0, 0.5, 0.5, -2.0)
     tilted = replace(DisturbanceParameters(), tilt=0.01).machine()
     plant = PlantParameters(PlatformParameters(modes=modes_of(mode)), disturbances=tilted)
-    k, state = plant.constants(), np.array(PlantState())
+    k, state = plant.constants(), plant_state()
     aim(k, state, MASS, 0.0, 0.0)
     advance(k, state, 0.0, 0.0, 100_000_000)
     # Friction holds the coils: what gravity bends is what it pushes there beyond friction.

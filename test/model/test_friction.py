@@ -14,10 +14,10 @@ from straightcomp_ros.model.plant import (
     BIAS,
     Hold,
     PlantParameters,
-    PlantState,
     advance,
     advance_to_sample,
     commanded_plant,
+    plant_state,
 )
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
@@ -48,7 +48,7 @@ class Contact:
     def __init__(self, values):
         self.parameters = plant_with(values)
         self.lugre, self.constants = self.parameters.friction.constants(), self.parameters.constants()
-        self.state = np.array(PlantState())
+        self.state = plant_state()
         self.place, self.force = 0.0, 0.0
 
     def move(self, velocity, duration=STEP):
@@ -133,7 +133,7 @@ def test_static_friction_below_coulomb_friction_is_refused():
     ],
 )
 def test_changes_of_no_size_or_that_have_not_come_change_nothing(nothing, model, rtol):
-    start = PlantState(velocity=1e-4, bias=1.0)
+    start = plant_state(velocity=1e-4, bias=1.0)
     changed, plain = run({**model, **nothing}, start, 0.02, 20), run(model, start, 0.02, 20)
     np.testing.assert_allclose(changed[:, :7], plain[:, :7], rtol=rtol)
 
@@ -200,8 +200,8 @@ def test_break_away_grows_with_rest_and_a_step_multiplies_the_sliding_force_from
 def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fields_only():
     constants = PlantParameters().constants()
     assert constants[friction.KIND] == friction.PLAIN and not constants[friction.KIND : 40].any()
-    state = run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1]
-    short = np.array(PlantState(velocity=1e-4, bias=1.0))[:7].copy()
+    state = run({}, plant_state(velocity=1e-4, bias=1.0), 0.02, 10)[-1]
+    short = plant_state(velocity=1e-4, bias=1.0)[:7].copy()
     advance(constants, short, 1.0, 0.02, 5_000_000)
     assert not state[friction.TIME :].any() and state[:7].tolist() == short.tolist()
 
@@ -209,7 +209,7 @@ def test_the_shipped_parameters_are_plain_lugre_which_needs_the_first_seven_fiel
 @pytest.mark.parametrize("values", [{}, *KINDS])
 def test_a_platform_that_slides_to_rest_only_loses_energy(values):
     contact, energies = Contact(values), [0.5 * PlantParameters().platform.mass * 1e-4]
-    for state in run(values, PlantState(velocity=1e-2), 0.0, 400, bias=0.0):
+    for state in run(values, plant_state(velocity=1e-2), 0.0, 400, bias=0.0):
         contact.state = state
         energies.append(0.5 * contact.parameters.platform.mass * state[1] ** 2 + contact.stored())
     assert all(now <= last * (1 + 1e-9) for last, now in itertools.pairwise(energies))
@@ -298,7 +298,7 @@ def test_blocks_share_stiffness_and_limit():
 def test_the_machine_code_is_the_python_code():
     values = {**SLIP, **CHANGES}
     constants = plant_with(values).constants()
-    compiled, plain = (np.array(PlantState(velocity=3e-4, bias=1.0)) for _ in range(2))
+    compiled, plain = (plant_state(velocity=3e-4, bias=1.0) for _ in range(2))
     for command in (0.02, -0.05, 0.05, -0.02):
         advance(constants, compiled, 1.0, command, 10_000_000)
         advance.__wrapped__(constants, plain, 1.0, command, 10_000_000)
@@ -307,7 +307,7 @@ def test_the_machine_code_is_the_python_code():
 
 @pytest.mark.parametrize("values", KINDS)
 def test_the_board_moves_the_same_plant(values):
-    plant, initial = plant_with(values), PlantState(y=2e-6)
+    plant, initial = plant_with(values), plant_state(y=2e-6)
     board, alone = commanded_plant(plant, Hold(625_000, 0.1, 0.6, 0.5, 7000.0), initial), np.array(initial)
     board.state[BIAS] = 1.0
     current = round(0.1 / plant.drive.current_step) * plant.drive.current_step
@@ -322,11 +322,11 @@ def test_the_board_moves_the_same_plant(values):
 def test_friction_holds_the_platform_against_the_negative_stiffness_until_it_breaks_away(values):
     # 0.03 N of magnetic force, far below break-away: bristles or blocks deflect by F / (σ0 − K_y) and hold.
     actuator, sigma_0 = PlantParameters().actuator, LUGRE.bristle_stiffness
-    stuck = run(values, PlantState(y=1e-6, bias=1.0), 0.0, 1000)[-1]
+    stuck = run(values, plant_state(y=1e-6, bias=1.0), 0.0, 1000)[-1]
     deflection = actuator.position_stiffness * 1e-6 / (sigma_0 - actuator.position_stiffness)
     assert stuck[0] - 1e-6 == pytest.approx(deflection, rel=0.1) and abs(stuck[1]) < 1e-8
     current = 1.5 * LUGRE.static / actuator.current_stiffness
-    assert run(values, PlantState(bias=1.0), current, 200)[-1, 0] > 1e-5
+    assert run(values, plant_state(bias=1.0), current, 200)[-1, 0] > 1e-5
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,6 +1,7 @@
 """The plant by itself, and under the commands of its board; its converters."""
 
 import math
+from collections import namedtuple
 
 import numpy as np
 import pytest
@@ -18,17 +19,18 @@ from straightcomp_ros.model.plant import (
     Hold,
     Plant,
     PlantParameters,
-    PlantState,
     PlatformParameters,
     _from_array,
     advance,
     advance_to_sample,
     commanded_plant,
+    plant_state,
 )
 
 NO_FRICTION = LuGreParameters(
     coulomb=1e-12, static=1e-12, bristle_stiffness=1e-3, bristle_damping=0.0, viscous=0.0, stribeck_velocity=1.0
 )
+State = namedtuple("State", "y velocity bristle control bias friction_force magnetic_force", defaults=(0.0,) * 7)
 FREE = PlantParameters(friction=NO_FRICTION)
 STICKY = PlantParameters()
 
@@ -36,7 +38,7 @@ STICKY = PlantParameters()
 def run(parameters, state, command, seconds, bias=1.0):
     array = np.array(state)
     advance(parameters.constants(), array, bias, command, round(seconds * 1e9))
-    return PlantState(*array)
+    return State(*array)
 
 
 def energy(state):
@@ -52,7 +54,7 @@ def energy(state):
 
 def test_energy_is_conserved_where_there_is_no_friction():
     # A wide swing toward the centre, against the negative stiffness. Currents other than one ampere, its own square.
-    state = start = PlantState(y=2e-4, velocity=-0.022, control=0.005, bias=1.1)
+    state = start = State(y=2e-4, velocity=-0.022, control=0.005, bias=1.1)
     kinetic = 0.5 * FREE.platform.mass * start.velocity**2
     for _ in range(40):
         state = run(FREE, state, 0.005, 1e-3, bias=1.1)
@@ -62,13 +64,13 @@ def test_energy_is_conserved_where_there_is_no_friction():
 
 def test_without_friction_the_platform_leaves_the_centre_with_the_open_loop_pole():
     pole = math.sqrt(FREE.actuator.position_stiffness / FREE.platform.mass)
-    after = run(FREE, PlantState(y=1e-9, velocity=1e-9 * pole, bias=1.0), 0.0, 0.05)
+    after = run(FREE, State(y=1e-9, velocity=1e-9 * pole, bias=1.0), 0.0, 0.05)
     assert after.y == pytest.approx(1e-9 * math.exp(pole * 0.05), rel=1e-4)
 
 
 def test_the_integration_is_of_second_order():
     def position(step_ns):
-        state = np.array(PlantState(y=3e-4, velocity=-0.02, bias=1.0))
+        state = plant_state(y=3e-4, velocity=-0.02, bias=1.0)
         for _ in range(20_000_000 // step_ns):
             advance(FREE.constants(), state, 1.0, 0.05, step_ns)
         return state[0]
@@ -81,7 +83,7 @@ def test_the_integration_is_of_second_order():
 def test_the_holding_current_is_an_equilibrium():
     y = 1e-5
     current = control_current(FREE.actuator.constants(), y, 0.0)
-    after = run(FREE, PlantState(y=y, control=current, bias=1.0), current, 0.02)
+    after = run(FREE, State(y=y, control=current, bias=1.0), current, 0.02)
     assert abs(after.y - y) < 1e-12
     # The constant stiffnesses of (3) give the same current to first order.
     assert current == pytest.approx(-FREE.actuator.position_stiffness / FREE.actuator.current_stiffness * y, rel=1e-3)
@@ -89,19 +91,19 @@ def test_the_holding_current_is_an_equilibrium():
 
 def test_the_amplifier_is_of_first_order_and_the_forces_are_those_of_the_state():
     tau = 1.0 / (2 * math.pi * STICKY.drive.bandwidth)
-    state = run(STICKY, PlantState(y=1e-5, bias=1.0), 0.1, tau)
+    state = run(STICKY, State(y=1e-5, bias=1.0), 0.1, tau)
     assert state.control == pytest.approx(0.1 * (1 - math.exp(-1)), rel=1e-6)
     acceleration = (state.magnetic_force - state.friction_force) / STICKY.platform.mass
     later = run(STICKY, state, 0.1, 1e-6)
     assert (later.velocity - state.velocity) / 1e-6 == pytest.approx(acceleration, rel=0.02)
     # With the amplifier off the magnets pull to no side.
-    off = run(FREE, PlantState(y=1e-4, bias=1.0, control=0.3), 0.0, 0.05, bias=0.0)
+    off = run(FREE, State(y=1e-4, bias=1.0, control=0.3), 0.0, 0.05, bias=0.0)
     assert off.magnetic_force == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_platform_stays_between_its_stops(side):
-    after = run(FREE, PlantState(y=side * 1e-3, bias=1.0), 0.0, 1.0)
+    after = run(FREE, State(y=side * 1e-3, bias=1.0), 0.0, 1.0)
     assert after.y == pytest.approx(side * FREE.platform.stop)
     # With the bias off and a little push it comes back from there.
     pushed = run(FREE, after._replace(bias=0.0, velocity=-side * 0.01), 0.0, 0.02, bias=0.0)
@@ -120,7 +122,7 @@ STEP = COUNTED.drive.current_step
 
 
 def machine(hold=HOLD, bias=COUNTED.actuator.bias_current, y=2e-6):
-    plant = commanded_plant(COUNTED, hold, PlantState(y=y))
+    plant = commanded_plant(COUNTED, hold, plant_state(y=y))
     plant.state[BIAS] = bias
     return plant
 
@@ -132,7 +134,7 @@ def sample(plant, until, commands=(), noise=0.0):
 
 
 def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice_and_noise_moves_the_reading_alone():
-    plant, state = machine(), np.array(PlantState(y=2e-6))
+    plant, state = machine(), plant_state(y=2e-6)
     bias = COUNTED.actuator.bias_current
     assert sample(plant, PERIOD, [(200_000, 0.1), (600_000, 0.2)]) == 1
     current = round(0.1 / STEP) * STEP
@@ -196,7 +198,7 @@ def test_a_flexure_pulls_the_platform_back_against_the_magnets_and_damps_it():
     rate = math.sqrt((8e4 - flexed.actuator.position_stiffness) / 3.0)
     decay = 60.0 / (2.0 * 3.0)
     turning = math.sqrt(rate * rate - decay * decay)
-    t, state = 0.02, run(flexed, PlantState(y=1e-6, bias=1.0), 0.0, 0.02)
+    t, state = 0.02, run(flexed, State(y=1e-6, bias=1.0), 0.0, 0.02)
     swing = math.cos(turning * t) + decay / turning * math.sin(turning * t)
     assert state.y == pytest.approx(1e-6 * math.exp(-decay * t) * swing, rel=1e-3)
 
@@ -206,6 +208,6 @@ def test_a_platform_stuck_on_very_stiff_bristles_swings_at_its_own_rate():
     stiff = LuGreParameters(coulomb=1e3, static=1e3, bristle_stiffness=1e10, bristle_damping=0.0, viscous=0.0)
     stuck = PlantParameters(platform=PlatformParameters(mass=0.3), friction=stiff)
     rate = math.sqrt((1e10 - stuck.actuator.position_stiffness) / 0.3)
-    speeds = [run(stuck, PlantState(velocity=1e-6, bias=1.0), 0.0, n * 1e-6).velocity for n in range(1, 40)]
+    speeds = [run(stuck, State(velocity=1e-6, bias=1.0), 0.0, n * 1e-6).velocity for n in range(1, 40)]
     expected = [1e-6 * math.cos(rate * n * 1e-6) for n in range(1, 40)]
     assert speeds == pytest.approx(expected, abs=0.1e-6)

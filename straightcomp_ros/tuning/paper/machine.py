@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.model.converters import EncoderParameters
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
+from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters
@@ -119,7 +119,7 @@ def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) 
     period_ns = machine.stage.period_ns
     delay_ns = round(machine.stage.drive.delay * period_ns)
     constants = machine.plant.constants()
-    state = np.array(PlantState(y=initial_y, bias=machine.bias))
+    state = plant_state(y=initial_y, bias=machine.bias)
     reading, converted = machine.plant.encoder.y_reading, machine.plant.drive.converted
     law = make_law(machine.control, machine.stage)
     law.reset(reading(initial_y))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import bisected
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance
+from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
@@ -68,7 +68,7 @@ def least_peak(machine: Machine, y: float, velocity: float) -> float:
     period_ns, plant = machine.stage.period_ns, _beyond_its_stop(machine)
     delay_ns, constants, peaks = round(machine.stage.drive.delay * period_ns), plant.constants(), []
     for side in (1.0, -1.0):
-        state = np.array(PlantState(y=side * y, velocity=side * velocity, bias=machine.bias))
+        state = plant_state(y=side * y, velocity=side * velocity, bias=machine.bias)
         peak, asked = side * y, 0.0
         for _ in range(machine.samples(_FULL_CURRENT_FOR)):
             # Until the platform is at the other stop or beyond this one.
@@ -95,7 +95,7 @@ def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.fl
     count, period_ns = machine.samples(_DURATION), machine.stage.period_ns
     delays = np.full(count, round(machine.stage.drive.delay * period_ns))
     given = np.arange(count) * period_ns, delays, np.zeros((count, 3))
-    law, initial = make_law(machine.control, machine.stage), PlantState(y=y, velocity=velocity, bias=machine.bias)
+    law, initial = make_law(machine.control, machine.stage), plant_state(y=y, velocity=velocity, bias=machine.bias)
     return run_cycle(law, _beyond_its_stop(machine), *given, initial=initial).true_y
 
 
