@@ -220,13 +220,13 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
 def test_an_error_of_the_package_or_of_a_file_is_a_sentence_with_its_exit_code(
     capsys, monkeypatch, tmp_path, error, code, words
 ):
-    monkeypatch.setattr("straightcomp_ros.straightness.survey.write_survey", Mock(side_effect=error))
+    monkeypatch.setattr("straightcomp_ros.tuning.verbs.map.write_survey", Mock(side_effect=error))
     table = str(tmp_path / "t.cal")
     assert main(["map", "export", "-o", table]) == 0
     capsys.readouterr()
     found, _, said = run(["map", "convert", table, "-o", str(tmp_path / "s.csv")], capsys)
     assert found == code and words in said and said.count("\n") == 1
     # Any other error is a bug and shows where it comes from.
-    monkeypatch.setattr("straightcomp_ros.straightness.survey.write_survey", Mock(side_effect=ValueError("a bug")))
+    monkeypatch.setattr("straightcomp_ros.tuning.verbs.map.write_survey", Mock(side_effect=ValueError("a bug")))
     with pytest.raises(ValueError, match="a bug"):
         main(["map", "convert", table, "-o", str(tmp_path / "s.csv")])

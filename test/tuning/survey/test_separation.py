@@ -34,31 +34,36 @@ def test_a_guide_of_a_tenth_of_the_straightedge_s_error_comes_out_with_its_sign_
     assert [run.direction for run in found.guide.runs] == ["forward"] * 3 + ["backward"] * 3 and found.left_out == 0
 
 
-@pytest.mark.parametrize("draws", [100, pytest.param(1000, marks=pytest.mark.nightly)])
-def test_the_standard_uncertainty_of_guide_and_edge_holds_95_percent_of_the_truth(draws):
-    random, held = np.random.default_rng(1), []
-    for _ in range(draws):
-        found = separated(*surveys(random, 0.2e-6))
-        for mean, s, truth in ((found.guide_mean, found.guide_s, GUIDE), (found.edge_mean, found.edge_s, EDGE)):
-            held.append(np.abs(mean - centred(truth)) <= 1.96 * s)
-    assert 0.93 <= np.mean(held) <= 0.97
-    # Six pairs of runs: √(s² + s²) / 2 / √6.
-    assert found.guide_s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
+def shifted(random, noise, shift, moved):
+    """A survey as it was, and one with the straightedge moved and aligned anew, or with the sensor moved."""
+    other = np.cos(14.0 * (X + (shift if moved == "sensor" else -shift))) * 10e-6 + GUIDE - 2e-6
+    other = other + (30e-6 * X if moved == "straightedge" else 0.0)
+    lines = GUIDE + EDGE, other
+    runs = ([Run(str(k), w, X, line + random.normal(0.0, noise, X.size)) for k, w in enumerate(WAYS)] for line in lines)
+    return [Survey(tuple(one)) for one in runs]
+
+
+def apart(random, noise, moved):
+    """Guide and edge of surveys with this noise, by reversal or by a shift of 60 mm."""
+    return separated(*shifted(random, noise, 0.06, moved), 0.06, moved) if moved else separated(*surveys(random, noise))
 
 
 @pytest.mark.parametrize("draws", [50, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("moved", [None, "straightedge", "sensor"])
-def test_the_straightness_of_guide_and_edge_lies_within_its_expanded_uncertainty(moved, draws):
-    def lines(seed, noise):
-        random, of_shift = np.random.default_rng(seed), (0.06, moved) if moved else ()
-        found = separated(*(shifted(random, noise, 0.06, moved) if moved else surveys(random, noise)), *of_shift)
-        return [*found.guide_lines, *found.edge_lines]
-
+def test_the_uncertainties_of_guide_and_edge_hold_95_percent_of_what_surveys_without_noise_give(moved, draws):
+    exact, points, lines = apart(np.random.default_rng(0), 0.0, moved), [], []
+    for seed in range(draws):
+        found = apart(np.random.default_rng(seed), 0.2e-6, moved)
+        points.append(np.abs(found.guide_mean - exact.guide_mean) <= 1.96 * found.guide_s)
+        points.append(np.abs(found.edge_mean - exact.edge_mean) <= 1.96 * found.edge_s)
+        pairs = zip(found.guide_lines + found.edge_lines, exact.guide_lines + exact.edge_lines, strict=True)
+        lines.append([abs(one.value - true.value) <= one.expanded_uncertainty for one, true in pairs])
+    assert 0.93 <= np.mean(points) <= 0.97
     wrong = 0.135 if draws < 1000 else 0.05 if moved else 0.02
-    exact = lines(0, 0.0)
-    pairs = [zip(lines(seed, 0.2e-6), exact, strict=True) for seed in range(draws)]
-    held = [[abs(one.value - true.value) <= one.expanded_uncertainty for one, true in pair] for pair in pairs]
-    assert np.mean(held, axis=0) == pytest.approx(0.95, abs=wrong + 1e-9)
+    assert np.mean(lines, axis=0) == pytest.approx(0.95, abs=wrong + 1e-9)
+    if moved is None:
+        # Six pairs of runs: √(s² + s²) / 2 / √6.
+        assert found.guide_s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
 
 
 def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_are_refused():
@@ -68,15 +73,6 @@ def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_ar
     assert (len(found.guide.runs), found.left_out, found.guide_s) == (1, 2, None)
     with pytest.raises(SurveyError, match="no run in a direction"):
         separated(Survey(normal.runs[2:]), forward)
-
-
-def shifted(random, noise, shift, moved):
-    """A survey as it was, and one with the straightedge moved and aligned anew, or with the sensor moved."""
-    other = np.cos(14.0 * (X + (shift if moved == "sensor" else -shift))) * 10e-6 + GUIDE - 2e-6
-    other = other + (30e-6 * X if moved == "straightedge" else 0.0)
-    lines = GUIDE + EDGE, other
-    runs = ([Run(str(k), w, X, line + random.normal(0.0, noise, X.size)) for k, w in enumerate(WAYS)] for line in lines)
-    return [Survey(tuple(one)) for one in runs]
 
 
 @pytest.mark.parametrize("shift", [0.02, 0.05, -0.07, 0.1])
@@ -99,18 +95,6 @@ def test_waves_of_the_straightedge_as_long_as_the_shift_stay_in_the_guide(moved)
     for shift in (0.01, 0.11):
         with pytest.raises(SurveyError, match="20 mm, to a tenth of their length, 100 mm"):
             separated(normal, second, shift, moved)
-
-
-@pytest.mark.parametrize("draws", [50, pytest.param(1000, marks=pytest.mark.nightly)])
-def test_the_standard_uncertainty_after_a_shift_holds_95_percent_of_what_a_survey_without_noise_gives(draws):
-    random, held = np.random.default_rng(1), []
-    for moved in ("straightedge", "sensor"):
-        exact = separated(*shifted(random, 0.0, 0.06, moved), 0.06, moved)
-        for _ in range(draws):
-            found = separated(*shifted(random, 0.2e-6, 0.06, moved), 0.06, moved)
-            held.append(np.abs(found.guide_mean - exact.guide_mean) <= 1.96 * found.guide_s)
-            held.append(np.abs(found.edge_mean - exact.edge_mean) <= 1.96 * found.edge_s)
-    assert 0.93 <= np.mean(held) <= 0.97
 
 
 def test_the_verb_writes_both_as_surveys_and_prints_their_straightness(tmp_path, monkeypatch, capsys):
