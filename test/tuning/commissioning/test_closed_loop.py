@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from roughly_known import values_of, work_on
 
-from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters, response_plot
+from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
@@ -21,6 +21,7 @@ from straightcomp_ros.tuning.commissioning.closed_loop import (
     strangeness,
 )
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
+from straightcomp_ros.tuning.frequency_response import response_plot
 from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, Interval
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ResponseMargins,
