@@ -45,17 +45,15 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
     assert len(law._run.signatures) == before == 1
 
 
-def test_a_law_whose_step_is_not_called_compiles_nothing():
-    code = "import sys; from straightcomp_ros.control.laws import ControlParameters, make_law\n"
-    code += "from straightcomp_ros.stage.description import StageParameters\n"
-    code += "make_law(ControlParameters(), StageParameters()); print('numba' in sys.modules)"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert result.stdout.strip() == "False"
+MODULES = ("parameters.node_parameters", "runtime.managed")
+LAW = "from straightcomp_ros.control.laws import ControlParameters, make_law\n"
+LAW += "from straightcomp_ros.stage.description import StageParameters\n"
+LAW += "make_law(ControlParameters(), StageParameters())"
 
 
-@pytest.mark.parametrize("module", ["parameters.node_parameters", "runtime.managed", "control.laws"])
-def test_to_read_parameters_imports_neither_numba_nor_scipy(module):
-    code = f"import sys, straightcomp_ros.{module}; print(sorted({{'numba', 'llvmlite', 'scipy'}} & set(sys.modules)))"
+@pytest.mark.parametrize("code", [*(f"import straightcomp_ros.{name}" for name in MODULES), LAW])
+def test_to_read_parameters_and_to_make_a_law_that_is_not_stepped_imports_neither_numba_nor_scipy(code):
+    code = f"{code}\nimport sys; print(sorted({{'numba', 'llvmlite', 'scipy'}} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert result.stdout.strip() == "[]"
 

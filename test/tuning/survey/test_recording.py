@@ -229,15 +229,6 @@ def test_the_platforms_y_is_that_of_the_readings_time_and_where_it_was_not_recor
     assert not np.any((found.x > 0.41 * SPEED) & (found.x < 0.59 * SPEED))
 
 
-def test_unit_and_sign_of_the_sensor_are_those_that_are_named(read_bag):
-    for sensor, last, words in (({}, 2.0, "in m"), ({"unit": "mm"}, 2e-3, "in mm")):
-        found = read_bag(lambda t: 2.0 * t, **sensor)
-        assert found.deviation[-1] == pytest.approx(last) and found.inputs["sensor"].endswith(words)
-        assert found.inputs["stage"].endswith("position[stage_x]")
-    inverted = read_bag(lambda t: 2.0 * t, unit="um", inverted=True)
-    assert inverted.deviation[-1] == pytest.approx(-2e-6) and inverted.inputs["sensor"].endswith("in um, inverted")
-
-
 @pytest.mark.parametrize("gap, unusable", [(0.1, 0), (0.11, 10), (0.12, 11)])
 def test_x_is_not_interpolated_over_more_than_a_tenth_of_a_second(read_bag, gap, unusable):
     for begin in (0.0, 0.4, 1.0 - gap):
