@@ -42,10 +42,6 @@ def response(parameters, frequencies):
     return turns @ np.array(answers)
 
 
-def test_without_filters_a_current_is_what_was_asked_for():
-    assert filtered(filters_of(FilterParameters(), PERIOD), EMPTY, 0.123456789, 1e-6) == (0.123456789, EMPTY)
-
-
 def test_a_notch_takes_out_its_frequency_and_leaves_what_is_slow():
     gain = response(FilterParameters(first=NotchParameters(180.0, 0.5, 0.05)), [0.0, 1.0, 180.0])
     np.testing.assert_allclose(np.abs(gain), [1.0, 1.0, 0.05], rtol=1e-3)

@@ -206,6 +206,8 @@ def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go_and_g
     assert safe.corners == 32 and safe.decay > 3.0
     assert re.fullmatch(r"mass × 1.4, force × 0.6, gap × \S+, amplifier × \S+, delay × 1.4", safe.worst)
     assert 1e-6 < safe.excursion < 1e-4 and safe.pp > 1e-6
+    # What is known has no corners.
+    assert len(corners_of(roughly(mass=0.0, force=0.0, amplifier=1.0).description)) == 4
     usual = make_scenario(shipped_parameters(), [LAW])
     corners = corners_of(usual.description)
     assert max(growths(usual, corners, safe.values)) < 0.0
@@ -230,10 +232,6 @@ def test_a_mode_that_the_safe_law_leaves_alone_does_not_count_however_slowly_it_
 
     assert decay(500.0, 0.02) == pytest.approx(safe.decay, rel=1e-6)
     assert decay(80.0, -1.0) < 0.0
-
-
-def test_known_facts_are_no_corners():
-    assert safe_law(roughly(mass=0.0, force=0.0, amplifier=1.0)).corners == 4
 
 
 def test_gains_that_miss_little_are_corrected_without_a_simulation(shipped):

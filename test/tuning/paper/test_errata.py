@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_demand, state_matrices
 from straightcomp_ros.model.actuator import (
-    UNIT_GAIN_ERROR_LIMIT,
     ActuatorParameters,
     control_current,
     magnetic_force,
@@ -129,19 +128,6 @@ def test_the_reaching_condition_asks_for_nothing_without_friction_and_cannot_be_
 
 
 FAR = gain_error.FAR
-
-
-def test_the_gain_error_limit_found_is_the_closed_form_and_beyond_it_the_error_exceeds_one():
-    limit, largest = gain_error.gain_error_limit(), gain_error.largest_gain_error
-    assert limit == pytest.approx(UNIT_GAIN_ERROR_LIMIT, abs=1e-9) == pytest.approx(0.3660, abs=5e-5)
-    assert largest(limit - 1e-3) < 1.0 < largest(limit + 1e-3)
-
-
-def test_released_far_out_the_unclamped_law_hits_the_stop_and_the_clamped_one_brings_the_platform_back(machine):
-    free = gain_error.unclamped(machine)
-    unclamped, clamped = (gain_error.released(one, FAR) for one in (free, free.with_limit(machine.bias)))
-    assert unclamped.y[-1] == machine.stop and np.abs(unclamped.y).min() >= FAR * machine.gap
-    assert abs(clamped.y[-1]) < 1e-2 * machine.gap and np.abs(clamped.command).max() <= machine.bias
 
 
 def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12_and_with_it_the_platform_sticks(machine):
