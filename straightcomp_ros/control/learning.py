@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
 from straightcomp_ros.parameters.output_files import write_whole
-from straightcomp_ros.parameters.yaml_text import bounded_bytes
+from straightcomp_ros.parameters.yaml_text import bounded_lines
 from straightcomp_ros.straightness.feedforward import restarted, updated
 
 Array = NDArray[np.float64]
@@ -62,10 +62,6 @@ _HEADER = ("x_m", *(f"{direction}_{quantity}" for direction in ("forward", "back
 _LAW = "# law:"
 _LARGEST = 1e-3
 """m; a larger value is in the wrong unit."""
-
-
-class LearningFileError(ParameterError):
-    """A learning file is refused; the message names file, line, value and what is allowed."""
 
 
 class LearnedTable:
@@ -261,19 +257,15 @@ def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> N
 def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:
     """Read what :func:`write_tables` wrote into ``tables``, for the law named ``law``.
 
-    LearningFileError if it cannot be read, was learned with another law or spacing, or is damaged.
+    ParameterError if it cannot be read, was learned with another law or spacing, or is damaged; the message names file,
+    line, value and what is allowed.
     """
     file = f"learning file {path}"
-    try:
-        lines = bounded_bytes(path).decode().splitlines()
-    except OSError as error:
-        raise LearningFileError(f"{file}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise LearningFileError(f"{file}: byte {error.start} is not UTF-8") from error
+    lines = bounded_lines(path, file)
     learned_with = next((line[len(_LAW) :].strip() for line in lines if line.startswith(_LAW)), None)
     if learned_with != law:
         said = "names no law" if learned_with is None else f"was learned with law '{learned_with}'"
-        raise LearningFileError(f"{file}: {said}; allowed: '{_LAW} {law}', the law that runs")
+        raise ParameterError(f"{file}: {said}; allowed: '{_LAW} {law}', the law that runs")
     rows = [
         (f"{file}, line {number}", line.split(","))
         for number, line in enumerate(lines, 1)
@@ -281,16 +273,16 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
     ]
     header = rows.pop(0)[1] if rows else []
     if tuple(header) != _HEADER:
-        raise LearningFileError(f"{file}: header {','.join(header)!r}; allowed: {','.join(_HEADER)!r}")
+        raise ParameterError(f"{file}: header {','.join(header)!r}; allowed: {','.join(_HEADER)!r}")
     if not rows:
-        raise LearningFileError(f"{file}: has a header but no rows; allowed: at least one")
+        raise ParameterError(f"{file}: has a header but no rows; allowed: at least one")
     numbers = np.array([_numbers(*row) for row in rows])
     x, spacing = numbers[:, 0], tables[True].spacing
     first = round(float(x[0]) / spacing)
     wrong = np.flatnonzero(np.abs(x - (first + np.arange(x.size)) * spacing) > 1e-3 * spacing)
     if wrong.size:
         at = int(wrong[0])
-        raise LearningFileError(
+        raise ParameterError(
             f"{rows[at][0]}: x_m {float(x[at]):.9g}; allowed: {(first + at) * spacing:.9g}, "
             f"nodes {spacing:g} m apart without a gap (learning.spacing)"
         )
@@ -302,7 +294,7 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
 def _numbers(where: str, cells: Sequence[str]) -> list[float]:
     """The cells of a row in SI units, NaN for an RMS that was not measured."""
     if len(cells) != len(_HEADER):
-        raise LearningFileError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
+        raise ParameterError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
     numbers = []
     for name, cell in zip(_HEADER, cells, strict=True):
         try:
@@ -313,7 +305,7 @@ def _numbers(where: str, cells: Sequence[str]) -> list[float]:
         unknown = name.endswith("rms_m") and not cell
         if not (unknown or (math.isfinite(value) and abs(value) <= largest)):
             words = "a finite number" if largest == math.inf else f"a number within ± {largest:g} m"
-            raise LearningFileError(f"{where}: {name} {cell!r}; allowed: {words}")
+            raise ParameterError(f"{where}: {name} {cell!r}; allowed: {words}")
         numbers.append(value)
     return numbers
 
@@ -366,8 +358,7 @@ class Learning:
     True, backward at False. ``cut`` is to be True while the stage's motion is cut short.
 
     Raises:
-        LearningFileError: the file is refused.
-        ParameterError: the cut-off is too near to half of the ``rate`` in Hz.
+        ParameterError: the file is refused, or the cut-off is too near to half of the ``rate`` in Hz.
     """
 
     def __init__(

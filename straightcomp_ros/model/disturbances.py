@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.friction import band_value
 from straightcomp_ros.parameters.declaration import ParameterError, group, parameter
-from straightcomp_ros.parameters.yaml_text import bounded_bytes
+from straightcomp_ros.parameters.yaml_text import bounded_lines
 
 Array = NDArray[np.float64]
 
@@ -134,11 +134,8 @@ class Disturbances:
 
 def read_force_table(path: Path) -> Table:
     """Rising x in m and the force in N of a CSV file; ParameterError, which names file and line, if it is refused."""
-    try:
-        text = bounded_bytes(path).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(f"parameter 'force_file': {path}: cannot be read: {error}") from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    read = bounded_lines(path, f"parameter 'force_file': {path}")
+    lines = [line for line in read if line.strip() and not line.startswith("#")]
     if not lines or lines[0].replace(" ", "") != _HEADER or len(lines) < 3:
         raise ParameterError(f"{path}: allowed: the header {_HEADER} and at least two rows")
     x: list[float] = []

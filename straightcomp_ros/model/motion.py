@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
-from straightcomp_ros.parameters.yaml_text import bounded_bytes
+from straightcomp_ros.parameters.yaml_text import bounded_lines
 
 _NS = 1e9
 _SHORTEST_NS = 10_000
@@ -146,12 +146,8 @@ def goals(motion: MotionParameters) -> list[float]:
     if not motion.file:
         return [*(motion.start + motion.stroke * k / motion.steps for k in range(1, motion.steps + 1)), motion.start]
     where = f"parameter 'stage.motion.file': {motion.file}"
-    try:
-        lines = bounded_bytes(Path(motion.file)).decode().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     found = []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(bounded_lines(Path(motion.file), where), 1):
         if text := line.partition("#")[0].strip():
             try:
                 found.append(float(text))

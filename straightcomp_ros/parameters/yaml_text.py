@@ -90,6 +90,14 @@ def bounded_bytes(path: Path, most_mb: int = 256) -> bytes:
     return content
 
 
+def bounded_lines(path: Path, where: str) -> list[str]:
+    """The lines of such a file; ParameterError, which begins with ``where``, if it cannot be read, or is no UTF-8."""
+    try:
+        return bounded_bytes(path).decode().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
 def _check(text: str, most_nodes: int) -> None:
     """Refuse what would not end or not fit, before anything is built."""
     sizes: dict[str, int] = {}

@@ -17,7 +17,6 @@ from straightcomp_ros.control.learning import (
     BEST_SQUARE,
     LearnedTable,
     Learning,
-    LearningFileError,
     LearningParameters,
     read_tables,
     write_tables,
@@ -223,11 +222,11 @@ def test_a_damaged_file_is_refused_with_the_place_and_what_is_allowed(file, chan
     text = file.read_text()
     file.write_text(change(text))
     assert file.read_text() != text
-    with pytest.raises(LearningFileError, match=re.escape(message)):
+    with pytest.raises(ParameterError, match=re.escape(message)):
         read_tables(file, "smc", tables())
     for no_text in (file, file.parent):
         file.write_bytes(b"\xff\xfe")
-        with pytest.raises(LearningFileError, match=str(no_text)):
+        with pytest.raises(ParameterError, match=str(no_text)):
             read_tables(no_text, "smc", tables())
 
 
