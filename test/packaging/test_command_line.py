@@ -12,7 +12,7 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, main, make_parser
-from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import RefusedParameter
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -211,7 +211,7 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     ("error", "code", "words"),
     [
         (BagError("cut"), 1, "straightcomp map convert: cut"),
-        (type("Refused", (ParameterError,), {})("cut"), 2, "straightcomp map convert: cut"),
+        (RefusedParameter("cut", "0"), 2, "straightcomp map convert: parameter 'cut': 0"),
         (SurveyError("cut"), 2, "straightcomp map convert: cut"),
         (OSError(28, "No space left on device", "map.csv"), 1, "map.csv: No space left on device"),
         (KeyboardInterrupt(), 130, "interrupted"),
