@@ -31,7 +31,7 @@ from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
-from straightcomp_ros.runtime.guarded_node import Refused, ThrottledWarning
+from straightcomp_ros.runtime.guarded_node import TICK_S, Refused, ThrottledWarning
 from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, from_monotonic, now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -106,7 +106,8 @@ class DriverComponent:
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
         self._reported_stage: StageState | None = None
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
-        node.create_timer(_SLOW_WATCH_S, self._look_for_others)
+        self._others_command = streams.look_for_others(COMMAND)
+        node.create_timer(TICK_S, self._look_for_others)
         self._answer_within_ns = _ANSWER_SAMPLES * period_ns
         self._queue = streams.queue(COMMAND)
         self.loop: Loop
@@ -283,7 +284,7 @@ class DriverComponent:
             self._follow_goal(self._action.goal, self._newest)
 
     def _look_for_others(self) -> None:
-        if self._safety.condition is Condition.ON and self._node.streams.others_publish(COMMAND):
+        if self._others_command() and self._safety.condition is Condition.ON:
             self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
 
     def _report_stage(self) -> None:
@@ -333,7 +334,7 @@ class DriverComponent:
             return f"x is not referenced: {unreferenced}"
         if self._lockstep:
             return ""
-        if self._node.streams.others_publish(COMMAND):
+        if self._others_command():
             return f"{_ANOTHER_PUBLISHES}; end it; one that was killed is forgotten after {_FORGOTTEN_S} s"
         age_ns = now_ns() - self._commands.stamp_ns
         if age_ns > self._command_timeout_ns:

@@ -34,7 +34,7 @@ from straightcomp_ros.messages.cdr import (
     unpack_batch,
 )
 from straightcomp_ros.runtime.guarded_node import ThrottledWarning
-from straightcomp_ros.runtime.inside_rclpy import count_publishers, raw_publish, raw_take, unlocked_publish, waiter
+from straightcomp_ros.runtime.inside_rclpy import publisher_count, raw_publish, raw_take, unlocked_publish, waiter
 from straightcomp_ros.runtime.intra_process import IntraProcess, MemoryQueue
 from straightcomp_ros.runtime.loops import WorkerThread
 
@@ -415,12 +415,23 @@ class Streams:
         if self._shared:
             self._shared.publish_records()
 
-    def others_publish(self, stream: Stream) -> bool:
-        """Whether another process publishes a stream that is handed over in memory: its messages are not taken."""
+    def look_for_others(self, stream: Stream) -> Callable[[], bool]:
+        """A function that says whether another process publishes a stream that is handed over in memory: its messages
+        are not taken. The thread that sends looks, since that takes longer than a period at 8 kHz, and each call says
+        what the look that the last one asked for has found."""
         if not self._shared:
-            return False
-        own = sum(topic == stream.topic for _, topic, _ in self._shared.publishers)
-        return count_publishers(self._node, self._full_name(stream.topic)) > own
+            return lambda: False
+        shared, found = self._shared, [False]
+        count = publisher_count(self._node, self._full_name(stream.topic))
+
+        def look() -> None:
+            found[0] = count() > sum(topic == stream.topic for _, topic, _ in shared.publishers)
+
+        def others() -> bool:
+            shared.sender.run(look)
+            return found[0]
+
+        return others
 
     def sending(self, publisher: Publisher) -> Callable[[bytes], None]:
         """A function that sends a serialised message: in a process of several nodes by the thread that sends."""

@@ -155,6 +155,16 @@ def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middl
     assert take() is None
 
 
+def test_a_topic_s_publishers_are_counted_with_the_interpreter_unlocked(node, pair):
+    count = inside_rclpy.publisher_count(node, node.resolve_topic_name("any"))
+    assert count() == 1
+    other = node.create_publisher(Int64, "any", stream_qos())
+    assert comes_true(lambda: count() == 2)
+    node.destroy_publisher(other)
+    assert comes_true(lambda: count() == 1)
+    assert inside_rclpy.publisher_count(node, "/none")() == 0
+
+
 def test_a_message_that_cannot_be_sent_is_named(node, pair):
     publish = inside_rclpy.unlocked_publish(pair[0])
     rclpy.shutdown()
