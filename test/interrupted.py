@@ -15,6 +15,7 @@ import re
 import shutil
 import signal
 import sys
+import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -163,9 +164,12 @@ def metadata_of(name: str) -> set[str]:
 
 
 def _steady(data: bytes) -> bytes:
-    """Content without its times and random numbers, of a text; of a bag whether it is whole."""
+    """Content without its times and random numbers, of a text; of a bag whether it is whole; of an archive its names."""
     if data.startswith(b"\x89MCAP"):
         return data[-8:]
+    if data.startswith(b"PK"):
+        with suppress(zipfile.BadZipFile), zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return repr((archive.namelist(), archive.testzip())).encode()
     return data if b"\0" in data else re.sub(rb"[0-9a-fA-F]+", b"", data)
 
 

@@ -407,7 +407,7 @@ def test_no_machine_within_the_uncertainty_is_worse_off_than_without_learning_bu
         values = {
             "driver": {
                 "simulated.truth.guide": "config/guide_synthetic.csv",
-                **{f"simulated.truth.{name}": factor for name, factor in factors._asdict().items()},
+                **{f"simulated.truth.{name}": factor for name, factor in factors._asdict().items() if name != "modes"},
             },
             "controller": {"control.law": law},
             "stage": {"drive.delay": delay, "motion.stroke": 0.04, "motion.settle": 0.2, "motion.pause": 0.1},

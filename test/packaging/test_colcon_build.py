@@ -79,8 +79,9 @@ def test_the_sourced_workspace_shadows_the_checkout_and_finds_its_own_files(pref
     program = """
 import runpy, sys
 from unittest.mock import MagicMock
-for name in ("", ".actions", ".event_handlers", ".events", ".launch_description_sources", ".substitutions"):
-    sys.modules[f"launch{name}"] = MagicMock()
+folders = "actions conditions event_handlers events launch_description_sources substitutions".split()
+for name in ("launch", *(f"launch.{name}" for name in folders)):
+    sys.modules[name] = MagicMock()
 for name in ("", ".actions", ".parameter_descriptions", ".substitutions"):
     sys.modules[f"launch_ros{name}"] = MagicMock()
 for path in sys.argv[1:]:
