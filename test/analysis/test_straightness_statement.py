@@ -23,29 +23,36 @@ def straightness(curve):
     return dict(zip(LINES, (*lines, minimum_zone(X, curve)), strict=True))
 
 
+def moving(random, motion, strokes):
+    """The platform's ``motion`` in m as that of a servo, an autoregression."""
+    steps = random.normal(0.0, motion * math.sqrt(1.0 - CORRELATION**2), (strokes, X.size))
+    return lfilter([1.0], [1.0, -CORRELATION], steps, axis=1)
+
+
 def measured(random, seen, errors, motion=0.0):
-    """Statements about strokes that differ in height, by an encoder and a map or sensor with these errors at their
-    points, and the strokes without these; the platform's ``motion`` in m is that of a servo, as an autoregression."""
+    """Statements about strokes that differ in height and by the platform's ``motion`` in m, by an encoder and a map or
+    sensor with these errors at their points."""
     curves = (1.0 + SPREAD * random.normal(size=(STROKES, 1))) * SHAPE
     if motion:
-        steps = random.normal(0.0, motion * math.sqrt(1.0 - CORRELATION**2), curves.shape)
-        curves += lfilter([1.0], [1.0, -CORRELATION], steps, axis=1)
+        curves += moving(random, motion, STROKES)
         # As the encoder of a machine rounds it, along a guide of many counts.
         read = COUNT * np.round((curves + GUIDE) / COUNT) - GUIDE
     else:
         read = curves + random.uniform(-COUNT / 2.0, COUNT / 2.0, curves.shape)
     inputs = [Input("encoder", COUNT / math.sqrt(12.0)), Input("map", NOISE, POINTS, seen)]
     strokes = [(X / 0.3, X, curve + (errors if seen else 0.0)) for curve in read]
-    return stated("after", "forward", strokes, inputs), curves
+    return stated("after", "forward", strokes, inputs)
 
 
 def coverage(seen, draws, motion=0.0):
-    """By line, the fractions of the intervals with their correction and without it that hold the true straightness."""
+    """By line, the fractions of the intervals with their correction and without it that hold the true straightness, the
+    mean over strokes without end, whose height is the mean one."""
     random, held = np.random.default_rng(1), np.zeros((draws, len(LINES), 2))
+    others = SHAPE + moving(random, motion, 40 if motion else 1)
     for draw in range(draws):
         errors = cubic_spline(POINTS, random.normal(0.0, NOISE, POINTS.size))(X)
-        found, curves = measured(random, seen, errors, motion)
-        of_strokes = [straightness(curve + (0.0 if seen else errors)) for curve in (curves if motion else [SHAPE])]
+        found = measured(random, seen, errors, motion)
+        of_strokes = [straightness(curve + (0.0 if seen else errors)) for curve in others]
         truth = {line: np.mean([one[line] for one in of_strokes]) for line in LINES}
         for row, one in zip(held[draw], found, strict=True):
             row[:] = [abs(value - truth[one.line]) <= one.expanded_uncertainty for value in (one.value, one.measured)]
@@ -66,7 +73,7 @@ def test_most_intervals_hold_and_without_the_correction_for_extremes_fewer_do(se
 
 
 def test_a_budget_lists_each_contribution_and_repeatability_contains_the_encoder_s():
-    for one in measured(np.random.default_rng(2), False, 0.0)[0]:
+    for one in measured(np.random.default_rng(2), False, 0.0):
         repeatability, encoder, survey = one.budget
         assert repeatability.counts and not encoder.counts and survey.counts and not one.unknown
         assert one.expanded_uncertainty == pytest.approx(2.0 * math.hypot(repeatability.share, survey.share))
@@ -79,7 +86,7 @@ def test_a_budget_lists_each_contribution_and_repeatability_contains_the_encoder
 
 
 def test_the_same_run_gives_the_same_statements_to_the_bit():
-    first, second = (measured(np.random.default_rng(2), True, 0.0)[0] for _ in range(2))
+    first, second = (measured(np.random.default_rng(2), True, 0.0) for _ in range(2))
     assert first == second
 
 
