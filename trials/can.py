@@ -4,26 +4,38 @@ Frames of known samples go through injected faults on both kinds of bus: each ki
 all together with the closed loop. With `--set driver.can.firmware=PROGRAM` the board is the firmware core. Exit code 1
 if a fault was not detected, or a wrong sample used."""
 
+from __future__ import annotations
+
 import argparse
+import contextlib
 import random
-import timeit
+import re
+import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.bench.step_costs import cost
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
 from straightcomp_ros.cli.output import print_json
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
-from straightcomp_ros.hardware.can.hub import FLOOD, KINDS, Faults, Frame, addressed
+from straightcomp_ros.hardware.can.hub import ERROR, FD, FLOOD, KINDS, NO_DATA, Faults, Frame, LinkCut, addressed
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.sample_numbers import BLOCK
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK, together
+from straightcomp_ros.hardware.interface import HardwareError, State
+from straightcomp_ros.hardware.simulated import SimulatedParameters
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters
-from trials.can_servo import ServoTrial
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from trials.rig import tracked
 
 SUMMARY = "µs per CAN frame, bus faults injected and found"
@@ -42,19 +54,18 @@ _ROUNDED = 2e-7
 _DRIFT = 100e-6
 """Of the board's clock."""
 _LEAD_IN = 4 * BLOCK
-_TRANSIT_NS = 110_000
+_TRANSIT_NS = 100_000
 _START_NS = 1_700_000_000_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    add = parser.add_argument
-    add("--frames", type=int, default=20_000, help="samples sent for each kind of fault (default: %(default)s)")
+    add, kind = parser.add_argument, whole_number(1000)
+    add("--frames", type=kind, default=20_000, help="samples sent for each kind of fault (default: %(default)s)")
     add("--seed", type=int, default=1, help="seed of the faults (default: %(default)s)")
 
 
 def run(options: argparse.Namespace) -> int:
-    check_range("--frames", options.frames, 1000, 10_000_000)
     driver = node_parameters("driver", chosen_parameters(options))
     can, guide, how = driver.can, driver.guide(), {"frames": options.frames, "seed": options.seed}
     # Both kinds of bus of the package's own DBC file, or the one of another.
@@ -63,6 +74,7 @@ def run(options: argparse.Namespace) -> int:
         boards = {Path(can.dbc).stem: can}
     costs, loops, wrong = dict[str, dict[str, float]](), dict[str, dict[str, Any]](), 0
     counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
+    together = {kind: _CUT if kind == "cut" else _TOGETHER for kind in KINDS}
     for bus, board in boards.items():
         costs |= codec_costs(board.make_wire())
         for kind in tracked(COUNTED, bus):
@@ -70,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
             counts[kind]["injected"] += trial.injected[kind]
             counts[kind]["detected"] += trial.detected(kind)
             wrong += trial.unflagged_wrong
-        loop = ServoTrial({kind: _CUT if kind == "cut" else _TOGETHER for kind in KINDS}, guide, board, **how)
+        loop = ServoTrial(together, guide, board, **how)
         wrong += loop.unflagged_wrong
         figures = {"state": loop.state.value, "on": loop.on, "latched": loop.latched, "unsafe": loop.unsafe}
         loops[bus] = {"frames": options.frames, "injected": sum(loop.injected.values()), **figures}
@@ -83,10 +95,10 @@ def run(options: argparse.Namespace) -> int:
 def codec_costs(wire: Wire) -> dict[str, dict[str, float]]:
     """Least time in µs to pack (``pack_us``) and to unpack (``unpack_us``) each frame, by its name in the DBC file."""
 
-    def least_us(work: Any, *arguments: Any) -> float:
-        return min(timeit.repeat(lambda: work(*arguments), number=_CALLS, repeat=_REPEATS)) / _CALLS * 1e6
+    def least_us(work: Callable[[Any], object], argument: Any) -> float:
+        return cost(lambda: [work(argument) for _ in range(_CALLS)], _CALLS, _REPEATS)["min_us"]
 
-    frames = [(one, _REPORT) for one in wire.reports.values()] + [(one, _COMMAND) for one in wire.commands]
+    frames = [*((one, _REPORT) for one in wire.reports.values()), *((one, _COMMAND) for one in wire.commands)]
     return {
         one.name: {"pack_us": least_us(one.pack, values), "unpack_us": least_us(one.unpack, one.pack(values))}
         for one, values in frames
@@ -107,7 +119,7 @@ class Trial(NamedTuple):
 
     def detected(self, kind: str) -> int:
         """Number of faults of a kind that the receiver counted, in a trial with this kind alone."""
-        counts, sequence, sets = Counter(self.receiver.counts), self.receiver.sequence, self.receiver.sets
+        counts, sequence, sets = self.receiver.counts, self.receiver.sequence, self.receiver.sets
         checks = sum(counts[check] for check in ("length", "crc", "alive", "state", "implausible"))
         return {
             "drop": sequence.lost,
@@ -157,3 +169,189 @@ def _frames(wire: Wire, index: int, stamp_ns: int) -> Iterator[Frame]:
             alive = index // frames.every % frames.alive_modulus
             report = Report(alive, counter, x, y, _CURRENT, Amplifier.ON, fault, True, True)
             yield addressed(frames.identifier, frames.pack(report, index), fd=frames.fd, stamp_ns=stamp_ns)
+
+
+_DEAD_NS = 20_000_000
+"""Duration of a cut: the shortest time after which both ends have opened the bus again."""
+_REST_NS = 100_000_000
+"""Time for which the trial leaves a latched fault before it resets it."""
+_SWITCH_OFF_S = 0.002
+"""Beyond the board's command timeout: its amplifier must be off so long after the host latched a fault."""
+_REFERENCE = (0.0, 0.0, 0.0)
+
+
+class ServoTrial:
+    """Holds the platform while the stage moves, in simulated time: the real host and the emulated board, with faults in
+    the frames of both sides. The machine keeps running, or stays in the latched safe state until it is reset.
+
+    The trial is the clock, the bus (in place of the host's :class:`~straightcomp_ros.hardware.can.link.Link`), and the
+    operator, who switches the amplifier on as soon as possible, and again after each latched fault.
+
+    Args:
+        rates: see :class:`~straightcomp_ros.hardware.can.hub.Faults`.
+        guide: of the simulated machine.
+        board: its DBC file and kind of bus, and the program of the firmware core, if that is the board.
+        frames: samples to take.
+        seed: of the faults.
+
+    Attributes:
+        injected: faults by kind, both directions together.
+        state: of the amplifier at the end, as the host sees it.
+        on: fraction of the time in which the servo was on.
+        latched: number of latched faults, by their texts without times.
+        unsafe: samples that the board took with the amplifier on although the host had latched a fault longer ago than
+            the board's command timeout.
+        unflagged_wrong: samples that the servo got with values or times other than those that the board sampled.
+
+    Raises:
+        HardwareError: the program cannot be started.
+    """
+
+    openings, transmit_full, overloads, problem, log = 1, 0, 0, "", None
+
+    def __init__(
+        self, rates: Mapping[str, float], guide: StraightnessMap, board: CanParameters, frames: int, seed: int = 1
+    ) -> None:
+        self._now, stage, simulated = _START_NS, StageParameters(), SimulatedParameters()
+        self._period_ns = stage.period_ns
+        self._to_host, self._to_board = Faults(rates, seed), Faults(rates, seed + 1)
+        self._dead_until = self._fault_ns = 0
+        self._unsafe_after_ns = round((simulated.command_timeout + _SWITCH_OFF_S) * 1e9)
+        self._wire = board.make_wire()
+        self._part_ids = {one.identifier for one in self._wire.parts}
+        self._sent: list[Report] = []
+        self._taken: list[tuple[float, float]] = []
+        self._answers: list[tuple[int, float]] = []
+        self.latched: Counter[str] = Counter()
+        self.unsafe = self.unflagged_wrong = on = 0
+        self._servo = Servo(make_law(ControlParameters(), stage))
+        self._host = CanHardware(board, stage, lambda: self._now, self._link)
+        kind = FirmwareBoard if board.firmware else Board
+        self._board = kind(board, simulated, stage, guide, self._from_board)
+        with contextlib.closing(self._board):
+            self._board.start(self._now)
+            self._board.machine.move(Trajectory(forward_and_back(stage.motion)), self._now)
+            for _ in range(frames):
+                self._period()
+                on += self._host.state is State.ON
+                self._operate()
+        self.on, self.state = on / frames, self._host.state
+        self.injected = {kind: self._to_host.injected[kind] + self._to_board.injected[kind] for kind in rates}
+
+    def _link(
+        self, _: CanParameters, identifiers: Sequence[int], receive: Callable[[Frame, int], None], *__: object
+    ) -> ServoTrial:
+        self._identifiers, self._receive = identifiers, receive
+        return self
+
+    def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
+        """Send a frame from the host to the board."""
+        for frame in self._arriving(self._to_board, identifier, payload, fd):
+            if not frame.flags & NO_DATA:
+                self._board.receive(frame.identifier, frame.data, self._now)
+        return True
+
+    def _from_board(self, identifier: int, payload: bytes, fd: bool) -> None:
+        if identifier in self._part_ids:
+            self._sent.append(self._wire.reports[identifier].unpack(payload))
+        if len(self._sent) == len(self._part_ids):
+            sent = together(self._sent)
+            self._sent.clear()
+            if sent.x is not None and sent.y is not None:
+                self._taken.append((sent.x, sent.y))
+        for frame in self._arriving(self._to_host, identifier, payload, fd):
+            if frame.flags & ERROR or frame.identifier in self._identifiers:
+                self._receive(frame, self._now + _TRANSIT_NS)
+
+    def _arriving(self, faults: Faults, identifier: int, payload: bytes, fd: bool) -> list[Frame]:
+        if self._now < self._dead_until:
+            return []
+        try:
+            return faults(Frame(self._now, identifier, FD if fd else 0, payload))
+        except LinkCut:
+            self._dead_until = self._now + _DEAD_NS
+            return []
+
+    def _period(self) -> None:
+        """Commands half a period after their samples, then the next sample."""
+        self._now += self._period_ns // 2
+        for stamp_ns, current in self._answers:
+            self._host.write(current, self._now, stamp_ns)
+        self._now += self._period_ns - self._period_ns // 2
+        self._board.cycle(self._now)
+        self._answers = []
+        for sample, _ in self._host.read(self._now):
+            number, late_ns = divmod(sample.stamp_ns - _START_NS, self._period_ns)
+            known = 0 <= number < len(self._taken) and self._taken[number] == (sample.x, sample.y)
+            self.unflagged_wrong += not (known and late_ns < 2 * _TRANSIT_NS)
+            command = self._servo.step(sample.stamp_ns, sample.y, sample.current, _REFERENCE)
+            if command:
+                self._answers.append((sample.stamp_ns, command.current))
+
+    def _operate(self) -> None:
+        host = self._host
+        if host.state is State.OFF and self._answers:
+            # Not before the host has received frames of the board.
+            with contextlib.suppress(HardwareError):
+                host.enable()
+        if host.state is not State.FAULT:
+            self._fault_ns = 0
+            return
+        if not self._fault_ns:
+            self._fault_ns = self._now
+            self.latched[re.sub(" (for|within) .*", "", host.fault)] += 1
+        age_ns = self._now - self._fault_ns
+        self.unsafe += age_ns > self._unsafe_after_ns and self._board.amplifier is Amplifier.ON
+        if age_ns > _REST_NS:
+            host.reset_fault()
+
+
+_TICK, _RECEIVE, _FRAME = struct.Struct("=cq"), struct.Struct("=cqI"), struct.Struct("=cBI")
+_DONE = struct.Struct("=cBBBIII")
+"""Packets as firmware/posix/machine.h names them."""
+
+
+class FirmwareBoard:
+    """Used as :class:`~straightcomp_ros.hardware.can.emulator.Board` is: frames go out through ``send`` and come in
+    through :meth:`receive`, at times that the caller passes in."""
+
+    def __init__(
+        self,
+        can: CanParameters,
+        parameters: SimulatedParameters,
+        stage: StageParameters,
+        guide: StraightnessMap,
+        send: Callable[[int, bytes, bool], None],
+    ) -> None:
+        arguments = program_arguments(can, parameters, stage, bus="", lead_ns=0)
+        self._board = BoardProgram(can, arguments, parameters, stage, guide)
+        self._send = send
+        self._command_ids = {frames.identifier for frames in can.make_wire().commands}
+        self.machine, self.start = self._board.machine, self.cycle
+
+    def cycle(self, now_ns: int) -> None:
+        """Take and send the samples up to ``now_ns``."""
+        self._call(_TICK.pack(b"T", now_ns))
+
+    def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
+        """Take a frame that arrived at ``at_ns``."""
+        if identifier in self._command_ids:
+            self._call(_RECEIVE.pack(b"R", at_ns, identifier) + payload)
+        else:
+            self._board.stage.obey(identifier, payload, self.machine, at_ns)
+
+    def _call(self, packet: bytes) -> None:
+        self._board.send(packet)
+        while (answer := self._board.receive())[:1] != b"E":
+            if answer[:1] == b"F":
+                _, fd, identifier = _FRAME.unpack_from(answer)
+                self._send(identifier, answer[_FRAME.size :], bool(fd))
+            else:
+                self._board.answer(answer)
+        _, amplifier, fault, commanded, alive, self.counter, self.refused_commands = _DONE.unpack(answer)
+        self.command_alive = alive if commanded else None
+        self.amplifier, self.fault = Amplifier(amplifier), BoardFault(fault)
+
+    def close(self) -> None:
+        """End the program."""
+        self._board.close()

@@ -12,15 +12,16 @@ import signal
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from operator import methodcaller
 from typing import Any, NamedTuple
 
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, LaunchError
-from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.safety.faults import Fault
-from trials.faulty_driver import CLOCK_STEP, LATE_COMMANDS
+from trials.faulty_driver import FAULTS
 from trials.rig import add_output, output, tracked
 from trials.stand import STOP_S, Stand
 
@@ -166,22 +167,6 @@ def _set(node: str, name: str, value: object) -> Callable[[Stand], int]:
 
 
 _TIGHT, _WIDE = (_set("controller", "error_limit", metres) for metres in (1e-9, 0.1))
-_INJECTED = {
-    "sample NaN": (Fault.SAMPLE_NOT_FINITE, "sample_nan"),
-    "sample infinite": (Fault.SAMPLE_NOT_FINITE, "sample_infinite"),
-    "y out of range": (Fault.Y_OUT_OF_RANGE, "y_out_of_range"),
-    "encoder y frozen": (Fault.Y_FROZEN, "y_frozen"),
-    "encoder x frozen": (Fault.X_FROZEN, "x_frozen"),
-    "jump in x": (Fault.X_JUMP, "x_jump"),
-    "map missing for this x": (Fault.MAP_MISSING, "x_beyond_map"),
-    "board reports a fault": (Fault.BOARD, "board"),
-    "clock jump": (Fault.CLOCK_JUMP, CLOCK_STEP),
-    "command NaN": (Fault.COMMAND_NOT_FINITE, "command_nan"),
-    "command infinite": (Fault.COMMAND_NOT_FINITE, "command_infinite"),
-    "command out of range": (Fault.COMMAND_OUT_OF_RANGE, "command_out_of_range"),
-    "late commands": (Fault.COMMAND_TIMEOUT, LATE_COMMANDS),
-}
-"""By name, faults that the driver injects itself, and the name that it knows them by."""
 
 
 def _loop_missed(stand: Stand, _: Sequence[Fault]) -> int | None:
@@ -207,19 +192,17 @@ def trials_of_processes(composed: bool) -> Iterator[Trial]:
 
 def trials_of(composed: bool) -> list[Trial]:
     """All trials, in this order; ``composed``: driver, feedforward and controller are in one process."""
-    trials = [Trial(name, fault, methodcaller("inject", kind)) for name, (fault, kind) in _INJECTED.items()]
-    foreign = Fault.TWO_CONTROLLERS
-    trials.append(
-        Trial("two controllers on one topic", foreign, methodcaller("foreign", "echo"), restore=_foreign_ended)
-    )
-    trials += [
-        Trial(f"foreign commands, stamp {name}", foreign, _foreign(*stamp), restore=_foreign_ended)
-        for name, stamp in _STAMPS.items()
-    ]
-    trials.append(Trial("following error", Fault.FOLLOWING_ERROR, _TIGHT, restore=_WIDE))
-    trials += trials_of_processes(composed)
+    foreign = {f"foreign commands, stamp {name}": _foreign(*stamp) for name, stamp in _STAMPS.items()}
+    foreign = {"two controllers on one topic": methodcaller("foreign", "echo"), **foreign}
+    tight, wide = (_set("controller", "error_limit", metres) for metres in (1e-9, 0.1))
     fill = _set("logger", "min_free_bytes", 10**18)
-    return [*trials, Trial("disk full under the logger", Fault.RECORDING_STOPPED, fill, _recording_ended)]
+    return [
+        *(Trial(name, fault, methodcaller("inject", name)) for name, fault in FAULTS.items()),
+        *(Trial(name, Fault.TWO_CONTROLLERS, make, restore=_foreign_ended) for name, make in foreign.items()),
+        Trial("following error", Fault.FOLLOWING_ERROR, tight, restore=wide),
+        *trials_of_processes(composed),
+        Trial("disk full under the logger", Fault.RECORDING_STOPPED, fill, _recording_ended),
+    ]
 
 
 def row_of(trial: Trial, injected: int, times_ms: Sequence[float], failures: Sequence[str]) -> dict[str, Any]:
@@ -242,7 +225,8 @@ def row_of(trial: Trial, injected: int, times_ms: Sequence[float], failures: Seq
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    parser.add_argument("--injections", type=int, default=20, metavar="N", help="of each fault (default: %(default)s)")
+    kind = whole_number(1)
+    parser.add_argument("--injections", type=kind, default=20, metavar="N", help="of each fault (default: %(default)s)")
     parser.add_argument("--only", metavar="TEXT", default="", help="inject only faults with this text in their name")
     parser.add_argument("--composed", action="store_true", help="driver, feedforward and controller in one process")
     add_output(parser)
@@ -251,26 +235,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print a row for each fault; exit code 1 if one is not green."""
     require_ros()
-    check_range("--injections", options.injections, 1)
     known = trials_of(options.composed)
     chosen = [trial for trial in known if options.only in trial.name]
     if not chosen:
         names = ", ".join(trial.name for trial in known)
         raise CommandFailed(f"--only {options.only!r}: no fault has this in its name; known: {names}", exit_code=2)
     values, begin, rows = trial_parameters(chosen_parameters(options)), time.monotonic(), list[dict[str, Any]]()
-    with output(options) as folder, Stand(folder, values, options.composed) as stand:
+    # If the graph does not start again, what was measured before stays of use.
+    with output(options) as folder, Stand(folder, values, options.composed) as stand, suppress(LaunchError):
         for trial in tracked(chosen, "faults"):
-            stand.failures, injected, times_ms, lost = [], 0, list[float](), False
+            stand.failures, injected, times_ms = [], 0, list[float]()
             try:
                 for injected in range(1, options.injections + 1):  # noqa: B007
                     times_ms += _injected(stand, trial)
             except LaunchError as error:
-                # The graph did not start again. What was measured before stays of use.
                 stand.fail(str(error))
-                lost = True
-            rows.append(row_of(trial, injected, times_ms, stand.failures))
-            if lost:
-                break
+                raise
+            finally:
+                rows.append(row_of(trial, injected, times_ms, stand.failures))
     green, seconds = all(row["green"] for row in rows), time.monotonic() - begin
     print_json({"faults": rows, "all_green": green, "seconds": seconds})
     return int(not green)

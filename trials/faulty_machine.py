@@ -16,20 +16,21 @@ def _replaced(**numbers: float) -> Callable[[Sample, Sample], Sample]:
     return lambda sample, _: sample._replace(**numbers)
 
 
-KINDS: Mapping[str, Callable[[Sample, Sample], Sample]] = {
-    "sample_nan": _replaced(y=math.nan),
-    "sample_infinite": _replaced(x=math.inf),
-    "y_out_of_range": _replaced(y=5e-3),
-    "y_frozen": lambda sample, first: sample._replace(y=first.y),
-    "x_frozen": lambda sample, first: sample._replace(x=first.x),
-    "x_jump": lambda sample, _: sample._replace(x=sample.x + _JUMP),
-    "x_beyond_map": lambda sample, first: sample._replace(
-        x=sample.x - _RUN_AWAY * (sample.stamp_ns - first.stamp_ns) * 1e-9
-    ),
+def _run_away(sample: Sample, first: Sample) -> Sample:
+    return sample._replace(x=sample.x - _RUN_AWAY * (sample.stamp_ns - first.stamp_ns) * 1e-9)
+
+
+FAULTS: Mapping[str, tuple[Fault, Callable[[Sample, Sample], Sample]]] = {
+    "sample NaN": (Fault.SAMPLE_NOT_FINITE, _replaced(y=math.nan)),
+    "sample infinite": (Fault.SAMPLE_NOT_FINITE, _replaced(x=math.inf)),
+    "y out of range": (Fault.Y_OUT_OF_RANGE, _replaced(y=5e-3)),
+    "encoder y frozen": (Fault.Y_FROZEN, lambda sample, first: sample._replace(y=first.y)),
+    "encoder x frozen": (Fault.X_FROZEN, lambda sample, first: sample._replace(x=first.x)),
+    "jump in x": (Fault.X_JUMP, lambda sample, _: sample._replace(x=sample.x + _JUMP)),
+    "map missing for this x": (Fault.MAP_MISSING, _run_away),
+    "board reports a fault": (Fault.BOARD, lambda sample, _: sample),
 }
-"""Kinds of faults, and what each makes of a sample, given the first sample that it affects."""
-BOARD = "board"
-"""The kind in which the board itself reports a fault."""
+"""By name: what is found, and what each makes of a sample, given the first sample that it affects."""
 
 
 class FaultyHardware:
@@ -37,22 +38,20 @@ class FaultyHardware:
 
     Args:
         inner: the machine.
-        began: called with the kind and the time (ns) of the first sample that it affects.
+        began: called with the fault's name and the time (ns) of the first sample that it affects.
     """
 
-    def __init__(self, inner: Hardware, began: Callable[[str, int], None]) -> None:
+    def __init__(self, inner: Hardware, began: Callable[[str, int], None] = lambda name, time_ns: None) -> None:
         self._inner, self._began = inner, began
         self._first: Sample | None = None
-        self.kind = self._fault = ""
+        self.injected = self._fault = ""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
 
-    def inject(self, kind: str) -> None:
-        """Begin with the next sample; an empty text ends it. ValueError for an unknown kind."""
-        if kind and kind != BOARD and kind not in KINDS:
-            raise ValueError(f"fault '{kind}' is unknown; allowed: {BOARD}, {', '.join(KINDS)}")
-        self.kind, self._first = kind, None
+    def inject(self, name: str) -> None:
+        """Begin one of :data:`FAULTS` with the next sample; an empty name ends it."""
+        self.injected, self._first = name, None
 
     def replace(self, inner: Hardware) -> None:
         """Continue with another machine, whatever state this one is in, and without a fault."""
@@ -61,16 +60,16 @@ class FaultyHardware:
 
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
         samples = self._inner.read(now_ns)
-        if not self.kind or not samples:
+        if not self.injected or not samples:
             return samples
+        fault, change = FAULTS[self.injected]
         if self._first is None:
             self._first = samples[0][0]
-            self._began(self.kind, now_ns)
-            if self.kind == BOARD:
+            self._began(self.injected, now_ns)
+            if fault is Fault.BOARD:
                 self._fault = "the board reports: overcurrent"
                 self._inner.disable()
-        change = KINDS.get(self.kind)
-        return [(change(sample, self._first), truth) for sample, truth in samples] if change else samples
+        return [(change(sample, self._first), truth) for sample, truth in samples]
 
     def reset_fault(self) -> None:
         self._fault = ""

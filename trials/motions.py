@@ -14,6 +14,7 @@ import argparse
 import random
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import SETTLED, standstill_figures
 from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
 from straightcomp_ros.cli.output import print_json, require_ros
 from straightcomp_ros.contract import STAGE_STATE, TRUTH
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -61,16 +62,15 @@ Array = NDArray[np.float64]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    parser.add_argument("--sequences", type=int, default=1000, metavar="N", help="random sequences (default: 1000)")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the first sequence (default: 1)")
-    parser.add_argument("--positions", type=int, default=100, metavar="N", help="of the step and scan (default: 100)")
-    parser.add_argument("--live", metavar="DIR", help="run the sequences in a running graph; bag and logs go here")
+    add, count = parser.add_argument, whole_number(0)
+    add("--sequences", type=count, default=1000, metavar="N", help="random sequences (default: %(default)s)")
+    add("--seed", type=int, default=1, metavar="N", help="of the first sequence (default: %(default)s)")
+    add("--positions", type=count, default=100, metavar="N", help="of the step and scan (default: %(default)s)")
+    add("--live", metavar="DIR", help="run the sequences in a running graph; bag and logs go here")
 
 
 def run(options: argparse.Namespace) -> int:
     """Exit code 1 if a sequence failed."""
-    check_range("--sequences", options.sequences, 0)
-    check_range("--positions", options.positions, 0)
     values = chosen_parameters(options)
     motion = node_parameters("cell", values).stage.motion
     # Trapezoids have steps of their own.
@@ -167,36 +167,37 @@ def planned(stage: StageParameters, seed: int) -> Plan:
 
 def in_lockstep(values: Any, plan: Plan) -> tuple[Plan, StraightnessMap, Array, Array]:
     """The plan with the turns that took place, the map, and true x and y (n,) in m."""
-    machines, turns = list[SimulatedHardware](), list[Act]()
-    stage, acts = plan.stage, {act.at: act.what for act in plan.acts if act.what != "pace"}
+    machines, turns, acceleration = list[SimulatedHardware](), list[Act](), plan.stage.motion.acceleration
+    acts = {act.at: act.what for act in plan.acts if act.what != "pace"}
 
     def wiring(machine: SimulatedHardware) -> SimulatedHardware:
         machines.append(machine)
         return machine
 
+    def back(machine: SimulatedHardware, stamp_ns: int) -> Trajectory:
+        """To where it came from, within the acceleration of strokes."""
+        for seconds in 1.1 ** np.arange(100):
+            there = Trajectory([Waypoint(round(seconds * 1e9), plan.trajectory.positions[0], 0.0)])
+            if machine.motion.joined(there, stamp_ns).largest_acceleration <= acceleration:
+                break
+        return there
+
     def observe(sample: Any, *_: Any) -> None:
-        machine, number = machines[0], sample.stamp_ns // stage.period_ns
+        machine, number = machines[0], sample.stamp_ns // plan.stage.period_ns
         what = acts.get(number)
         if what == "off":
             machine.disable()
         elif what == "on":
             machine.enable()
         elif what == "back" and machine.motion.moving:
-            # Back to where it came from, within the acceleration of strokes.
-            goal, seconds = plan.trajectory.positions[0], 1.0
-            there = Trajectory([Waypoint(round(seconds * 1e9), goal, 0.0)])
-            while machine.motion.joined(there, sample.stamp_ns).largest_acceleration > stage.motion.acceleration:
-                seconds *= 1.1
-                there = Trajectory([Waypoint(round(seconds * 1e9), goal, 0.0)])
-            machine.move(there, sample.stamp_ns)
-            turns.append(Act(number, "back", there))
+            turns.append(Act(number, what, back(machine, sample.stamp_ns)))
+            machine.move(turns[-1].asked, sample.stamp_ns)
 
     simulation = Simulation(values, motion=(plan.trajectory, 0), wiring=wiring)
     paces = {act.at: act.asked for act in plan.acts if act.what == "pace"}
     record = simulation.run(observe=observe, paces=paces)
     assert record.true_x is not None and record.true_y is not None
-    happened = [act for act in plan.acts if act.what != "back"] + turns
-    happened.sort(key=lambda act: act.at)
+    happened = sorted([*(act for act in plan.acts if act.what != "back"), *turns], key=lambda act: act.at)
     return plan._replace(acts=happened), simulation.map, record.true_x, record.true_y
 
 
@@ -214,28 +215,26 @@ def judged(plan: Plan, straightness: StraightnessMap, x: Array, y: Array) -> dic
     carried = np.abs(np.diff(curvature)) * mean[1:] ** 2 + 3.0 * np.abs(curvature[1:]) * motion.speed * (
         motion.acceleration * period
     )
-    late, stops, counted = 0.0, 0, np.arange(error.size) >= plan.begun
-    of_the_stage = [act for act in plan.acts if act.what in ("pace", "back")]
-    for place, act in enumerate(of_the_stage):
-        allowed = round((abs(v[min(act.at, v.size - 1)]) / motion.acceleration + _STOP_S) / period)
-        until = min([other.at for other in of_the_stage[place + 1 :]] + [v.size])
-        if act.what == "pace" and (act.asked.hold or act.asked.end) and act.at + allowed < until:
-            moving = np.flatnonzero(np.abs(v[act.at : until]) > _STILL)
-            late = max(late, float(moving[-1] + 1 - allowed) * period + _STOP_S if moving.size else 0.0)
-            stops += 1
+    late, counted = list[float](), np.arange(error.size) >= plan.begun
+    of_the_stage = [act for act in plan.acts if act.what in ("pace", "back") and act.at < v.size]
+    for act, following in pairwise([*of_the_stage, Act(v.size, "end")]):
+        allowed = round((abs(v[act.at]) / motion.acceleration + _STOP_S) / period)
+        if act.what == "pace" and (act.asked.hold or act.asked.end) and act.at + allowed < following.at:
+            moving = np.flatnonzero(np.abs(v[act.at : following.at]) > _STILL)
+            late.append(float(moving[-1] + 1 - allowed) * period + _STOP_S if moving.size else 0.0)
     at = {act.what: act.at for act in plan.acts}
     if "off" in at:
         counted[at["off"] : at["on"] + round(_RECOVERY / period)] = False
     failed = {
-        "stop": late > _STOP_S,
+        "stop": max(late, default=0.0) > _STOP_S,
         "step": bool((steps > jerk + carried).any()),
         "at_stop": bool(np.abs(y).max() >= stage.platform.stop),
     }
     return {
-        "stops": stops,
+        "stops": len(late),
         "reversals": int("back" in at),
         "faults": int("off" in at and at["off"] < error.size),
-        "latest_stop_beyond_v_over_a_ms": late * 1e3,
+        "latest_stop_beyond_v_over_a_ms": max(late, default=0.0) * 1e3,
         "pp_um": peak_to_peak(error[counted]) * 1e6,
         "first_move_pp_um": peak_to_peak(error[_SETTLE_NS // stage.period_ns : plan.begun]) * 1e6,
         "largest_step_of_acceleration": float(steps.max()),

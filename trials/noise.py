@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import straightness_over
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import offsets
@@ -81,7 +81,7 @@ def kinds() -> dict[str, Kind]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--draws", type=int, default=9, metavar="N", help="surveys of each kind (default: %(default)s)")
+    add("--draws", type=whole_number(1), default=9, metavar="N", help="surveys of each kind (default: %(default)s)")
     add("--guide", choices=kinds(), help="this guide alone")
     add("--spacing", type=float, nargs="+", default=SPACINGS_MM, metavar="MM", help="default: %(default)s")
     add("--noise", type=float, nargs="+", default=NOISES_UM, metavar="UM", help="default: %(default)s")
@@ -91,7 +91,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print for each guide, spacing and noise the median errors p-p in µm, and the coverage of the 95 % band; or the
     residual straightness of strokes."""
-    check_range("--draws", options.draws, 1)
     rows = []
     for name, kind in kinds().items():
         for spacing in options.spacing if options.guide in (None, name) else ():

@@ -26,6 +26,7 @@ from straightcomp_ros.bags.reader import read_messages
 from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import Topic, TopicQos
+from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.contract import ENCODER
 from trials.rig import tracked
@@ -168,7 +169,9 @@ def cut_off(folder: Path, seconds: float, cuts: int, seed: int) -> dict[str, Any
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of recording (default: %(default)s)")
-    parser.add_argument("--cuts", type=int, default=1000, help="moments of a power cut (default: %(default)s)")
+    parser.add_argument(
+        "--cuts", type=whole_number(1), default=1000, help="moments of a power cut (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of moments and sectors (default: %(default)s)")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import os
 import random
 import shutil
 import signal
@@ -18,20 +19,27 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.recovery import default_output, recover
+from straightcomp_ros.bench.graph_bench import usage
 from straightcomp_ros.cell.launcher import COMPOSED, LaunchError
 from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import notes, print_json, require_ros
-from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.safety.faults import Fault
@@ -40,7 +48,6 @@ from straightcomp_ros.timing.node_timing import SAMPLES
 from trials import stalls
 from trials.faults import trial_parameters, trials_of_processes
 from trials.rig import add_output, output
-from trials.soak_verdict import Look, grown, look, missing_in_bags
 from trials.stand import Stand
 
 SUMMARY = "run the graph for a long time under random actions and check it after each"
@@ -63,6 +70,19 @@ _TAKEN_BY_A_KILL_S = 0.5
 """Longest part of a recording that SIGKILL may lose."""
 _FADE_S = 0.7
 """The feedforward refuses a change of its map during the previous one, which takes 0.5 s."""
+MEMORY_SPAN_S = 600.0
+"""Shortest time over which the slope of a process's memory is meaningful: a logger takes 5 MB in the first four minutes
+of its work, and 6 to 8 MB in fifteen."""
+MEMORY_LIMIT_MB_PER_HOUR = 60.0
+HISTORIES_MB = 60.0
+"""What a process may take once: the middleware keeps, for the lease of a killed recorder, the batches that it has not
+acknowledged, and does not give their memory back. Driver, feedforward and controller in one process grew by 48 to 51 MB
+in the first six kills of the recorder, and by 1 MB in the next eight."""
+LONGEST_GAP_S = 0.6
+"""Half a stroke: a stalled computer may lose so much of a recording."""
+_OF_A_THREAD = "/schedstat"
+"""A node's file that counts a thread's waits for a CPU: open from the report after the thread's start until the look
+after its end, so that there may be one more or less of them than threads for a while."""
 _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("controller", {"control.law": "linear", "control.smc_observer.surface": -1.0}),
     ("controller", {"control.smc_observer.surface": 500.0, "control.law": "no such law"}),
@@ -153,7 +173,7 @@ class Soak:
         self.interrupt()
         for name, code in stand.stop().items():
             if code != 0:
-                stand.fail(f"{name} stopped with exit code {code}")  # None: it did not stop
+                stand.fail(f"{name} stopped with exit code {code}")
 
     def _done(self, kind: str) -> bool:
         """Do one action and restore normal operation; returns whether that was possible."""
@@ -162,9 +182,8 @@ class Soak:
         self.note(kind)
         self.counts["actions"][kind] += 1
         try:
-            allowed = ACTIONS[kind](self)
             # The amplifier may be off: it was switched off, or the driver is a new one.
-            self.check(allowed, on=False)
+            self.check(ACTIONS[kind](self) or (), on=False)
             self.back_to_work()
         except (LaunchError, ProcessLookupError) as error:
             stand.fail(f"not back to work: {error}")
@@ -296,48 +315,42 @@ def _answered(answer: Any, who: str) -> Any:
     return answer
 
 
-Action = Callable[[Soak], Sequence[Fault]]
-"""An action returns the faults that it may cause."""
-
-
-def amplifier_off_and_on(soak: Soak) -> Sequence[Fault]:
+def amplifier_off_and_on(soak: Soak) -> None:
     """Amplifier off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
     stand = soak.stand
     soak.ask(SetBool, "driver/enable", data=False)
     if not stand.until(lambda: stand.condition == "off", 1.0):
         if stand.condition == "fault":
             # It was latched before the request arrived; no action caused it.
-            return ()
+            return
         stand.fail(f"the amplifier is '{stand.condition}' after it was switched off")
     stand.spin(soak.rng.uniform(0.0, 0.5))
     begin = time.monotonic()
     answer = soak.ask(SetBool, "driver/enable", data=True)
-    on = stand.until(lambda: stand.condition == "on", ENABLE_LIMIT_S)
-    seconds = time.monotonic() - begin
+    on, seconds = stand.until(lambda: stand.condition == "on", ENABLE_LIMIT_S), time.monotonic() - begin
     if on and seconds <= ENABLE_LIMIT_S:
         soak.enable_s.append(seconds)
     else:
         words = answer.message or f"fault {stand.fault}"
         stand.fail(f"'{stand.condition}' {seconds:.2f} s after enable; allowed: on within 2 s ({words})")
-    return ()
 
 
-def change(node: str, draw: Callable[[Soak], Mapping[str, Any]], soak: Soak) -> Sequence[Fault]:
-    """Change parameters of a node to others, with which the platform is held."""
-    values = draw(soak)
+def set_parameters(draw: Callable[[Soak], tuple[str, Mapping[str, Any]]], refused: bool, soak: Soak) -> None:
+    """Set parameters of a node: others with which the platform is held; or some of which one is wrong, a request that
+    must be ``refused`` as a whole, and with a reason."""
+    node, values = draw(soak)
     soak.stand.spin(_FADE_S)
-    result, _, after = soak.set(node, values)
-    if not result.successful:
-        soak.stand.fail(f"{node} refused {values}: {result.reason}")
-    elif after != values:
-        soak.stand.fail(f"{node} took {values}, and has {after}")
+    result, before, after = soak.set(node, values)
+    if result.successful is refused or (refused and not result.reason):
+        soak.stand.fail(f"{node} {'took' if result.successful else 'refused'} {values}: '{result.reason}'")
+    elif after != (before if refused else values):
+        soak.stand.fail(f"{node} had {before}, was asked for {values}, and has {after}")
     soak.stand.spin(_FADE_S)
-    return ()
 
 
-def _law(soak: Soak) -> Mapping[str, Any]:
+def _law(soak: Soak) -> tuple[str, Mapping[str, Any]]:
     between = soak.rng.uniform
-    return {
+    return "controller", {
         "control.smc_observer.surface": between(450.0, 600.0),
         "control.smc_observer.bandwidth": between(380.0, 460.0),
         "control.smc.natural_frequency": between(32.0, 38.0),
@@ -345,20 +358,11 @@ def _law(soak: Soak) -> Mapping[str, Any]:
     }
 
 
-def refused_parameters(soak: Soak) -> Sequence[Fault]:
-    """Set parameters with one wrong value: the request must be refused as a whole, with all values unchanged."""
-    node, values = soak.rng.choice(_REFUSED)
-    result, before, after = soak.set(node, values)
-    if result.successful:
-        soak.stand.fail(f"{node} took {values}")
-    elif not result.reason:
-        soak.stand.fail(f"{node} refused {values} without a reason")
-    if after != before:
-        soak.stand.fail(f"{node} refused {values}, and has {after} in place of {before}")
-    return ()
+def _map(soak: Soak) -> tuple[str, Mapping[str, Any]]:
+    return "feedforward", {"stage.guide.file": soak.rng.choice(soak.maps)}
 
 
-def ask_trigger(services: Sequence[str], between_s: tuple[float, float], soak: Soak) -> Sequence[Fault]:
+def ask_trigger(services: Sequence[str], between_s: tuple[float, float], soak: Soak) -> None:
     """Call services one after the other, none of which may refuse; two of the recorder end a recording and begin it
     again. A split of the bag alone loses nothing, so the recording does not count as interrupted."""
     if len(services) > 1:
@@ -370,7 +374,6 @@ def ask_trigger(services: Sequence[str], between_s: tuple[float, float], soak: S
         if not answer.success and soak.stand.answers_lost == lost:
             soak.stand.fail(f"{service} was refused: {answer.message}")
         soak.stand.spin(soak.rng.uniform(*between_s))
-    return ()
 
 
 def kill_or_stop(how: str, soak: Soak) -> Sequence[Fault]:
@@ -398,7 +401,7 @@ def stop_for_short(soak: Soak) -> Sequence[Fault]:
     return () if name == "logger" else HELD_UP
 
 
-def down_and_up(soak: Soak) -> Sequence[Fault]:
+def down_and_up(soak: Soak) -> None:
     """Amplifier off, all nodes inactive in the order of the signals, and back: no fault, all active again."""
     stand, order = soak.stand, tuple(soak.stand.heartbeats.states)
     soak.interrupt()
@@ -414,15 +417,14 @@ def down_and_up(soak: Soak) -> Sequence[Fault]:
             if not stand.until(lambda: stand.heartbeats.states[name] == state, _PATIENCE_S):  # noqa: B023
                 stand.fail(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")
         stand.spin(soak.rng.uniform(0.0, 0.3))
-    return ()
 
 
-ACTIONS: Mapping[str, Action] = {
+ACTIONS: Mapping[str, Callable[[Soak], Sequence[Fault] | None]] = {
     "amplifier off and on": amplifier_off_and_on,
     "map reloaded": partial(ask_trigger, ("feedforward/reload_map",), (_FADE_S, _FADE_S)),
-    "another map": partial(change, "feedforward", lambda soak: {"stage.guide.file": soak.rng.choice(soak.maps)}),
-    "another law": partial(change, "controller", _law),
-    "refused parameters": refused_parameters,
+    "another map": partial(set_parameters, _map, False),
+    "another law": partial(set_parameters, _law, False),
+    "refused parameters": partial(set_parameters, lambda soak: soak.rng.choice(_REFUSED), True),
     "pause and resume": partial(ask_trigger, ("logger/pause", "logger/resume"), (0.1, 0.5)),
     "split": partial(ask_trigger, ("logger/split",), (0.0, 0.0)),
     "another bag": partial(ask_trigger, ("logger/stop", "logger/start"), (0.0, 0.3)),
@@ -431,4 +433,78 @@ ACTIONS: Mapping[str, Action] = {
     "SIGSTOP, short": stop_for_short,
     "deactivate, activate": down_and_up,
 }
-"""All kinds of action, by name. Each finds the graph at work."""
+"""All kinds of action, by name. Each finds the graph at work, and returns the faults that it may cause."""
+
+
+class Look(NamedTuple):
+    """One process at one time: ns since the epoch, open descriptors without those of :data:`_OF_A_THREAD`, threads,
+    resident memory in MB (10⁶ bytes)."""
+
+    time_ns: int
+    descriptors: int
+    threads: int
+    rss_mb: float
+
+
+def look(process_id: int) -> Look:
+    """Look now; OSError if the process has ended."""
+    folder, files = f"/proc/{process_id}/fd", []
+    for one in os.listdir(folder):
+        with suppress(FileNotFoundError):  # closed since
+            files.append(os.readlink(f"{folder}/{one}"))
+    descriptors = sum(not file.endswith(_OF_A_THREAD) for file in files)
+    threads = len(os.listdir(f"/proc/{process_id}/task"))
+    return Look(time.time_ns(), descriptors, threads, usage({"": process_id}).rss_mb[""])
+
+
+def grown(name: str, process_id: int, looks: Sequence[Look]) -> tuple[dict[str, Any], list[str]]:
+    """Values of one process by name, at the first look and the last, and inadmissible growth, in words.
+
+    A look may be taken while a killed peer and its successor are both known: such a peak of descriptors and threads is
+    ignored unless it is in the last look.
+    """
+    first, last = looks[0], looks[-1]
+    seconds, slope = (last.time_ns - first.time_ns) * 1e-9, None
+    who = f"{name} (process {process_id}, {seconds:.0f} s)"
+    counts = {what: (getattr(first, what), getattr(last, what)) for what in ("descriptors", "threads")}
+    found = [f"{who} has {end} {what} after {begin}" for what, (begin, end) in counts.items() if end > begin]
+    if seconds >= MEMORY_SPAN_S:
+        hours = [(one.time_ns - first.time_ns) / 3.6e12 for one in looks]
+        slope = float(np.polyfit(hours, [one.rss_mb for one in looks], 1)[0])
+        if slope > MEMORY_LIMIT_MB_PER_HOUR and last.rss_mb - first.rss_mb > HISTORIES_MB:
+            found.append(f"the memory of {who} grows by {slope:.0f} MB/h; allowed: {MEMORY_LIMIT_MB_PER_HOUR:g}")
+    memory = {"rss_mb": (first.rss_mb, last.rss_mb), "slope_mb_per_hour": slope}
+    return {"name": name, "seconds": seconds, **counts, **memory}, found
+
+
+def missing_in_bags(folder: Path, recorded: Sequence[tuple[int, int]]) -> tuple[Counter[str], list[str]]:
+    """How many of the bags of loggers in ``folder`` were finished, and recovered; and what they have not, in words, of
+    the times that were known to be recorded, or why they cannot be read."""
+    bags, stamps, failures = Counter[str](), [np.empty(0, np.int64)], []
+    for bag in sorted(path for path in folder.glob("bag_*") if path.is_dir()):
+        finished, whole = (bag / "metadata.yaml").exists(), bag
+        try:
+            if not finished:
+                whole = default_output(bag)
+                if not recover(bag, whole).saved:
+                    raise BagError(f"bag {bag}: no message could be saved")
+            streams = read_streams(whole, {ENCODER.topic: ENCODER.layout})
+            stamps += [stream.stamp for stream in streams.values()]
+            bags["finished" if finished else "recovered"] += 1
+        except BagError as error:
+            failures.append(str(error))
+    if not recorded:
+        failures.append("the recording was never known to be whole")
+    for begin_ns, length_s in gaps(np.concatenate(stamps), recorded):
+        failures.append(f"no bag has the {length_s:.1f} s from {begin_ns * 1e-9:.3f} s since the epoch on")
+    return bags, failures
+
+
+def gaps(stamps: NDArray[np.int64], recorded: Sequence[tuple[int, int]]) -> list[tuple[int, float]]:
+    """Begin (ns) and length (s) of each longer time without a sample, while the recording was known to be complete."""
+    found, stamps = [], np.unique(stamps)
+    for begin, end in recorded:
+        times = np.array([begin, *stamps[(stamps > begin) & (stamps < end)], end])
+        lengths_s = np.diff(times) * 1e-9
+        found += [(int(times[k]), float(lengths_s[k])) for k in np.flatnonzero(lengths_s > LONGEST_GAP_S)]
+    return found

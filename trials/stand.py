@@ -166,13 +166,11 @@ class Stand:
         if drives and (not self.until(lambda: self.condition != "", _NEW_DRIVER_S) or self.condition == "on"):
             self.fail(f"the new driver's amplifier is '{self.condition}'")
 
-    def stop(self) -> dict[str, int | None]:
-        """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
-        for name in self.names:
-            if self.exit_code(name) is None:
-                self.signal(name, signal.SIGINT)
-        self.until(lambda: not any(self.exit_code(name) is None for name in self.names), STOP_S)
-        return {name: self.exit_code(name) for name in self.names}
+    def stop(self) -> dict[str, int]:
+        """Stop all nodes as an operator does, the logger last; their exit codes, negative for one that was killed."""
+        _leave_real_time()
+        others = [name for name in self.names if name != "logger"]
+        return self._graph.stop(others) | self._graph.stop(["logger"])
 
     @property
     def bag(self) -> Path:

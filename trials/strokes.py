@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from straightcomp_ros.cell.demonstration import DemonstrationFailed, judged, recorded
 from straightcomp_ros.cell.launcher import isolated_environment
-from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters, whole_number
 from straightcomp_ros.cli.output import print_json, require_ros
 from straightcomp_ros.offline.starts import spread, with_values
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values
@@ -55,7 +55,9 @@ class Condition(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    add("--runs", type=int, default=10, metavar="N", help="strokes of each condition (default: %(default)s)")
+    add(
+        "--runs", type=whole_number(1), default=10, metavar="N", help="strokes of each condition (default: %(default)s)"
+    )
     add("--graphs", nargs="+", choices=GRAPHS, default=GRAPHS, help="default: both")
     add("--loads", nargs="+", choices=LOADS, default=LOADS, help="default: both")
     priorities = "SCHED_FIFO priorities, 0 for none (default: 40 0)"
@@ -67,7 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Exit code 1 if a stroke failed or a pair disturbs each other."""
     require_ros()
-    check_range("--runs", options.runs, 1)
     for priority in options.priorities:
         check_range("--priorities", priority, 0, 98)
     stages, moving = {"a": chosen_parameters(options)}, [("a",)]
@@ -87,15 +88,13 @@ def run(options: argparse.Namespace) -> int:
                     strokes[condition, stage].append(stroke)
             except DemonstrationFailed as error:
                 failures.append(f"{place.relative_to(folder)}: {error}")
-    rows = [row(condition, stage, found) for (condition, stage), found in strokes.items()]
-    alone = {
-        (key[0][:3], key[1]): one["pp_um"] for key, one in zip(strokes, rows, strict=True) if len(key[0].stages) == 1
-    }
-    for (condition, stage), one in zip(strokes, rows, strict=True):
-        if len(condition.stages) > 1 and (condition[:3], stage) in alone:
-            one["ratio_to_alone"] = one["pp_um"]["median"] / alone[condition[:3], stage]["median"]
-    good = not failures and all(one.get("ratio_to_alone", 0.0) <= LARGEST_RATIO for one in rows)
-    print_json({"rows": rows, "failures": failures, "passed": good})
+    rows = {key: row(*key, found) for key, found in strokes.items()}
+    for (condition, stage), one in rows.items():
+        alone = rows.get((condition._replace(stages=(stage,)), stage))
+        if len(condition.stages) > 1 and alone:
+            one["ratio_to_alone"] = one["pp_um"]["median"] / alone["pp_um"]["median"]
+    good = not failures and all(one.get("ratio_to_alone", 0.0) <= LARGEST_RATIO for one in rows.values())
+    print_json({"rows": [*rows.values()], "failures": failures, "passed": good})
     return int(not good)
 
 

@@ -26,7 +26,7 @@ from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import with_values
@@ -67,6 +67,10 @@ class Drawn(NamedTuple):
         """Coulomb friction in N, or a hundredth of the mass without any: the measure of a force that matters."""
         return max(self.stage.friction.coulomb, 1e-2 * self.stage.platform.mass)
 
+    def row(self, number: int, verdict: Verdict) -> dict[str, Any]:
+        """The verdict on run ``number`` of a draw, to print."""
+        return {"run": number, "stage": self.values["stage"]["name"], **verdict._asdict()}
+
     def of(self, node: str, changes: Mapping[str, Any]) -> Drawn:
         """The run with changes of parameters of a node."""
         return self._replace(values=with_values(self.values, node, changes))
@@ -77,33 +81,28 @@ class Drawn(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--sound", type=int, default=50, metavar="N", help="sound runs (default: %(default)s)")
-    add("--unsound", type=int, default=2, metavar="N", help="unsound runs of each cause (default: %(default)s)")
+    add, count = parser.add_argument, whole_number(0)
+    add("--sound", type=count, default=50, metavar="N", help="sound runs (default: %(default)s)")
+    add("--unsound", type=count, default=2, metavar="N", help="unsound runs of each cause (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: %(default)s)")
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the sound runs that were accused, what was named for each cause, and the runs with another name."""
-    check_range("--sound", options.sound, 0)
-    check_range("--unsound", options.unsound, 0)
-    accused, table, others = [], {}, []
+    accused, table, others = [], {cause: Counter[str]() for cause in CAUSES}, []
     for number in tracked(range(options.sound), "sound runs"):
         drawn = sound(default_rng([options.seed, 0, number]))
         verdict = judged(drawn, *simulated(drawn))
         if not verdict.in_order:
-            accused.append({"run": number, "stage": drawn.values["stage"]["name"], **verdict._asdict()})
+            accused.append(drawn.row(number, verdict))
     for place, cause in enumerate(tracked(CAUSES, "unsound runs"), 1):
-        table[cause] = Counter[str]()
         for number in range(options.unsound):
             found = unsound(default_rng([options.seed, place, number]), CAUSES[cause])
             if found is not None:
-                drawn, verdict = found
-                name = named_cause(verdict)
+                name = named_cause(found[1])
                 table[cause][name] += 1
                 if name != EXPECTED.get(cause, cause):
-                    where = {"cause": cause, "run": number, "stage": drawn.values["stage"]["name"]}
-                    others.append(where | verdict._asdict())
+                    others.append({"cause": cause, **found[0].row(number, found[1])})
     print_json({"sound": options.sound, "accused": accused, "named_by_cause": table, "others": others})
 
 
@@ -111,25 +110,24 @@ def sound(random: Generator) -> Drawn:
     """A run of a stage as identified."""
     name = str(random.choice([name for name in stage_names() if name != "infeasible"]))
     values: dict[str, dict[str, Any]] = {node: {} for node in ("driver", "feedforward", "controller", "stage")}
-    for node, section in read_stage_file(STAGES / f"{name}.yaml").items():
-        values.setdefault(node, {}).update(section)
+    values |= {node: dict(section) for node, section in read_stage_file(STAGES / f"{name}.yaml").items()}
     scenario = make_scenario(values, [_LAW])
     designed = json.loads((STAGES / "found_gains.json").read_text(encoding="utf-8")).get(name)
     values["controller"] |= designed or closed_form(scenario, _LAW)
     stage = scenario.description
-    length = stage.motion.stroke * _between(random, 0.15, 0.6)
+    length = stage.motion.stroke * random.uniform(0.15, 0.6)
     values["stage"] |= {
         "motion.stroke": length,
-        "motion.start": stage.motion.start + _between(random, 0.0, stage.motion.stroke - length),
-        "motion.speed": stage.motion.speed * _between(random, 0.3, 1.0),
-        "motion.settle": _between(random, 0.3, 1.0),
-        "motion.pause": _between(random, 0.3, 0.8),
+        "motion.start": stage.motion.start + random.uniform(0.0, stage.motion.stroke - length),
+        "motion.speed": stage.motion.speed * random.uniform(0.3, 1.0),
+        "motion.settle": random.uniform(0.3, 1.0),
+        "motion.pause": random.uniform(0.3, 0.8),
     }
     ranges = stage.uncertainty
     for fact in ("mass", "force", "air_gap"):
-        values["driver"][_TRUTH + fact] = 1.0 + _IDENTIFIED * getattr(ranges, fact) * _between(random, -1.0, 1.0)
-    values["driver"][_TRUTH + "friction"] = ranges.friction ** (_IDENTIFIED * _between(random, -1.0, 1.0))
-    values["driver"]["simulated.initial_y"] = stage.encoder.y_resolution * _between(random, -5.0, 5.0)
+        values["driver"][_TRUTH + fact] = 1.0 + _IDENTIFIED * getattr(ranges, fact) * random.uniform(-1.0, 1.0)
+    values["driver"][_TRUTH + "friction"] = ranges.friction ** (_IDENTIFIED * random.uniform(-1.0, 1.0))
+    values["driver"]["simulated.initial_y"] = stage.encoder.y_resolution * random.uniform(-5.0, 5.0)
     # The guide is the survey without noise; the map has it with noise.
     values["driver"][_TRUTH + "guide"] = stage.guide.file
     survey = mismeasured(scenario.survey, stage.uncertainty.map_noise, random)
@@ -156,10 +154,6 @@ def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
 
 def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:
     return judged_run(record, straightness, by_node(drawn.values), straightness)
-
-
-def _between(random: Generator, low: float, high: float) -> float:
-    return float(random.uniform(low, high))
 
 
 Spoil = Callable[[Drawn, Generator], Drawn]
@@ -198,26 +192,25 @@ def _another_guide(change: Callable[[Any, Any, Generator], tuple[Any, Any]]) -> 
 
 def _shifted(x: Any, deviation: Any, random: Generator) -> Any:
     # The survey must still hold the stroke.
-    by = _between(random, 1e-3, 1e-2) * float(random.choice([-1.0, 1.0]))
+    by = random.uniform(1e-3, 1e-2) * float(random.choice([-1.0, 1.0]))
     return x, np.interp(x + by, x, deviation)
 
 
 def _sparse(x: Any, deviation: Any, random: Generator) -> Any:
-    rows = np.unique(
-        np.linspace(0, x.size - 1, max(10, round(float(np.ptp(x)) / random.uniform(0.03, 0.1)))).astype(int)
-    )
+    count = max(10, round(float(np.ptp(x)) / random.uniform(0.03, 0.1)))
+    rows = np.unique(np.linspace(0, x.size - 1, count).astype(int))
     return x[rows], deviation[rows]
 
 
 def _bowed(x: Any, deviation: Any, random: Generator) -> Any:
     along = 2.0 * (x - x.min()) / np.ptp(x) - 1.0
-    return x, deviation + _between(random, 0.1, 0.5) * np.ptp(deviation) * along**2
+    return x, deviation + random.uniform(0.1, 0.5) * np.ptp(deviation) * along**2
 
 
 def _noisy(drawn: Drawn, random: Generator) -> Drawn:
     (one, *_), step = drawn.survey.runs, float(random.choice([0.5e-3, 1e-3]))
     x = np.arange(one.x.min(), one.x.max(), step)
-    noise = _between(random, 0.1e-6, 0.5e-6) * random.standard_normal(x.size)
+    noise = random.uniform(0.1e-6, 0.5e-6) * random.standard_normal(x.size)
     survey = Survey((Run("1", "forward", x, np.interp(x, one.x, one.deviation) + noise),))
     return drawn._replace(survey=survey).of("stage", {"guide.smooth": "none"})
 
@@ -226,19 +219,19 @@ def _sticky(drawn: Drawn, random: Generator) -> Drawn:
     drawn = drawn.true("contact.", model="maxwell_slip")
     drawn = drawn.true("contact.maxwell_slip.", blocks=1, attraction=1e9)
     stiffness = float(10.0 ** random.uniform(7.5, 8.5))
-    static = drawn.stage.friction.coulomb * _between(random, 1.5, 2.0)
+    static = drawn.stage.friction.coulomb * random.uniform(1.5, 2.0)
     return drawn.of("driver", {"stage.friction.bristle_stiffness": stiffness, "stage.friction.static": static})
 
 
 def _of_loop(drawn: Drawn, random: Generator) -> Drawn:
     if random.uniform() < 0.5:
-        return drawn.true(mass=_between(random, 2.5, 5.0))
-    return drawn.of("driver", {"stage.drive.delay": drawn.stage.drive.delay + _between(random, 2.0, 5.0)})
+        return drawn.true(mass=random.uniform(2.5, 5.0))
+    return drawn.of("driver", {"stage.drive.delay": drawn.stage.drive.delay + random.uniform(2.0, 5.0)})
 
 
 def _mode(drawn: Drawn, random: Generator) -> Drawn:
-    frequency = _between(random, 60.0, min(600.0, 0.3 * drawn.stage.rate))
-    mode = {"frequency": frequency, "damping": _between(random, 0.005, 0.03), "coil": 1.0}
+    frequency = random.uniform(60.0, min(600.0, 0.3 * drawn.stage.rate))
+    mode = {"frequency": frequency, "damping": random.uniform(0.005, 0.03), "coil": 1.0}
     mode["encoder"] = float(random.choice([-1.0, 1.0]))
     drawn = drawn.true("modes.first.", **mode)
     # Described, so that the verdict can know it; the gains are not designed for it.
@@ -253,20 +246,20 @@ CAUSES: Mapping[str, Spoil] = {
     "noise": _noisy,
     "mains": lambda drawn, random: drawn.true(
         "disturbances.mains.",
-        frequency=float(random.choice([50.0, 60.0])) + _between(random, -0.1, 0.1),
-        force=_between(random, 0.5, 3.0) * drawn.dry,
-        second=_between(random, 0.0, 0.2) * drawn.dry,
+        frequency=float(random.choice([50.0, 60.0])) + random.uniform(-0.1, 0.1),
+        force=random.uniform(0.5, 3.0) * drawn.dry,
+        second=random.uniform(0.0, 0.2) * drawn.dry,
     ),
     "cogging": lambda drawn, random: drawn.true(
-        "disturbances.cogging.", force=_between(random, 1.0, 5.0) * drawn.dry, pitch=_between(random, 0.008, 0.032)
+        "disturbances.cogging.", force=random.uniform(1.0, 5.0) * drawn.dry, pitch=random.uniform(0.008, 0.032)
     ),
     "drift": lambda drawn, random: drawn.true(
         "disturbances.drift.",
-        current=_between(random, 1.0, 5.0) * drawn.dry / drawn.stage.actuator.current_stiffness,
-        time=_between(random, 0.3, 2.0),
+        current=random.uniform(1.0, 5.0) * drawn.dry / drawn.stage.actuator.current_stiffness,
+        time=random.uniform(0.3, 2.0),
     ).true("disturbances.", seed=int(random.integers(1000))),
     "stiction": _sticky,
-    "friction": lambda drawn, random: drawn.true(friction=_between(random, 20.0, 60.0)),
+    "friction": lambda drawn, random: drawn.true(friction=random.uniform(20.0, 60.0)),
     "loop": _of_loop,
     "mode": _mode,
 }

@@ -29,7 +29,7 @@ from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.options import output_folder, whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, parquet, table_of
 from straightcomp_ros.fleet.history.store import STROKES
@@ -38,9 +38,9 @@ from straightcomp_ros.fleet.maintenance.advice import advice_of, changes_of
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, levels_of
 from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
-from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import runs_of_starts, spread
+from straightcomp_ros.offline.starts import PITCH, runs_of_starts, spread
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
@@ -64,7 +64,6 @@ _AXES = {
 """Machines of the grid, relative to the description."""
 BASE = ("friction", 1.0)
 """That of the grid which is as described."""
-_PITCH = 0.13e-6
 _ADC_STEP = 2.0 / 4096
 """A; measured coil currents are rounded as by 12 bits for ± 1 A. The simulated ones have no other noise."""
 _LATENCY = {"latency_p50_us": (122.0, 10.0, 36.0), "latency_p99_us": (281.0, 24.0, 60.0)}
@@ -117,27 +116,20 @@ Pool = Mapping[tuple[str, float], list[StrokeRow]]
 
 def stroke_pool(starts: int) -> Pool:
     """Simulate ``starts`` cycles of each machine of the grid, each from another place within a count of the encoder."""
-    rows = {}
+    rows = defaultdict[tuple[str, float], list[StrokeRow]](list)
     for axis, value in tracked([(axis, value) for axis, values in _AXES.items() for value in values], "strokes"):
         truth = {} if axis == "scale" else {f"simulated.truth.{axis}": value}
-        wiring = partial(_Scaled, value) if axis == "scale" else None
-        starts_at = [{"driver": {**truth, "simulated.initial_y": start * _PITCH}} for start in range(starts)]
-        rows[axis, value] = [row for values in starts_at for row in simulated_rows(values, wiring=wiring)]
+        for start in range(starts):
+            values = {"driver": {**truth, "simulated.initial_y": start * PITCH}}
+            rows[axis, value] += simulated_rows(values, wiring=partial(_scaled, value if axis == "scale" else 1.0))
     return rows
 
 
-class _Scaled:
-    """Hardware whose encoder of y has another scale."""
-
-    def __init__(self, factor: float, hardware: Hardware) -> None:
-        self._factor, self._hardware = factor, hardware
-
-    def read(self, *arguments: Any) -> Any:
-        samples = self._hardware.read(*arguments)
-        return [(sample._replace(y=self._factor * sample.y), truth) for sample, truth in samples]
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._hardware, name)
+def _scaled(factor: float, hardware: SimulatedHardware) -> SimulatedHardware:
+    """With another scale of the encoder of y."""
+    read = hardware.read
+    hardware.read = lambda now_ns: [(one._replace(y=factor * one.y), truth) for one, truth in read(now_ns)]  # type: ignore[method-assign]
+    return hardware
 
 
 def simulated_rows(
@@ -276,24 +268,20 @@ def write_store(folder: Path, pool: Pool, *, days: int = DAYS, begin: int = BEGI
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--years", type=int, default=10, metavar="N", help="stage-years of each wear (default: %(default)s)")
-    add("--sound", type=int, default=50, metavar="N", help="stage-years without wear (default: %(default)s)")
-    add("--moved", type=float, default=0.5, metavar="UM", help="how far the guide moved, for the map (default: 0.5)")
+    add, count = parser.add_argument, whole_number(1)
+    add("--years", type=count, default=10, metavar="N", help="stage-years of each wear (default: %(default)s)")
+    add("--sound", type=count, default=50, metavar="N", help="stage-years without wear (default: %(default)s)")
     add("--store", metavar="DIR", help="also write a store with a year of each wear, to try the other verbs on")
 
 
 def run(options: argparse.Namespace) -> None:
-    check_range("--years", options.years, 1, 10_000)
-    check_range("--sound", options.sound, 1, 10_000)
-    check_range("--moved", options.moved, 0.0, 50.0, "µm")
     store = output_folder("--store", options.store, empty=True) if options.store else None
     pool = stroke_pool(_STARTS)
     if store is not None:
         write_store(store, pool)
     figures = measured(pool, options.years, options.sound)
     with tempfile.TemporaryDirectory(prefix="straightcomp_wear_") as folder:
-        figures["map"] = followed_map(Path(folder), options.moved)
+        figures["map"] = followed_map(Path(folder))
     print_json(figures)
 
 
@@ -312,9 +300,7 @@ def measured(pool: Pool, years: int, sound: int) -> dict[str, Any]:
             wears[wear.words if sensor else f"{wear.words}, no sensor"] = {
                 "found": len(after),
                 "years": years,
-                "days_median": float(np.median(after)) if after else None,
-                "days_least": min(after, default=None),
-                "days_most": max(after, default=None),
+                "days": spread(after)._asdict() if after else None,
                 "other_alarms": sum(others for _, others in found),
             }
     return {
@@ -347,7 +333,7 @@ def judged(alarms: list[tuple[str, int]], cause: str) -> tuple[int | None, int]:
     return min(right, default=None), len(alarms) - len(right)
 
 
-def followed_map(folder: Path, moved_um: float, cycles: int = 24) -> dict[str, Any]:
+def followed_map(folder: Path, moved_um: float = 0.5, cycles: int = 24) -> dict[str, Any]:
     """Straightness of the simulated workpiece in µm, p-p, median of nine starts, on a guide that has got a bump of
     ``moved_um`` in height: with the old map, with one that is proposed from so many cycles, each forward and backward,
     and with one of a fresh survey. ``folder`` gets the surveys."""
@@ -365,7 +351,7 @@ def followed_map(folder: Path, moved_um: float, cycles: int = 24) -> dict[str, A
     rows: list[StrokeRow] = []
     for cycle in tracked(range(cycles), "strokes for the map"):
         rows += simulated_rows(
-            {"driver": machine | {"simulated.initial_y": _PITCH * cycle}},
+            {"driver": machine | {"simulated.initial_y": PITCH * cycle}},
             checksum_of([old.read_bytes()]),
             lambda x: truth.deviations(x) + _READING_NOISE * random.standard_normal(x.size),
         )

@@ -13,7 +13,7 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from trials.can_servo import ServoTrial
+from trials.can import ServoTrial
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FOREIGN = node_parameters("driver", shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))).can

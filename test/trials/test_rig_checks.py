@@ -13,8 +13,7 @@ pytest.importorskip("rclpy")
 from straightcomp_ros.safety.faults import Fault
 from trials import soak as soak_run
 from trials.faults import row_of, trials_of
-from trials.soak import HELD_UP, Soak
-from trials.soak_verdict import HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Look, gaps, grown
+from trials.soak import HELD_UP, HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Look, Soak, gaps, grown
 from trials.stand import Seen, Stand
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9

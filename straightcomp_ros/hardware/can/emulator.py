@@ -5,7 +5,7 @@
 
 The program is that of firmware/posix, with the simulated machine behind its encoders and amplifier. It and this process
 exchange packets over a socket, whose layouts firmware/posix/machine.h names. On a bus the program keeps the time, and
-this process only answers what the encoders read; in lockstep (trials/firmware_board.py) it has the time too.
+this process only answers what the encoders read; in lockstep (trials/can.py) it has the time too.
 """
 
 import contextlib

@@ -22,7 +22,7 @@ from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back, jog
 from straightcomp_ros.model.paced_motion import Pace
-from trials.firmware_board import FirmwareBoard
+from trials.can import FirmwareBoard
 
 TIMEOUT = 0.005
 

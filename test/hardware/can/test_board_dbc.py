@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import load_yaml
-from trials.can_servo import ServoTrial
+from trials.can import ServoTrial
 
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True, True)
 

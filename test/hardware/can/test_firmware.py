@@ -32,7 +32,7 @@ from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
-from trials.firmware_board import FirmwareBoard
+from trials.can import FirmwareBoard
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 CURRENT_COUNT = 1e-4
