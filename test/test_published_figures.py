@@ -1,6 +1,5 @@
 """Figures on the pages are made again: all of the table of laws, some of each other table."""
 
-import json
 import re
 from pathlib import Path
 
@@ -9,7 +8,6 @@ from tiers import nightly
 
 from scripts import late_commands, law_table, tuning_tables
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -93,10 +91,10 @@ def test_the_tuning_guides_laws_are_those_of_the_page_on_accuracy():
         assert cells(line_of(TUNING, f"`{law}`"))[1:4] == cells(line_of(ACCURACY, law_table.NAMES[law]))[2:5]
 
 
-def test_the_page_on_surveys_says_how_far_an_error_table_lies_from_the_map(capsys, tmp_path):
+def test_the_page_on_surveys_says_how_far_an_error_table_lies_from_the_map(verb, tmp_path):
     page = re.search(r"between the\s+points: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
-    assert main(["map", "export", "-o", str(tmp_path / "table.cal"), "--spacing", "10", "--json"]) == 0
-    assert float(page[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
+    made = verb("map", "export", "-o", tmp_path / "table.cal", "--spacing", "10", "--json")
+    assert float(page[1]) == pytest.approx(made.json["interpolation_error_um"], abs=0.001)
 
 
 def test_the_errors_around_stalls_are_what_their_script_finds(shipped, capsys, monkeypatch):

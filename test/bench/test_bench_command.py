@@ -1,22 +1,19 @@
 """`straightcomp bench` as it is typed."""
 
-import json
 import math
 
 import pytest
 
 from straightcomp_ros.bench.step_costs import cost
 from straightcomp_ros.cli.bench import medians, ratios
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.control.laws import LAWS
 
 SHORT = ["--set", "stage.motion.stroke=0.05", "--set", "stage.motion.settle=0.1"]
 
 
-def test_each_law_each_stream_and_the_simulation_are_timed_and_in_the_table(capsys):
-    assert main(["bench", "step", "--json", "--repeats", "3", *SHORT]) == 0
-    figures = json.loads(capsys.readouterr().out)
+def test_each_law_each_stream_and_the_simulation_are_timed_and_in_the_table(verb):
+    figures = verb("bench", "step", "--json", "--repeats", "3", *SHORT).json
     assert list(figures["laws"]) == list(LAWS)
     assert list(figures["messages"]) == [stream.topic for stream in STREAMS]
     simulate = figures["simulate"]
@@ -25,8 +22,7 @@ def test_each_law_each_stream_and_the_simulation_are_timed_and_in_the_table(caps
         assert 0 < values["min_us"] <= values["median_us"] <= values["max_us"]
     # One simulated sample is half a millisecond.
     assert simulate["simulated_seconds_per_second"] * simulate["sample"]["median_us"] == pytest.approx(500.0)
-    assert main(["bench", "step", "--repeats", "1", *SHORT]) == 0
-    printed = capsys.readouterr().out
+    printed = verb("bench", "step", "--repeats", "1", *SHORT).out
     assert all(law in printed for law in LAWS) and all(f"unpack '{stream.topic}'" in printed for stream in STREAMS)
 
 
@@ -48,10 +44,10 @@ def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number():
         (["graph", "--priority", "99"], "parameter 'realtime.priority': 99 is too large"),
     ],
 )
-def test_a_refused_option_ends_with_code_2_and_what_is_allowed(capsys, arguments, words):
+def test_a_refused_option_ends_with_code_2_and_what_is_allowed(verb, arguments, words):
     pytest.importorskip("rclpy")
-    assert main(["bench", *arguments]) == 2
-    assert words in capsys.readouterr().err
+    code, _, said = verb("bench", *arguments)
+    assert code == 2 and words in said
 
 
 def test_a_ratio_with_nothing_below_it_is_no_number():

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, main, make_parser
+from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, make_parser
 from straightcomp_ros.parameters.declaration import RefusedParameter
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
@@ -26,15 +26,6 @@ def parsers(parser, path=""):
     for action in parser._actions:
         for name, inner in (action.choices or {}).items() if hasattr(action, "add_parser") else ():
             yield from parsers(inner, f"{path} {name}".strip())
-
-
-def run(words, capsys):
-    """Exit code, standard output and standard error of a command."""
-    try:
-        code = main(words)
-    except SystemExit as ended:  # argparse
-        code = ended.code
-    return code, *capsys.readouterr()
 
 
 @pytest.fixture
@@ -66,34 +57,34 @@ TOOLS = {"platform": Tool("its mass", _arguments, _platform)}
 '''
 
 
-def test_another_package_adds_a_verb_by_an_entry_point(install, capsys):
+def test_another_package_adds_a_verb_by_an_entry_point(install, verb):
     install("scales", "weigh", VERB)
-    assert run(["weigh", "platform", "--mass", "4"], capsys) == (0, "4.0 weigh platform\n", "")
-    _, printed, _ = run(["--help"], capsys)
+    assert verb("weigh", "platform", "--mass", "4") == (0, "4.0 weigh platform\n", "")
+    _, printed, _ = verb("--help")
     assert "weigh it" in printed[printed.index("set up:") : printed.index("tune:")]
-    _, printed, _ = run(["weigh", "platform", "--help"], capsys)
+    _, printed, _ = verb("weigh", "platform", "--help")
     assert "Of the platform alone." in printed and "--mass" in printed
 
 
 @pytest.mark.parametrize("text", ["import nowhere_to_be_found", "SUMMARY =", 'SUMMARY = "100 %s"\n1 / 0'])
-def test_a_verb_that_cannot_be_loaded_leaves_the_others_alone(install, capsys, text):
+def test_a_verb_that_cannot_be_loaded_leaves_the_others_alone(install, verb, text):
     install("scales", "weigh", text)
-    code, printed, said = run(["--help"], capsys)
+    code, printed, said = verb("--help")
     assert code == 0 and "simulate" in printed and said == ""
-    code, printed, said = run(["weigh"], capsys)
+    code, printed, said = verb("weigh")
     assert code == 1 and printed == "" and said.count("\n") == 1 and "'weigh' of scales cannot be loaded: " in said
-    assert run(["completion", "bash"], capsys)[0] == 0
+    assert verb("completion", "bash")[0] == 0
 
 
-def test_a_verb_of_two_packages_or_without_its_extra_is_refused_and_the_packages_are_named(install, capsys):
+def test_a_verb_of_two_packages_or_without_its_extra_is_refused_and_the_packages_are_named(install, verb):
     install("metering", "meter", "import not_installed", "[heavy]")
-    code, _, said = run(["meter"], capsys)
+    code, _, said = verb("meter")
     assert (code, said) == (2, "straightcomp: not_installed is not there; remedy: pip install 'metering[heavy]'\n")
     install("scales", "weigh", VERB)
     install("other-scales", "weigh", VERB)
-    code, _, said = run(["weigh", "platform"], capsys)
+    code, _, said = verb("weigh", "platform")
     assert code == 2 and "other-scales and scales" in said
-    code, printed, _ = run(["--help"], capsys)
+    code, printed, _ = verb("--help")
     assert code == 0 and "other-scales and scales" in printed
 
 
@@ -147,16 +138,16 @@ def test_every_option_is_explained_and_has_one_name_everywhere_and_every_verb_wi
     assert without - families == {"completion", "dsp", "opcua user", "stage new"}
 
 
-def test_the_command_alone_prints_its_help_and_an_option_is_a_whole_word(capsys):
-    code, printed, said = run([], capsys)
+def test_the_command_alone_prints_its_help_and_an_option_is_a_whole_word(verb):
+    code, printed, said = verb()
     assert code == 0 and "first steps:" in printed and said == ""
-    assert run(["simulate", "--stag", "stage.yaml"], capsys)[0] == 2
-    assert run(["history", "--jso"], capsys)[0] == 2
+    assert verb("simulate", "--stag", "stage.yaml")[0] == 2
+    assert verb("history", "--jso")[0] == 2
 
 
-def test_a_negative_number_with_an_exponent_is_the_value_of_an_option(capsys):
+def test_a_negative_number_with_an_exponent_is_the_value_of_an_option(verb):
     for number in ("-5e-8", "-1", "-.5", "-2.e3"):
-        code, _, said = run(["simulate", "--delay", number], capsys)
+        code, _, said = verb("simulate", "--delay", number)
         assert code == 2 and f"'stage.drive.delay': {float(number)!r}" in said
 
 
@@ -170,9 +161,9 @@ def completed(script, *words):
     return set(done.stdout.split())
 
 
-def test_bash_completes_verbs_tools_options_values_and_files(capsys, tmp_path, monkeypatch):
+def test_bash_completes_verbs_tools_options_values_and_files(verb, tmp_path, monkeypatch):
     script = tmp_path / "script"
-    script.write_text(run(["completion", "bash"], capsys)[1])
+    script.write_text(verb("completion", "bash")[1])
     (tmp_path / "xy.png").touch()
     monkeypatch.chdir(tmp_path)
     assert completed(script, "") >= set(OURS)
@@ -185,17 +176,17 @@ def test_bash_completes_verbs_tools_options_values_and_files(capsys, tmp_path, m
 
 
 @pytest.mark.parametrize("shell", ["zsh", "tcsh", "fish"])
-def test_the_scripts_of_other_shells_name_every_verb_and_parse(shell, capsys, tmp_path):
-    code, script, _ = run(["completion", shell], capsys)
+def test_the_scripts_of_other_shells_name_every_verb_and_parse(shell, verb, tmp_path):
+    code, script, _ = verb("completion", shell)
     assert code == 0 and all(verb in script for verb in OURS)
     if shutil.which(shell):
         (tmp_path / "script").write_text(script)
         subprocess.run([shell, "-n", str(tmp_path / "script")], check=True, timeout=60)
 
 
-def test_the_version_is_the_manifests(capsys):
+def test_the_version_is_the_manifests(verb):
     version = ElementTree.parse(share_path("package.xml")).findtext("version")
-    assert run(["--version"], capsys) == (0, f"straightcomp {version}\n", "")
+    assert verb("--version") == (0, f"straightcomp {version}\n", "")
 
 
 def test_a_reader_that_goes_away_ends_a_command_without_a_word():
@@ -218,15 +209,14 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     ],
 )
 def test_an_error_of_the_package_or_of_a_file_is_a_sentence_with_its_exit_code(
-    capsys, monkeypatch, tmp_path, error, code, words
+    verb, monkeypatch, tmp_path, error, code, words
 ):
     monkeypatch.setattr("straightcomp_ros.tuning.verbs.map.write_survey", Mock(side_effect=error))
-    table = str(tmp_path / "t.cal")
-    assert main(["map", "export", "-o", table]) == 0
-    capsys.readouterr()
-    found, _, said = run(["map", "convert", table, "-o", str(tmp_path / "s.csv")], capsys)
+    table, survey = tmp_path / "t.cal", tmp_path / "s.csv"
+    assert verb("map", "export", "-o", table).code == 0
+    found, _, said = verb("map", "convert", table, "-o", survey)
     assert found == code and words in said and said.count("\n") == 1
     # Any other error is a bug and shows where it comes from.
     monkeypatch.setattr("straightcomp_ros.tuning.verbs.map.write_survey", Mock(side_effect=ValueError("a bug")))
     with pytest.raises(ValueError, match="a bug"):
-        main(["map", "convert", table, "-o", str(tmp_path / "s.csv")])
+        verb("map", "convert", table, "-o", survey)

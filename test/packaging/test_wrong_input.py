@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.cli.main import main
-
 BAG = str(Path(__file__).resolve().parents[2] / "bags" / "smc")
 SURVEY = str(Path(__file__).resolve().parents[2] / "bags" / "survey")
 SURVEY_CSV = str(Path(__file__).resolve().parents[2] / "config" / "survey_synthetic.csv")
@@ -17,13 +15,8 @@ CASES = [
     ("simulate --delay nan", "is not finite"),
     ("simulate --strokes 0", "--strokes 0; allowed: >= 1"),
     ("simulate --set stage.platform.mass=-3", "-3.0 kg is too small; allowed: >= 1e-06"),
-    ("simulate --set stage.platform.mass=1e-308", "1e-308 kg is too small; allowed: >= 1e-06"),
-    (
-        "simulate --set stage.platform.mass=1e-5 --set stage.actuator.bias_current=50",
-        "the magnets' stiffness is",
-    ),
+    ("simulate --set stage.platform.mass=1e-5 --set stage.actuator.bias_current=50", "the magnets' stiffness is"),
     ("simulate --set stage.platform.mass==", "'=' kg is not a number"),
-    ("simulate --set stage.platform.mass={}", "{} kg is not a number"),
     ("simulate --set stage.motion.speed=1e-5", "samples; allowed offline: <= 20000000"),
     ("simulate --set stage.motion.acceleration=1e-308", "s; allowed: <= 1e+06 s"),
     ("simulate --set stage.motion.jerk=1e-308", "allowed: 0, or >= 1e-06 m/s³"),
@@ -63,7 +56,6 @@ CASES = [
     ("map export -o table.cal --spacing -1", "--spacing -1; allowed: 0.1 to 1000 mm"),
     ("reproduce -o noise.mcap", "--output noise.mcap: is a file"),
     ("robustness --trials 0", "allowed: a whole number >= 1"),
-    ("bench step --repeats 0", "straightcomp bench step: --repeats 0; allowed: 1 to 10000"),
     ("can replay none.log", "none.log"),
     ("can hub --socket bus --fault drop=2", "drop"),
     ("can hub --socket bus --priority 99", "--priority 99; allowed: 0 to 98"),
@@ -88,59 +80,44 @@ def folder_of_wrong_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def refusal(words, capsys):
+@pytest.fixture
+def refusal(verb):
     """The only line that a refused command prints."""
-    try:
-        code = main(shlex.split(words) if "''" in words else words.split())
-    except SystemExit as ended:  # argparse
-        code = ended.code
-    printed = capsys.readouterr()
-    assert code in (1, 2) and printed.out == ""
-    assert printed.err.count("\n") == 1 and printed.err.startswith("straightcomp"), printed.err
-    return printed.err
+
+    def refused(words):
+        code, printed, said = verb(*(shlex.split(words) if "''" in words else words.split()))
+        assert code in (1, 2) and printed == "" and said.count("\n") == 1 and said.startswith("straightcomp"), said
+        return said
+
+    return refused
 
 
 @pytest.mark.parametrize(("words", "expected"), CASES, ids=[words.replace(BAG, "BAG")[:90] for words, _ in CASES])
-def test_what_is_wrong_is_said_in_one_sentence(words, expected, capsys):
-    assert expected in refusal(words, capsys)
+def test_what_is_wrong_is_said_in_one_sentence(words, expected, refusal):
+    assert expected in refusal(words)
 
 
-MISSING = (
-    *("simulate --stage none", "simulate --params-file none", "simulate --set stage.guide.file=none", "replay none"),
-    *(
-        "stage check none",
-        "stage show none",
-        "stage new folder --survey none",
-        "design none",
-        "robustness --stage none",
-    ),
-    *("evaluate none", "evaluate folder", "evaluate noise.mcap", f"evaluate {BAG} --compare none", "recover none"),
-    *(f"evaluate {BAG} --limits none", "map build none", "map build folder", "map convert none.cal -o x.csv"),
-    *("map export --survey none -o x.cal", "friction none", "frequency-response --stage none", "doctor --stage none"),
-    *("history add none", "history report none", "history advise none", "history query none x", "demo --stage none"),
-    *(
-        "incident none",
-        "incident open none",
-        "map reverse none none -o x",
-        "map align none none",
-        "bench step --stage none",
-    ),
-    *("map build wrong_unit.csv", "map reverse wrong_unit.csv none -o x", "map align wrong_unit.csv none"),
-    *("commission stage.yaml -o x --check-survey none", "dsp --stage none", f"map align {SURVEY_CSV} none"),
-    *("history map none x --survey none", "can replay none.log", "can firmware none -o x", "commission none -o x"),
-)
+MISSING = f"""
+simulate --stage none | simulate --params-file none | simulate --set stage.guide.file=none | replay none |
+stage check none | stage show none | stage new folder --survey none | design none | robustness --stage none |
+evaluate none | evaluate folder | evaluate noise.mcap | evaluate {BAG} --compare none | recover none |
+evaluate {BAG} --limits none | map build none | map build folder | map convert none.cal -o x.csv |
+map export --survey none -o x.cal | friction none | frequency-response --stage none | doctor --stage none |
+history add none | history report none | history advise none | history query none x | demo --stage none |
+incident none | incident open none | map reverse none none -o x | map align none none | bench step --stage none |
+map build wrong_unit.csv | map reverse wrong_unit.csv none -o x | map align wrong_unit.csv none |
+commission stage.yaml -o x --check-survey none | dsp --stage none | map align {SURVEY_CSV} none |
+history map none x --survey none | can replay none.log | can firmware none -o x | commission none -o x
+"""
 
 
-@pytest.mark.parametrize("words", MISSING, ids=[words.replace(BAG, "BAG") for words in MISSING])
-def test_a_missing_file_is_wrong_use_in_every_verb(words, capsys):
-    try:
-        code = main(words.split())
-    except SystemExit as ended:  # argparse
-        code = ended.code
-    assert code == 2, capsys.readouterr().err
+@pytest.mark.parametrize("words", [words.strip() for words in MISSING.split("|")])
+def test_a_missing_file_is_wrong_use_in_every_verb(words, verb):
+    found = verb(*words.split())
+    assert found.code == 2, found.err
 
 
 @pytest.mark.parametrize("words", ["view", "demo", "bench graph", f"replay {BAG} --graph"])
-def test_without_rclpy_every_verb_that_needs_it_says_the_same(words, capsys, monkeypatch):
+def test_without_rclpy_every_verb_that_needs_it_says_the_same(words, refusal, monkeypatch):
     monkeypatch.setattr("straightcomp_ros.cell.launcher.ros_available", lambda: False)
-    assert "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install" in refusal(words, capsys)
+    assert "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install" in refusal(words)
