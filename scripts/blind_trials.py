@@ -61,9 +61,6 @@ class Watched(FaultyHardware):
 
     farthest = 0.0
 
-    def __init__(self, inner: SimulatedHardware) -> None:
-        super().__init__(inner, lambda kind, at_ns: None)
-
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
         found = super().read(now_ns)
         self.farthest = max([self.farthest, *(abs(truth.y) for _, truth in found if truth is not None)])

@@ -142,13 +142,13 @@ _FOREIGN_CURRENT = 0.5
 
 def _foreign(clock: int, offset_ns: int) -> Callable[[Stand], int]:
     rates = itertools.cycle(_RATES)
-    return lambda stand: stand.foreign(f"{next(rates)} {clock} {offset_ns} {_FOREIGN_CURRENT}")
+    return lambda stand: stand.foreign(next(rates), clock, offset_ns, _FOREIGN_CURRENT)
 
 
 def _foreign_ended(stand: Stand) -> None:
     """The platform may not have come to its stop, nor come there later."""
     stand.spin(_DRIFT_S)
-    sent = stand.foreign()
+    sent = stand.foreign_ended()
     if stand.fault is None:
         stand.fail(f"{sent} foreign commands were not found")
     if stand.farthest >= stand.hard_stop:
@@ -193,7 +193,7 @@ def trials_of_processes(composed: bool) -> Iterator[Trial]:
 def trials_of(composed: bool) -> list[Trial]:
     """All trials, in this order; ``composed``: driver, feedforward and controller are in one process."""
     foreign = {f"foreign commands, stamp {name}": _foreign(*stamp) for name, stamp in _STAMPS.items()}
-    foreign = {"two controllers on one topic": methodcaller("foreign", "echo"), **foreign}
+    foreign = {"two controllers on one topic": methodcaller("foreign"), **foreign}
     tight, wide = (_set("controller", "error_limit", metres) for metres in (1e-9, 0.1))
     fill = _set("logger", "min_free_bytes", 10**18)
     return [

@@ -42,11 +42,11 @@ _ERROR_LIMIT = 50e-6
 _REPORTING = {Fault.MAP_MISSING: "feedforward", Fault.SAMPLE_TIMEOUT: "controller"}
 """The node whose diagnostics name a fault, where it is not the driver."""
 _INJECTED = {
-    Fault.SAMPLE_NOT_FINITE: "sample_nan",
-    Fault.X_JUMP: "x_jump",
-    Fault.Y_OUT_OF_RANGE: "y_out_of_range",
-    Fault.Y_FROZEN: "y_frozen",
-    Fault.FOLLOWING_ERROR: "y_out_of_range",
+    Fault.SAMPLE_NOT_FINITE: "sample NaN",
+    Fault.X_JUMP: "jump in x",
+    Fault.Y_OUT_OF_RANGE: "y out of range",
+    Fault.Y_FROZEN: "encoder y frozen",
+    Fault.FOLLOWING_ERROR: "y out of range",
 }
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 _PARTS = ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "diagnostic_msgs/msg/KeyValue")
@@ -62,16 +62,22 @@ class _Found(Exception):
 
 
 class _Watched(FaultyHardware):
-    """The machine behind the driver's watch, which sees a sample before the law does; ``current``: last command."""
+    """The machine with its disturbance, behind the driver's watch, which sees a sample before the law does."""
 
     def __init__(self, machine: Any, watch: SampleWatch, wanted: Fault) -> None:
-        super().__init__(machine, lambda kind, time_ns: None)
-        self._watch, self._wanted, self.current = watch, wanted, 0.0
+        super().__init__(machine)
+        self._watch, self._wanted, self._commanded = watch, wanted, 0.0
+
+    def write(self, current: float, at_ns: int) -> None:
+        self._commanded = current
+        self._inner.write(current, at_ns)
 
     def read(self, now_ns: int) -> Any:
+        if now_ns > _AT_S * 1e9 and not self.injected:
+            self.inject(_INJECTED.get(self._wanted, ""))
         found = super().read(now_ns)
         for sample, _ in found:
-            finding = self._watch.check(sample, self.current)
+            finding = self._watch.check(sample, self._commanded)
             self._watch.hold()
             if finding and finding[0] is self._wanted:
                 raise _Found(sample, finding[1])
@@ -135,11 +141,7 @@ def record_fault(fault: Fault, bag: Path) -> None:
     values = shipped_parameters()
     values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1}
     driver, errors = node_parameters("driver", values), ErrorWatch(_ERROR_LIMIT)
-    machines = list[_Watched]()
-
-    def wiring(hardware: Any) -> Any:
-        machines.append(_Watched(hardware, SampleWatch(driver.watch, driver.stage), fault))
-        return machines[0]
+    watch = SampleWatch(driver.watch, driver.stage)
 
     def observe(sample: Sample, truth: Any, reference: Any, command: Any, age: float) -> None:
         due = sample.stamp_ns >= _AT_S * 1e9
@@ -149,11 +151,8 @@ def record_fault(fault: Fault, bag: Path) -> None:
         if found:
             raise _Found(sample, found[1])
         run.add(sample, truth, reference, command, age)
-        machines[0].current = command.current
-        if due and not machines[0].kind:
-            machines[0].inject(_INJECTED[fault])
 
-    simulation = Simulation(values, wiring=wiring)
+    simulation = Simulation(values, wiring=lambda machine: _Watched(machine, watch, fault))
     bag.parent.mkdir(parents=True)
     with SimulatedRun(bag, by_node(values), simulation.delay) as run:
         run._bag.add_topic(DIAGNOSTICS, _ARRAY)
@@ -170,8 +169,8 @@ def record_fault(fault: Fault, bag: Path) -> None:
                 diagnostics = _diagnostics(_REPORTING.get(fault, "driver"), f"{fault.label}: {text}", stamp)
                 run._bag.write(DIAGNOSTICS, diagnostics, stamp, stamp)
     if fault in _LOGGED:
-        (bag.parent / "logs").mkdir()
         node, line = _LOGGED[fault]
+        (bag.parent / "logs").mkdir()
         (bag.parent / "logs" / f"{node}.log").write_text(line + "\n")
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 from trials.faulty_driver import INJECT, INJECTED, NEW_MACHINE, FaultyDriver
+from trials.foreign_publisher import publish
 
 _START_S = 90.0
 """Time limit, since a busy computer takes long to start a node, and the middleware to connect it."""
@@ -49,6 +50,7 @@ _REQUESTS, _REFUSALS = 3, 2
 _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 STOP_S = 30.0
+_SPAWN = get_context("spawn")
 
 
 class Seen(NamedTuple):
@@ -92,7 +94,6 @@ class Stand:
         self.started: dict[str, float] = {}
         self.condition, self.fault, self.tripped = "", None, None
         self.injected_ns = self.answers_lost = self._bags = self._sends = 0
-        self._foreign: subprocess.Popen[str] | None = None
         self.x, self.farthest, self.hard_stop = 0.0, 0.0, node_parameters("driver", values).stage.platform.stop
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -132,9 +133,6 @@ class Stand:
 
     def __exit__(self, *_: object) -> None:
         _leave_real_time()
-        if self._foreign is not None:
-            self._foreign.kill()
-            self._foreign.communicate()
         self._graph.stop()
         self.node.destroy_node()
         rclpy.try_shutdown()
@@ -196,19 +194,19 @@ class Stand:
             self._executor.spin_once(timeout_sec=0.01)
         return True
 
-    def foreign(self, words: str = "") -> int:
-        """Let a process of its own publish commands as ``words`` say, see :mod:`trials.foreign_publisher`; returns when
-        the first was sent, ns since the epoch. Without words end it; returns their number."""
-        if words:
-            command, pipe = [sys.executable, "-m", "trials.foreign_publisher", *words.split()], subprocess.PIPE
-            self._foreign = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
-            self.farthest = 0.0
-        assert self._foreign is not None and self._foreign.stdout is not None
-        if words:
-            return int(self._foreign.stdout.readline())
-        answer, _ = self._foreign.communicate()
-        self._foreign = None
-        return int(answer)
+    def foreign(self, *own: float) -> int:
+        """Let a process of its own publish commands, see :func:`trials.foreign_publisher.publish`; returns when the
+        first was sent, ns since the epoch."""
+        self._foreign, theirs = _SPAWN.Pipe()
+        _SPAWN.Process(target=publish, args=(theirs, *own), daemon=True).start()
+        theirs.close()
+        self.farthest = 0.0
+        return int(self._foreign.recv())
+
+    def foreign_ended(self) -> int:
+        """End that process; returns the number of its commands."""
+        self._foreign.send(None)
+        return int(self._foreign.recv())
 
     def inject(self, kind: str) -> None:
         """Request a fault from the driver; an empty text ends it."""

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import interrupted
 import pytest
+from tiers import nightly
 
 from straightcomp_ros.cli.main import main, make_parser
 
@@ -102,8 +103,12 @@ def template(folder, case, monkeypatch):
     return shlex.split(words)
 
 
-def judge_outcomes(tmp_path, case, most, monkeypatch):
-    """Spoil at most so many writes of a case, 0 for all."""
+EVERY = nightly((case, LONG.get(case, 0)) for case in CASES)
+
+
+@pytest.mark.parametrize(("case", "most"), [*((case, 4) for case in QUICK), *EVERY])
+def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, most, monkeypatch):
+    """At most so many writes are spoiled, 0 for all."""
     words = template(tmp_path / "template", case, monkeypatch)
     work = tmp_path / "work"
     work.mkdir()
@@ -122,14 +127,3 @@ def judge_outcomes(tmp_path, case, most, monkeypatch):
             # In one sentence: rich breaks none.
             assert fact["code"] in (1, 2) and "Traceback" not in fact["said"], fact
             assert fact["said"].splitlines()[-1].startswith("straightcomp "), fact
-
-
-@pytest.mark.parametrize("case", QUICK)
-def test_a_fault_at_some_writes_spoils_nothing(tmp_path, case, monkeypatch):
-    judge_outcomes(tmp_path, case, 4, monkeypatch)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("case", CASES)
-def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, monkeypatch):
-    judge_outcomes(tmp_path, case, LONG.get(case, 0), monkeypatch)

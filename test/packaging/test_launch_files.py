@@ -180,19 +180,21 @@ def test_an_argument_overrides_its_parameter_only_when_it_is_given(case):
     assert parameter in {declaration.name for declaration in declarations(NODE_PARAMETERS[node])}
 
 
-def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(tmp_path):
-    stage = tmp_path / "stage.yaml"
+@pytest.fixture
+def stage(tmp_path):
+    """A stage file with its survey beside it."""
     (tmp_path / "guide.csv").touch()
-    stage.write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")
+    (tmp_path / "stage.yaml").write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")
+    return tmp_path / "stage.yaml"
+
+
+def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(stage):
     for node in of_kind("Node", CELL, stage=str(stage)):
         [_, _, given] = node.kwargs["parameters"]
-        assert given["stage.guide.file"].args == (str(tmp_path / "guide.csv"),)
+        assert given["stage.guide.file"].args == (str(stage.with_name("guide.csv")),)
 
 
-def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(tmp_path: Path) -> None:
-    (tmp_path / "guide.csv").touch()
-    stage = tmp_path / "stage.yaml"
-    stage.write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")
+def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(stage):
     given = {"composed": "true", "hardware": "can", "law": "smc", "rt_priority": "30", "stage": str(stage)}
     started = entities(CELL, given)
     found = [entity for entity in started if kind(entity) == "Node"]
@@ -203,7 +205,7 @@ def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_n
     [remove] = next(one["on_exit"] for one in at_exit if one["target_action"] is found[0])
     remove.kwargs["function"](None)
     assert not Path(file).exists()
-    survey = {"stage.guide.file": str(tmp_path / "guide.csv"), "realtime.priority": 30}
+    survey = {"stage.guide.file": str(stage.with_name("guide.csv")), "realtime.priority": 30}
     assert given == {
         "driver": {**survey, "hardware": "can"},
         "feedforward": survey,
