@@ -43,10 +43,8 @@ _DRIFT_S = 0.2
 def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Parameters by node and dotted name for the trials, from those to start from."""
     chosen = {node: dict(values.get(node, {})) for node in (STAGE, *RECORDED)}
-    chosen["driver"] |= {"hardware": "simulated", "lockstep": False, "simulated.command_timeout": COMMAND_TIMEOUT}
+    chosen["driver"] |= {"hardware": "simulated", "simulated.command_timeout": COMMAND_TIMEOUT}
     chosen["controller"]["sample_timeout"] = SAMPLE_TIMEOUT
-    if chosen["controller"].get("trigger") == "lockstep":
-        chosen["controller"]["trigger"] = "sample"
     return chosen
 
 
