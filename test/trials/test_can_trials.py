@@ -2,24 +2,15 @@
 in the latched safe state, and never takes a wrong sample."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from can_boards import FOREIGN, GUIDE, SPLIT
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import KINDS
 from straightcomp_ros.hardware.interface import State
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from trials.can import ServoTrial
 
-GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
-FOREIGN = node_parameters("driver", shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))).can
-SPLIT_FILE = Path(__file__).parents[1] / "hardware" / "can" / "split.yaml"
-SPLIT = node_parameters("driver", shipped_parameters(stage=str(SPLIT_FILE))).can
-"""A board with a message for each axis, to which the host sends two."""
 BUSES = pytest.mark.parametrize(
     "board",
     [CanParameters(fd=False), CanParameters(fd=True), FOREIGN, SPLIT],

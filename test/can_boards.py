@@ -1,4 +1,4 @@
-"""Boards that the tests of CAN share."""
+"""Boards that the tests of CAN share, and the guide of their simulated machine."""
 
 from pathlib import Path
 
@@ -14,9 +14,9 @@ GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 START = 10**18
 FOREIGN_FILE = share_path("config/board_motorola.yaml")
 """The amplifier's state comes in frames of their own, on pages in turn, and there is no heartbeat."""
-SPLIT_FILE = Path(__file__).with_name("split.yaml")
+SPLIT_FILE = Path(__file__).parent / "hardware" / "can" / "split.yaml"
 """A message for each axis; the host sends switches and current in two."""
-BARE_FILE = Path(__file__).with_name("bare.yaml")
+BARE_FILE = SPLIT_FILE.with_name("bare.yaml")
 
 
 def board_of(file, **changes):
