@@ -164,7 +164,7 @@ def metadata_of(name: str) -> set[str]:
 
 
 def _steady(data: bytes) -> bytes:
-    """Content without its times and random numbers, of a text; of a bag whether it is whole; of an archive its names."""
+    """Content without its times and random numbers, of a text; whether a bag is whole; names of an archive."""
     if data.startswith(b"\x89MCAP"):
         return data[-8:]
     if data.startswith(b"PK"):
