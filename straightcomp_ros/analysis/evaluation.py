@@ -21,7 +21,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.reader import Messages, StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
 from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, UNFINISHED_FILES
 from straightcomp_ros.bags.topics import resolved
@@ -135,6 +135,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, DISPLACEMENT)
     diagnostics = Messages(DIAGNOSTICS)
     with opened(bag) as files:
+        streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
+        attachments = attachments_of(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
         finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
         # What was recovered of a recording that was cut off ends where that does.
@@ -144,8 +146,6 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
             for record in file.metadata()
             if record.name == RECOVERY_METADATA
         )
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
-    attachments = read_attachments(bag)
     try:
         reports = reports_in(bag, diagnostics, encoder_topic)
     except BagError as error:

@@ -226,15 +226,26 @@ def read_streams(
         UserWarning: the bag was not finished; what is whole is read.
     """
     with opened(bag) as files:
-        names, remap, wanted = topic_names(files), remap or {}, dict[str, str]()
-        for key in layouts:
-            if full := resolved(remap.get(key, key), names, str(bag)):
-                wanted[full] = key
-            elif key in remap:
-                raise BagError(f"bag {bag}: has no topic '{remap[key]}' for '{key}'; it has {', '.join(sorted(names))}")
-        decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
-        found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
-        count = _gather(files, {**found, **decoders})
+        return streams_of(bag, files, layouts, remap, whole)
+
+
+def streams_of(
+    bag: Path,
+    files: Sequence[BagInput],
+    layouts: Mapping[str, Layout],
+    remap: Mapping[str, str] | None = None,
+    whole: Sequence[Messages] = (),
+) -> dict[str, StreamColumns]:
+    """As :func:`read_streams`, from the open files of a bag."""
+    names, remap, wanted = topic_names(files), remap or {}, dict[str, str]()
+    for key in layouts:
+        if full := resolved(remap.get(key, key), names, str(bag)):
+            wanted[full] = key
+        elif key in remap:
+            raise BagError(f"bag {bag}: has no topic '{remap[key]}' for '{key}'; it has {', '.join(sorted(names))}")
+    decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+    found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
+    count = _gather(files, {**found, **decoders})
     finished = ((key, decoders[full].finished()) for full, key in wanted.items())
     streams = {key: columns for key, columns in finished if columns is not None}
     if not streams and any(isinstance(file, SqliteInput) for file in files):
@@ -263,7 +274,12 @@ def read_attachments(bag: Path) -> dict[str, bytes]:
     """The files attached to a bag, by name; of two with one name the later. A SQLite bag has none. Raises BagError when
     the bag is absent or damaged."""
     with opened(bag) as files:
-        return {name: data for file in files for name, data in file.attachments().items()}
+        return attachments_of(files)
+
+
+def attachments_of(files: Sequence[BagInput]) -> dict[str, bytes]:
+    """As :func:`read_attachments`, from the open files of a bag."""
+    return {name: data for file in files for name, data in file.attachments().items()}
 
 
 def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
