@@ -49,6 +49,8 @@ _PIECES, _POINTS = 200, 2000
 """Pieces of x for which a stroke is averaged, and the points of a curve measured once that are taken as they are."""
 _DRAWS, _CURVES = 200, 1000
 """Of what is not in the curve, and of what is: the standard deviation of a contribution is then known to 5 and 2 %."""
+_ALLOWED = 0.95
+"""Share of drawn errors that the curve without them may differ by."""
 _THIRDS = 20
 """Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
 _MOST = 32
@@ -278,10 +280,10 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     ``x`` (n,), in m."""
     assert one.points is not None
     draws = _CURVES if one.seen else _DRAWS
-    errors = random.normal(0.0, uncertainty, (one.points.size if one.form is None else one.form.shape[1], draws))
+    at_points = random.normal(0.0, uncertainty, (one.points.size if one.form is None else one.form.shape[1], draws))
     if one.form is not None:
-        errors = one.form @ errors
-    errors = cubic_spline(one.points, errors)(x.clip(*one.points[[0, -1]])).T
+        at_points = one.form @ at_points
+    errors = cubic_spline(one.points, at_points)(x.clip(*one.points[[0, -1]])).T
 
     def changes(curve: Array) -> Array:
         changed = curve + errors
@@ -290,7 +292,7 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
 
     if not one.seen:
         return changes(mean)
-    found = changes(_without(one.points, uncertainty, x, mean))
+    found = changes(_without(one.points, at_points, x, mean))
     # The curve that the correction is of is known no better than it differs from the one that was measured.
     unsure = found.mean(axis=0) - changes(mean).mean(axis=0)
     return np.asarray(found + unsure * random.uniform(-1.0, 1.0, (len(found), 1)))
@@ -326,20 +328,22 @@ def _straightness(x: Array, high: Array, low: Array, ends: Array) -> Array:
     return np.column_stack([*about, width((lowest + highest) / 2.0)])
 
 
-def _without(points: Array, uncertainty: float, x: Array, mean: Array) -> Array:
-    """The curve without errors that are in it, of which added ones would move its extremes less: as smooth as they
-    allow: its squared distance from ``mean`` is the least that m errors are likely to make, m − √(2m) (C. H. Reinsch,
-    Numer. Math. 10, 1967)."""
-    inside = points[(points > x[0]) & (points < x[-1])]
-    if inside.size < 4 or not uncertainty:
+def _without(points: Array, errors: Array, x: Array, mean: Array) -> Array:
+    """The curve without ``errors`` (points, draws) that are in it, of which added ones would move its extremes less: as
+    smooth as they allow, no farther from ``mean`` than all but one in twenty of them are from zero (C. H. Reinsch,
+    Numer. Math. 10, 1967; his m + √(2m) is for independent ones)."""
+    inside = (points >= x[0]) & (points <= x[-1])
+    deviation = errors[inside].std(axis=1)
+    if deviation.size < 4 or not deviation.all():
         return mean
     from scipy.interpolate import UnivariateSpline
 
+    distance = float(np.quantile(np.sum((errors[inside] / deviation[:, None]) ** 2, axis=0), _ALLOWED))
     with warnings.catch_warnings():
         # Where errors are a billionth of the curve, the distance is not met exactly.
         warnings.simplefilter("ignore")
-        weights, squares = np.full(inside.size, 1.0 / uncertainty), inside.size - math.sqrt(2.0 * inside.size)
-        return np.asarray(UnivariateSpline(inside, np.interp(inside, x, mean), weights, s=squares)(x))
+        spline = UnivariateSpline(points[inside], np.interp(points[inside], x, mean), 1.0 / deviation, s=distance)
+    return np.asarray(spline(x))
 
 
 def _repeatability(values: Array) -> Contribution:
