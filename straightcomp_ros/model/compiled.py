@@ -41,11 +41,12 @@ class Compiled:
 
     The first call imports numba, and not the decorator: most nodes compute nothing, and numba takes 60 MB, as much as
     all their other imports, and a quarter of the time. With ``release_gil`` other threads of Python run meanwhile. A
-    control loop must not let them: it would have to wait until it may go on.
+    control loop must not let them: it would have to wait until it may go on. What is not ``cached`` is compiled anew
+    in each process.
     """
 
-    def __init__(self, function: Callable[..., Any], release_gil: bool = False) -> None:
-        self._function, self._release_gil = function, release_gil
+    def __init__(self, function: Callable[..., Any], release_gil: bool = False, cached: bool = True) -> None:
+        self._function, self._release_gil, self._cached = function, release_gil, cached
         update_wrapper(self, function)
 
     @cached_property
@@ -60,7 +61,7 @@ class Compiled:
         previous = settings.CACHE_DIR
         settings.CACHE_DIR = str(cache_directory())
         try:
-            return numba.njit(cache=True, error_model="numpy", nogil=self._release_gil)(self._function)
+            return numba.njit(cache=self._cached, error_model="numpy", nogil=self._release_gil)(self._function)
         finally:
             settings.CACHE_DIR = previous
 

@@ -24,7 +24,7 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.pairing import extrapolated
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.compiled import compiled
+from straightcomp_ros.model.compiled import Compiled, compiled
 from straightcomp_ros.model.converters import nearest_count
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import (
@@ -122,9 +122,11 @@ def run_cycle(
 
 def kernel(step: Callable[..., Any]) -> Callable[..., int]:
     """The compiled loop around a law's step function, compiled once in a process and cached on disk."""
+    # To read the cache takes all modules of the laws in it, and that of somebody else's law is not always there.
+    ours = step.__module__.startswith(f"{__name__.partition('.')[0]}.")
     with _compiling:
         if step not in _kernels:
-            _kernels[step] = compiled(_loop_around(step))
+            _kernels[step] = Compiled(_loop_around(step), cached=ours)
         return _kernels[step]
 
 

@@ -14,7 +14,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.scenario import references, run_cycle
+from straightcomp_ros.offline.scenario import kernel, references, run_cycle
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import can_run, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -162,3 +162,5 @@ def test_a_current_that_is_no_number_ends_the_cycle():
     cycle = steady(Law(Count(0.0), lambda y: Count(0.0), step), 20)
     assert cycle.true_y.size == cycle.y.size == cycle.current.size == 7
     assert np.isfinite(cycle.current).all()
+    # Another process may not be able to import this law.
+    assert kernel(step).dispatcher.stats.cache_path is None
