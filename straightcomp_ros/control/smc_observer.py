@@ -255,7 +255,7 @@ def _stiffness(g: Gains, fit: Fit) -> Stiffness:
     # The misfit is an acceleration of the mass that is assumed.
     misfit = math.sqrt(max(0.0, fit.misfit_square)) * (a.mass / g.loop.mass)
     share = max(0.0, min(1.0, misfit / g.misfit - 1.0))
-    return _mixed(a, g.stiff, share)
+    return _mixed(a, g.stiff, share) if share > 0.0 else a
 
 
 @compilable
@@ -372,6 +372,8 @@ def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r
 @compilable
 def _dithered(g: Gains, dither: Dither, rest: Rest, asked: float) -> tuple[float, Dither]:
     """The command with dither, A, while it is not held, and the angle of the next sample."""
+    if g.dither == 0.0:
+        return asked, dither
     c, s = g.turn
     after = Dither(c * dither.cosine - s * dither.sine, s * dither.cosine + c * dither.sine)
     return asked + g.dither * dither.cosine if rest.time <= g.wait else asked, after

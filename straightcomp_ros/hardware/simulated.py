@@ -207,8 +207,9 @@ class SimulatedHardware(Hardware):
         taken = self._advance(self._effective_ns, self._asked, count, time_ns, 0.0, x)
         if taken:
             self._waiting = left = count - taken
-            self._effective_ns[:left] = self._effective_ns[taken:count]
-            self._asked[:left] = self._asked[taken:count]
+            if left:
+                self._effective_ns[:left] = self._effective_ns[taken:count]
+                self._asked[:left] = self._asked[taken:count]
         if self.unreferenced == _HOMING and x == self._index:
             self.zero, self.unreferenced = self._parameters.index_shift, ""
         self._time_ns = time_ns

@@ -55,7 +55,8 @@ class PacedMotion:
     def __init__(self, motion: MotionParameters, x: float = 0.0) -> None:
         self._acceleration = motion.acceleration
         self._build = motion.acceleration / motion.jerk if motion.jerk else _BUILD_S
-        self.pace, self.cut, self.number = Pace(), False, 0
+        self._set(Pace())
+        self.cut, self.number = False, 0
         self._at_ns = self._start_ns = 0
         self._u, self._rate = 1.0, 0.0
         self._rest(x)
@@ -100,18 +101,18 @@ class PacedMotion:
         self._trajectory, self._start_ns, self.number = trajectory, start_ns, self.number + 1
         self._path_ns = float(self._at_ns - start_ns)
         self._limit = max(self._acceleration, trajectory.largest_acceleration)
-        self.pace = self.pace._replace(end=False)
+        self._set(self.pace._replace(end=False))
         self.cut = moving or self._target != 1.0
 
     def ask(self, pace: Pace) -> None:
         """Ask for another pace, from the last time on that was looked at; ValueError for an override out of range."""
         if not 0.0 <= pace.override <= 1.0:
             raise ValueError(f"override {pace.override}; allowed: 0 to 1")
-        self.pace = pace
+        self._set(pace)
         self.cut = self.cut or (not self.over and self._target != 1.0)
         if self.over:
             self._u, self._rate = self._target, 0.0
-            self.pace = Pace(pace.override) if pace.end else pace
+            self._set(Pace(pace.override) if pace.end else pace)
 
     def position(self, now_ns: int) -> float:
         """Position in m at ``now_ns``, or at the latest time asked for if that is later."""
@@ -126,15 +127,14 @@ class PacedMotion:
                 self._at_ns += step_ns
         if self._u == 0.0 and self.pace.end:
             self._rest(self._trajectory.position(self._path_ns))
-            self.pace = Pace(self.pace.override)
+            self._set(Pace(self.pace.override))
             self._u = self._target
         elif self.cut and self.over:
             self.cut = False
         return self._trajectory.position(self._path_ns)
 
-    @property
-    def _target(self) -> float:
-        return 0.0 if self.pace.hold or self.pace.end else self.pace.override
+    def _set(self, pace: Pace) -> None:
+        self.pace, self._target = pace, 0.0 if pace.hold or pace.end else pace.override
 
     @property
     def over(self) -> bool:

@@ -92,6 +92,7 @@ class StraightnessMap:
         reversal: travel in m after a reversal from one to the other.
         span: first and last x of the survey in m.
         offset: the constant in r(x) = offset − δ(x), in m.
+        reference: gives r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN; of two tables the mean.
 
     Raises:
         SurveyError: the runs do not fit together, or the correction exceeds the platform's travel.
@@ -115,6 +116,7 @@ class StraightnessMap:
         extremes = np.concatenate([spline(spline.x), spline(turns[np.isfinite(turns)])])
         self.offset = float(extremes.max() + extremes.min()) / 2.0
         self._mean = _Curve(spline, self.offset, parameters.runout)
+        self.reference = self._mean.at
         largest = max(float(np.ptp(extremes)) / 2.0, self._mean.largest_beyond)
         self._half: _Curve | None = None
         if half is not None:
@@ -148,12 +150,8 @@ class StraightnessMap:
         """Largest distance in m of the tables at the survey's points; 0 for one table."""
         return 0.0 if self._half is None else 2.0 * float(np.abs(self._half.over(self.report.x)[0]).max())
 
-    def reference(self, x: float) -> tuple[float, float, float]:
-        """r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN; of two tables the mean."""
-        return self._mean.at(x)
-
     def tables(self, x: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """:meth:`reference` of the forward and of the backward table, where there are two."""
+        """:attr:`reference` of the forward and of the backward table, where there are two."""
         assert self._half is not None
         (r, slope, curvature), (d, d_slope, d_curvature) = self._mean.at(x), self._half.at(x)
         return (r + d, slope + d_slope, curvature + d_curvature), (r - d, slope - d_slope, curvature - d_curvature)
@@ -175,7 +173,7 @@ class StraightnessMap:
     def evaluate(
         self, x: ArrayLike, direction: Direction | NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """:meth:`reference` for an array, or that of the table for ``direction`` (an array: 1 forward, -1 backward):
+        """:attr:`reference` for an array, or that of the table for ``direction`` (an array: 1 forward, -1 backward):
         three arrays of the shape of ``x``, the same to the last bit."""
         positions = np.asarray(x, dtype=np.float64)
         mean = self._mean.over(positions)
