@@ -31,7 +31,7 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import runs_of_starts, spread
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
-from straightcomp_ros.parameters.output_files import making, write_whole
+from straightcomp_ros.parameters.output_files import making, remove, write_whole
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
@@ -256,7 +256,8 @@ def main(arguments: list[str]) -> None:
         answer = folder / "trial.json"
         if not answer.exists():
             # From its beginning: strokes of an interrupted trial would not be counted.
-            with making(options.output, [folder.name]):
+            with making(options.output, [folder.name], anew=False):
+                remove(folder)
                 folder.mkdir()
                 row = {"machine": number, "count_um": count * 1e6}
                 row |= trial(values, folder, options.evaluations, options.checked)

@@ -90,7 +90,7 @@ def main(arguments: list[str]) -> None:
     good = []
     for name in options.only:
         trial, folder = TRIALS[name], options.output / name
-        with making(options.output, [name]):
+        with making(options.output, [name], anew=False):
             took = commissioned(options.stage, trial, folder, options.domain)
         told, passed = shown(folder, took)
         good.append(passed)
