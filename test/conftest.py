@@ -1,6 +1,7 @@
 """For all tests."""
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +17,9 @@ pytest_plugins = ["repeats", "firmware_programs", "dask_scheduler"]
 
 HERE = Path(__file__).parent
 NIGHTLY = {HERE / name for name in ("kernel", "trials")}
+
+# In the background of a script SIGINT is ignored, and the programs that tests start and interrupt would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A machine that others use too stands still for half a second now and then: an example is not wrong for being late.
 settings.register_profile("shared machine", deadline=None)

@@ -182,6 +182,8 @@ def exit_words(code: int) -> str:
 
 
 def _end_with_parent() -> None:
+    # A launcher in the background of a script ignores SIGINT, and what inherited that could only be killed.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     # Nodes must not outlive a launcher that was killed: orphans would disturb every later run.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

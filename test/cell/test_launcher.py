@@ -1,5 +1,6 @@
 """Where the launcher finds the executables, and what becomes of the processes it starts."""
 
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -57,6 +58,16 @@ def test_a_program_that_ends_is_reported_with_its_last_line_and_appends_to_its_l
         assert graph.log("short").read_text().split() == ["first", "last", "again"]
         assert graph.exit_code("cell") is None
         assert graph.stop(["cell"]) == {"cell": -2}
+
+
+def test_a_launcher_in_the_background_of_a_script_interrupts_its_programs_too(tmp_path):
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with Graph(tmp_path) as graph:
+            graph.start_program("cell", ["sleep", "60"])
+            assert graph.stop(["cell"]) == {"cell": -2}
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):

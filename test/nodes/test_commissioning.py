@@ -69,6 +69,20 @@ def node(shared_graph, asker, tmp_path):
     assert shared_graph.stop(["commissioning"]) == {"commissioning": 0}
 
 
+@pytest.mark.nightly
+def test_steps_that_the_node_does_are_in_the_record(asker, node):
+    # First: a measurement that is stopped leaves the platform where friction does not hold it.
+    assert asker.trigger("commissioning/connection").success
+    report = asker.result("connection")
+    assert report.level == DiagnosticStatus.OK and "none lost" in report.message
+    record = json.loads((node / "commission.json").read_text())
+    assert record["steps"]["connection"]["passed"] and record["steps"]["connection"]["figures"]["latency_us"]
+    assert asker.trigger("commissioning/signs_and_scales").success
+    report = asker.result("signs_and_scales")
+    assert report.level == DiagnosticStatus.OK, report.message
+    assert float(re.search(r"readback (\S+) times the command", report.message)[1]) == pytest.approx(1.0, abs=0.02)
+
+
 def test_the_node_measures_until_it_is_stopped_and_the_cell_is_refused_meanwhile(
     shared_graph, values, asker, node, loop
 ):
@@ -91,19 +105,6 @@ def test_the_node_measures_until_it_is_stopped_and_the_cell_is_refused_meanwhile
     report = asker.result("measure_response")
     assert report.level == DiagnosticStatus.ERROR and "interrupted" in report.message
     left_as_found(asker, loop)
-
-
-@pytest.mark.nightly
-def test_steps_that_the_node_does_are_in_the_record(shared_graph, asker, node):
-    assert asker.trigger("commissioning/connection").success
-    report = asker.result("connection")
-    assert report.level == DiagnosticStatus.OK and "none lost" in report.message
-    record = json.loads((node / "commission.json").read_text())
-    assert record["steps"]["connection"]["passed"] and record["steps"]["connection"]["figures"]["latency_us"]
-    assert asker.trigger("commissioning/signs_and_scales").success
-    report = asker.result("signs_and_scales")
-    assert report.level == DiagnosticStatus.OK, report.message
-    assert float(re.search(r"readback (\S+) times the command", report.message)[1]) == pytest.approx(1.0, abs=0.02)
 
 
 def left_as_found(asker, output):

@@ -239,7 +239,7 @@ def signs_and_scales(work: Work) -> Outcome:
     shaken = work.machine.play(
         ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=travel)
     )
-    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, travel, stage)):
+    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, travel, stage, float(shaken.y[0]))):
         return Outcome(False, pulled)
     readback = current_readback(shaken, stage.drive, stage.period)
     figures: dict[str, Any] = {
@@ -272,7 +272,7 @@ def signs_and_scales(work: Work) -> Outcome:
     return Outcome(True, sentence, figures, stage=found)
 
 
-def _unbalanced(left_at: int, travel: float, stage: StageParameters) -> str:
+def _unbalanced(left_at: int, travel: float, stage: StageParameters, place: float) -> str:
     """What pulled the platform away without a current that could; empty where the samples are enough all the same.
 
     At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
@@ -283,10 +283,12 @@ def _unbalanced(left_at: int, travel: float, stage: StageParameters) -> str:
     alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
     if 2.0 * travel / time**2 < _ONE_COIL * alone and left_at >= _ENOUGH:
         return ""
+    pull = actuator.position_stiffness * abs(place)
+    beside = f"; or move the platform to the middle: at y = {place * 1e6:.3g} µm they pull with {pull:.2g} N"
     return (
         f"with the amplifier on and hardly any current the platform left {travel * 1e6:g} µm within {time * 1e3:.3g} "
         "ms: the magnets do not balance; look for a coil without current, and for a bias current that is not "
-        f"{actuator.bias_current:g} A in both"
+        f"{actuator.bias_current:g} A in both{beside if pull > stage.friction.coulomb / ranges.friction else ''}"
     )
 
 

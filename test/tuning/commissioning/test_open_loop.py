@@ -78,6 +78,7 @@ def test_a_platform_that_something_pulls_is_named_within_milliseconds(tmp_path):
     values = values_of({"simulated.initial_y": 5e-4}, uncertainty__force=0.1, uncertainty__air_gap=0.1)
     outcome = signs_and_scales(work_on(values, tmp_path))
     assert not outcome.passed and "the magnets do not balance" in outcome.sentence
+    assert "at y = 500 µm" in outcome.sentence
 
 
 @pytest.mark.parametrize(("wiring", "words"), [(lossy_bus, "were lost"), (noisy_encoder, "y moves by 5 counts RMS")])
