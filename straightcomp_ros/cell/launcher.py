@@ -131,7 +131,7 @@ class Graph:
                 stdout=subprocess.PIPE if read_output else log,
                 stderr=log,
                 text=True,
-                preexec_fn=_end_with_parent,
+                preexec_fn=_begin_as_child,
                 # Linux divides CPUs among sessions first (sched_autogroup): in the terminal's session, all nodes
                 # together would get as much CPU time as one other program, whatever its niceness.
                 start_new_session=True,
@@ -181,7 +181,7 @@ def exit_words(code: int) -> str:
     return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
-def _end_with_parent() -> None:
+def _begin_as_child() -> None:
     # A launcher in the background of a script ignores SIGINT, and what inherited that could only be killed.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     # Nodes must not outlive a launcher that was killed: orphans would disturb every later run.
