@@ -122,7 +122,7 @@ def run_cycle(
 
 def kernel(step: Callable[..., Any]) -> Callable[..., int]:
     """The compiled loop around a law's step function, compiled once in a process and cached on disk."""
-    # To read the cache takes all modules of the laws in it, and that of somebody else's law is not always there.
+    # To read the cache takes all modules of the laws in it, and that of a user's own law is not always there.
     ours = step.__module__.startswith(f"{__name__.partition('.')[0]}.")
     with _compiling:
         if step not in _kernels:
