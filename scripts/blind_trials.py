@@ -23,7 +23,7 @@ import numpy as np
 
 from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, Waypoint
@@ -171,7 +171,7 @@ def figures(values: Values) -> tuple[float, str, float]:
     found, verdicts, farthest = [], [], 0.0
     for record, straightness in runs_of_starts(values, STARTS):
         found.append((evaluate(record, straightness).true_pp or math.nan) * 1e6)
-        verdicts.append(judged_run(record, straightness, by_node(values), straightness).verdict)
+        verdicts.append(verdict_of(judged_motion(record, straightness, by_node(values), straightness)).verdict)
         farthest = max(farthest, float(np.abs(record.true_y).max()))
     bad = [verdict for verdict in verdicts if verdict != "in_order"]
     return spread(found).median, bad[0] if bad else "in_order", farthest

@@ -25,7 +25,7 @@ from scripts.stage_files import STAGES, stage_names
 from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
@@ -153,7 +153,7 @@ def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
 
 
 def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:
-    return judged_run(record, straightness, by_node(drawn.values), straightness)
+    return verdict_of(judged_motion(record, straightness, by_node(drawn.values), straightness))
 
 
 Spoil = Callable[[Drawn, Generator], Drawn]

@@ -15,7 +15,7 @@ from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judged_motion import STILL
 from straightcomp_ros.analysis.metrics import LINES, evaluate, standstill_figures, stroke_figures
 from straightcomp_ros.analysis.record import Array, MetricsError, runs_of
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
@@ -67,7 +67,7 @@ class Assessment:
             self.amplifier_off = [one for one in _intervals(time, off) if one.start <= last and one.end >= first]
         self.stick_slips = [event for one, _ in strokes for event in stick_slips(one.time, one.x, one.y, one.r)]
         known = evaluation.parameters, evaluation.map, evaluation.stalls, evaluation.latency, evaluation.guide
-        self.verdict = partial or judged_run(record, reference, *known)
+        self.verdict = partial or verdict_of(judged_motion(record, reference, *known))
 
     def figures(self) -> dict[str, Any]:
         """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""

@@ -289,6 +289,11 @@ class JudgedMotion:
         """Error p-p in m without the samples ``mask`` (n,), if that leaves any; with all samples otherwise."""
         return self.pp if mask.all() else peak_to_peak(self.error[~mask])
 
+    @property
+    def undisturbed(self) -> float:
+        """Error p-p in m without what the stalls of the host disturbed."""
+        return self.calm(self.disturbed(self.stalls))
+
     def judgeable(self, mask: NDArray[np.bool_]) -> bool:
         """Whether the stage travels at least half of its way in the samples without ``mask`` (n,). A small error of
         less than that says nothing of the rest."""

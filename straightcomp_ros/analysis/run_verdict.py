@@ -55,7 +55,7 @@ _HUNTS = 0.02
 """Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
 
 
-def judged_run(
+def judged_motion(
     record: StrokeRecord,
     reference: ReferenceMap,
     parameters: Mapping[str, Mapping[str, Any]],
@@ -63,29 +63,27 @@ def judged_run(
     stalls: Sequence[Stall] = (),
     latency: Array | None = None,
     sensor: Array | None = None,
-) -> Verdict:
-    """The verdict on ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if that
-    is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
+) -> JudgedMotion:
+    """What is judged of ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if
+    that is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
     :func:`late_commands`, ``sensor`` the guide's deviation (n,) in m by a displacement sensor at the record's samples,
     up to a constant, NaN where it has none. MetricsError if the stage does not move."""
     run = record.moving
     truth, first, last = run.true_error(reference), run.time[0], run.time[-1]
-    return verdict_of(
-        JudgedMotion(
-            time=run.time,
-            x=run.x,
-            y=run.y if run.true_y is None else run.true_y,
-            r=run.r,
-            current=run.current,
-            error=run.r - run.y if truth is None else truth,
-            count=encoder_count(run.y),
-            by_encoder=truth is None,
-            fit=_guide_fit(record, reference, straightness, sensor),
-            stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
-            promise=lambda: _promise(record, parameters, straightness),
-            **bounds_of(parameters, straightness),
-            late="" if latency is None else late_commands(latency, parameters.get("driver", {})),
-        )
+    return JudgedMotion(
+        time=run.time,
+        x=run.x,
+        y=run.y if run.true_y is None else run.true_y,
+        r=run.r,
+        current=run.current,
+        error=run.r - run.y if truth is None else truth,
+        count=encoder_count(run.y),
+        by_encoder=truth is None,
+        fit=_guide_fit(record, reference, straightness, sensor),
+        stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
+        promise=lambda: _promise(record, parameters, straightness),
+        **bounds_of(parameters, straightness),
+        late="" if latency is None else late_commands(latency, parameters.get("driver", {})),
     )
 
 

@@ -12,7 +12,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag, pe
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import MetricsError
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.cell.launcher import (
@@ -56,12 +56,14 @@ class DemonstrationFailed(RuntimeError):
 
 @dataclass(frozen=True)
 class Demonstration:
-    """A finished run: bag, evaluation, map, figures, each node's timing while the amplifier was on, and the verdict."""
+    """A finished run: bag, evaluation, map, figures, the error p-p in m without what the stalls of the host disturbed,
+    each node's timing while the amplifier was on, and the verdict."""
 
     bag: Path
     evaluation: BagEvaluation
     map: StraightnessMap
     metrics: Metrics
+    undisturbed_pp: float
     timing: Mapping[str, NodeTiming]
     verdict: Verdict
     unclean: Sequence[str] = ()  # a sentence for each node that did not stop by itself
@@ -76,6 +78,7 @@ class Demonstration:
             "lost_samples": evaluation.lost_samples,
             "lost_commands": evaluation.lost_commands,
             **self.metrics.to_display(),
+            "undisturbed_pp_um": self.undisturbed_pp * 1e6,
             "latency_p50_us": percentile_us(evaluation.latency, 50),
             "latency_p99_us": percentile_us(evaluation.latency, 99),
             "bag": str(self.bag),
@@ -180,8 +183,9 @@ def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequen
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
     partial = evaluation.partial()
     late = evaluation.stalls, evaluation.latency
-    verdict = partial or judged_run(record, straightness, by_node(values), straightness, *late)
-    return Demonstration(bag, evaluation, straightness, metrics, timing, verdict, unclean)
+    run = judged_motion(record, straightness, by_node(values), straightness, *late)
+    verdict = partial or verdict_of(run)
+    return Demonstration(bag, evaluation, straightness, metrics, run.undisturbed, timing, verdict, unclean)
 
 
 def _cycle(values: Values, opcua_strokes: int) -> tuple[float, StraightnessMap]:

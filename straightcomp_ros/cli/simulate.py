@@ -10,7 +10,7 @@ from typing import Any
 from straightcomp_ros.analysis.judgement import Verdict, worst
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.options import (
     PICTURES,
@@ -138,4 +138,4 @@ def _run_cycles(
 
 
 def _verdict(record: StrokeRecord, straightness: StraightnessMap, values: Mapping[str, Mapping[str, Any]]) -> Verdict:
-    return judged_run(record, straightness, by_node(values), straightness)
+    return verdict_of(judged_motion(record, straightness, by_node(values), straightness))

@@ -11,7 +11,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
@@ -61,7 +61,7 @@ def what_if(
     parameters = parameters_of(bag, attachments, given)
     partial = evaluation.partial()
     late = evaluation.stalls, evaluation.latency
-    verdict = partial or judged_run(record, record.reference, parameters, evaluation.map, *late)
+    verdict = partial or verdict_of(judged_motion(record, record.reference, parameters, evaluation.map, *late))
     runs = [Run(record.law, evaluate(record, record.reference), verdict)]
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))
@@ -119,5 +119,5 @@ def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
 def _simulated(values: Values, motion: tuple[Trajectory, int]) -> Run:
     simulation = Simulation(values, motion=motion)
     record = simulation.run()
-    verdict = judged_run(record, simulation.map, values, simulation.map)
+    verdict = verdict_of(judged_motion(record, simulation.map, values, simulation.map))
     return Run(record.law, evaluate(record, simulation.map), verdict)

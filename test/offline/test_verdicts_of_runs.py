@@ -15,7 +15,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judged_motion import Left
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed
 from straightcomp_ros.cli import demo
@@ -42,7 +42,7 @@ def verdict(**changes) -> Verdict:
         node, _, parameter = name.partition(".")
         values[node][parameter] = value
     record, straightness = first_cycle(values)
-    return judged_run(record, straightness, by_node(values), straightness)
+    return verdict_of(judged_motion(record, straightness, by_node(values), straightness))
 
 
 def survey(path: Path, deviation, length: float = 1.76, step: float = 0.01) -> str:
@@ -168,11 +168,11 @@ def test_a_survey_with_a_zero_that_is_off_is_found_by_the_truth_and_by_a_sensor(
         sensor = guide.deviations(record.x) + noise
         sensor[::7] = np.nan
         record = replace(record, true_x=None, true_y=None, guide=None)
-    found = judged_run(record, straightness, by_node(values), straightness, sensor=sensor)
+    found = verdict_of(judged_motion(record, straightness, by_node(values), straightness, sensor=sensor))
     assert found.verdict == "wrong_guide" and "shift its x by -2 mm" in found.reason, found
     if sensor is not None:
         own = straightness.deviations(record.x) + noise
-        assert judged_run(record, straightness, by_node(values), straightness, sensor=own).in_order
+        assert verdict_of(judged_motion(record, straightness, by_node(values), straightness, sensor=own)).in_order
 
 
 def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_noisy_map(tmp_path):
@@ -240,7 +240,7 @@ def spoilt(tmp_path_factory) -> Path:
 
 def judged(bag: Path) -> Verdict:
     found = evaluate_bag(bag)
-    return judged_run(found.record, found.record.reference, found.parameters, found.map, found.stalls)
+    return verdict_of(judged_motion(found.record, found.record.reference, found.parameters, found.map, found.stalls))
 
 
 def test_a_recording_that_a_stall_spoilt_is_starved_and_one_that_it_did_not_is_in_order(
@@ -322,7 +322,7 @@ def demonstrated(tmp_path, capsys, monkeypatch):
     def run(bag, *words, timing=None, verdict=None, killed=()):
         map_, found = load_map(MapParameters()), evaluate_bag(bag)
         figures = evaluate(found.record, map_)
-        result = Demonstration(bag, found, map_, figures, timing or {}, verdict or judged(bag), list(killed))
+        result = Demonstration(bag, found, map_, figures, math.nan, timing or {}, verdict or judged(bag), list(killed))
         monkeypatch.setattr(demo, "demonstrate", lambda *_, **__: result)
         code = main(["demo", "-o", str(tmp_path / "out"), *words])
         return code, *capsys.readouterr()
@@ -366,7 +366,7 @@ def test_a_demonstration_that_lost_the_platform_for_want_of_a_cpu_runs_again_in_
     harmless, tmp_path, capsys, monkeypatch
 ):
     map_, found, runs, causes = load_map(MapParameters()), evaluate_bag(harmless), [], []
-    result = Demonstration(harmless, found, map_, evaluate(found.record, map_), {}, judged(harmless))
+    result = Demonstration(harmless, found, map_, evaluate(found.record, map_), math.nan, {}, judged(harmless))
 
     def demonstrate(values, *_, **__):
         runs.append(bool(values["driver"].get("lockstep")))

@@ -23,7 +23,7 @@ from straightcomp_ros.analysis.judged_motion import recorded_drive
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, standstill_figures, stroke_figures
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.bags import MAP_ATTACHMENT
 from straightcomp_ros.bags.folder import found_files, split_number
@@ -165,7 +165,7 @@ def _verdict(evaluation: BagEvaluation, reference: RecordedReference, stroke: St
     time = evaluation.record.time
     start, stop = np.searchsorted(time, (time[stroke.start] - _AROUND, time[stroke.stop - 1] + _AROUND)).tolist()
     part = evaluation.record.part(slice(start, stop))
-    return judged_run(part, reference, evaluation.parameters, evaluation.map, evaluation.stalls)
+    return verdict_of(judged_motion(part, reference, evaluation.parameters, evaluation.map, evaluation.stalls))
 
 
 def _bandwidth(evaluation: BagEvaluation, part: StrokeRecord, coils: Array) -> float | None:

@@ -22,7 +22,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.offline.starts import run_stroke, with_values
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
@@ -110,7 +110,7 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
     record, metrics = run.record, evaluate(run.record, straightness)
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
-    verdict = run.partial() or judged_run(known, straightness, by_node(values), straightness, run.stalls)
+    verdict = run.partial() or verdict_of(judged_motion(known, straightness, by_node(values), straightness, run.stalls))
     figures = {**metrics.to_display(), **verdict._asdict()}
     figures["straightness"] = [one.to_display() for one in statements(run)]
     figures |= {"lost_samples": run.lost_samples, "lost_commands": run.lost_commands}
