@@ -11,8 +11,8 @@ parameters (prediction error method: L. Ljung, System Identification, 2nd ed., 1
 
 **Process noise**, the model's error from sample to sample, is unknown. Assuming much of it makes the search robust but
 biased: samples then outweigh the model, and mass and friction come out too small. Assuming little removes the bias, but
-far from the solution the prediction loses the path. The search therefore starts with much and reduces it while the
-prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
+far from the solution the prediction loses the path. The search therefore starts with much, with still more where even
+that loses the path, and reduces it while the prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
 failed, from it, bound the remaining bias and enter the confidence intervals, as does what the least squares left: in a
 flat valley that is more than rounding.
 
@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 
 MISSED = (1e-5, 3e-6, 1e-6, 3e-7)
 """Assumed standard deviations of the process noise in velocity, m/s (and a thousandth of them in m)."""
+_MORE = (1e-4, 3e-5)
+"""The same where the search is lost under the first of them, as on a platform whose modes ring in the record."""
 EXPLAINED = 1.03
 """RMS of the prediction errors, in their standard deviations, up to which the assumption holds."""
 _LOST = 1.5
@@ -258,7 +260,10 @@ def fit(
     begins = [unknowns.start]
     if (slid := sliding_start(recording, unknowns)) is not None:
         begins.append(slid)
-    solutions = sorted((search.solve(begin, MISSED[0]) for begin in begins), key=lambda level: level.surprise)
+    for most in (MISSED[0], _MORE[0]):
+        solutions = sorted((search.solve(begin, most) for begin in begins), key=lambda level: level.surprise)
+        if solutions[0].rms <= _LOST:
+            break
     last, neighbours = _followed(search, solutions[0], unknowns.start, progress)
     if last.missed > MISSED[-1] and len(solutions) > 1:
         other, neighbours_there = _followed(search, solutions[1], unknowns.start, progress)
@@ -290,8 +295,9 @@ def _followed(
     its search began with (for ``first`` the description's), and the next one if that failed."""
     last, begin = first, first.vector
     neighbours = [described]
-    for number, missed in enumerate(MISSED[1:], 1):
-        progress(number / len(MISSED))
+    levels = [missed for missed in (*_MORE, *MISSED) if missed < first.missed]
+    for number, missed in enumerate(levels, 1):
+        progress(number / (len(levels) + 1))
         level = search.solve(begin, missed)
         if level.rms <= max(EXPLAINED, last.rms):
             last, neighbours = level, [begin]
