@@ -12,9 +12,9 @@ parameters (prediction error method: L. Ljung, System Identification, 2nd ed., 1
 **Process noise**, the model's error from sample to sample, is unknown. Assuming much of it makes the search robust but
 biased: samples then outweigh the model, and mass and friction come out too small. Assuming little removes the bias, but
 far from the solution the prediction loses the path. The search therefore starts with much, with still more where even
-that loses the path, and reduces it while the prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
-failed, from it, bound the remaining bias and enter the confidence intervals, as does what the least squares left: in a
-flat valley that is more than rounding.
+that loses the path, and reduces it while the prediction errors agree with their standard deviation. The last moves of
+the solution, to it and, if the next step failed, from it, bound the remaining bias and enter the confidence intervals,
+as does what the least squares left: in a flat valley that is more than rounding.
 
 **Starts.** The search begins at the description and where sliding alone leads (`unknowns.py`), and goes on from
 the likelier of the two solutions. If that does not hold with the least process noise, it goes on from the other one

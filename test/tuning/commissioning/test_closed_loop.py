@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from roughly_known import values_of, work_on
 
+from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -97,24 +98,53 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     assert not facts and "resonances were not looked for: the excitation was ended early" in words
 
 
-@pytest.mark.parametrize(("growth", "rings", "after"), [(20.0, 93.0, "; it swung at 9[345] Hz then"), (12.0, 0.0, "$")])
-def test_a_platform_that_swings_out_of_its_travel_is_said_to_swing(tmp_path, monkeypatch, growth, rings, after):
+@pytest.mark.parametrize(
+    ("growth", "rings", "lawful", "ends", "words"),
+    [
+        # There is a law for a mode seen 0.28 times at coil and encoder, under which the platform stays.
+        (20.0, 93.0, 0.28, "identified", "far enough"),
+        (20.0, 93.0, 0.28, "left", r"; it swung at 9[345] Hz then, and left it again under a law for a mode there"),
+        (20.0, 93.0, 0.0, "left", r"; it swung at 9[345] Hz then; no safe law can leave a mode there alone"),
+        (12.0, 0.0, 0.28, "left", "left its reference$"),
+    ],
+)
+def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_safe_law_for_a_mode_there(
+    tmp_path, monkeypatch, growth, rings, lawful, ends, words
+):
     time = np.arange(400) * STAGE.period
     y = 1e-9 * np.exp(growth * time) * np.cos(2.0 * np.pi * rings * time)
+    notch, strokes = "control.filters.first.frequency", []
 
-    def left(values, bag, travel):
-        raise LeftTravel("the platform left its reference")
+    def stroke(values, bag, travel):
+        strokes.append(values["controller"].get(notch, 0.0))
+        if len(strokes) == 1 or ends == "left":
+            raise LeftTravel("the platform left its reference")
+
+    def safe_law(scenario):
+        mode = scenario.description.platform.modes.first
+        if abs(mode.coil) > lawful:
+            raise DesignError("none")
+        assert mode.coil == -mode.encoder == 0.28
+        return SimpleNamespace(values={notch: mode.frequency})
+
+    def identified(*_):
+        raise IdentificationError("far enough")
 
     monkeypatch.setattr(closed_loop, "recorded_series", lambda bag: SimpleNamespace(y=y))
-    work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=left))
-    assert re.search(f"left its reference{after}", identification(work).sentence)
+    monkeypatch.setattr(closed_loop, "safe_law", safe_law)
+    monkeypatch.setattr(closed_loop, "estimate_from_bag", identified)
+    work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=stroke))
+    found = identification(work)
+    assert not found.passed and re.search(words, found.sentence)
+    assert strokes[0] == 0.0 and strokes[1:] == ([pytest.approx(rings, rel=0.02)] if rings and lawful else [])
 
 
-def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch):
+@pytest.mark.parametrize("step", ["safe_loop", "identification"])
+def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch, step):
     notch = "control.filters.first.frequency"
     work = work_on(values_of(), tmp_path)
     work.values["controller"][notch] = 94.0
-    safe = {"safe_loop": closed_loop.Outcome(True, "", gains={notch: 94.0})}
+    safe = {step: closed_loop.Outcome(True, "", gains={notch: 94.0})}
 
     def designed(scenario, law, **_):
         assert next(iter(scenario.controls.values())).filters.first.frequency == 0.0

@@ -214,6 +214,12 @@ def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go_and_g
     assert set(growths(usual, corners, {**safe.values, "control.smc.velocity_bandwidth": 2e6})) == {math.inf}
 
 
+def test_a_platform_without_friction_that_the_encoders_rounding_keeps_swinging_has_a_safe_law():
+    air_bearing = {"friction.coulomb": 0.0, "friction.static": 0.0, "encoder.y_resolution": 1.6e-7}
+    found = safe_law(roughly({**air_bearing, "drive.bandwidth": 797.5, "drive.delay": 0.677}))
+    assert found.decay > 3.0 and found.pp < 1e-5
+
+
 @pytest.mark.nightly
 def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help():
     with pytest.raises(DesignError, match=r"must be known better: the mass within ± 0\.\d+ of it, or the air gap"):
