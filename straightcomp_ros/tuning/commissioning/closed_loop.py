@@ -13,6 +13,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
 from straightcomp_ros.tuning.design.feasible_gains import DesignError, safe_law
+from straightcomp_ros.tuning.frequency_response.found_modes import FoundPlant, Interval
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     WITHIN_DB,
     WITHIN_DEG,
@@ -41,7 +43,13 @@ from straightcomp_ros.tuning.frequency_response.measured_response import (
     ResponseMargins,
     measure_simulated,
 )
-from straightcomp_ros.tuning.identification.estimate import DERIVED, Estimate, estimate_from_bag, excitation_survey
+from straightcomp_ros.tuning.identification.estimate import (
+    DERIVED,
+    POOR,
+    Estimate,
+    estimate_from_bag,
+    excitation_survey,
+)
 
 LAW = "smc_observer"
 LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
@@ -52,6 +60,7 @@ _LENGTH = 0.5
 _STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
 """Uncertainty that stays, however narrow an interval is: a model is not the machine."""
 _DELAY_STAYS = 0.1
+_FORCES = tuple(f"friction.{name}" for name in ("coulomb", "static", "bristle_stiffness", "bristle_damping", "viscous"))
 _BEFORE = 0.25
 """s in which an oscillation is looked for when the platform leaves its travel."""
 _SWUNG = 0.0015
@@ -111,11 +120,14 @@ def identification(work: Work) -> Outcome:
             for name, one in found.parameters.items()
         },
     }
-    if strange := strangeness(found, work.description):
-        return Outcome(False, strange, figures)
     facts = facts_found(found, stage)
     values = with_values(with_values(work.values, "stage", facts), "controller", gains)
-    modes, words = _resonances(dataclasses.replace(work, values=values))
+    mechanics, words = _looked_at(dataclasses.replace(work, values=values))
+    facts, scale = scaled_by(mechanics.gain, facts, found, stage)
+    if strange := strangeness(found, work.description, scale):
+        return Outcome(False, strange, figures)
+    modes = modes_found(mechanics, stage)
+    words += ", which the design answers as it was found" if modes else ""
     return Outcome(
         True,
         f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
@@ -179,26 +191,47 @@ def _swinging(bag: Path, stage: StageParameters) -> float:
     return line.frequency if line.amplitude >= _SWUNG * float(np.ptp(y)) else 0.0
 
 
-def _resonances(work: Work) -> tuple[dict[str, float], str]:
-    """Facts of the modes that nobody described, by dotted name, and what was found in words, empty without any."""
+def _looked_at(work: Work) -> tuple[FoundPlant, str]:
+    """Gain and modes of the machine by its response, and its modes in words; nothing where it cannot be measured."""
     try:
-        response = _measured(work, _SEARCH_DRAWS)
+        mechanics = _measured(work, _SEARCH_DRAWS).mechanics
     except FrequencyResponseError as error:
-        return {}, f"; resonances were not looked for: {error}"
-    # Where friction or the magnets outweigh the mass, what looks like a mode is friction.
-    mass, pull = work.stage.platform.mass, abs(work.stage.actuator.position_stiffness - work.stage.platform.stiffness)
-    lowest = max(response.damping / mass, math.sqrt(pull / mass)) / (2.0 * math.pi)
-    found = [mode for mode in response.modes if mode.frequency.low > lowest]
-    present, facts = work.stage.platform.modes, dict[str, float]()
-    free = [name for name in ("first", "second") if not getattr(present, name).frequency]
-    for name, mode in zip(free, (mode for mode in found if not mode.described), strict=False):
-        facts |= mode.facts(name)
-    answered = ", which the design answers as it was found" if facts else ""
-    return facts, "".join(f"; {mode.text}" for mode in found) + answered
+        return FoundPlant(), f"; resonances were not looked for: {error}"
+    return mechanics, "".join(f"; {mode.text}" for mode in mechanics.modes)
 
 
-def strangeness(found: Estimate, described: StageParameters) -> str:
-    """What is not as described, in a sentence; empty if all is."""
+def modes_found(mechanics: FoundPlant, stage: StageParameters) -> dict[str, float]:
+    """Facts of the modes that nobody described, by dotted name."""
+    free = [name for name in ("first", "second") if not getattr(stage.platform.modes, name).frequency]
+    unknown = [mode for mode in mechanics.modes if not mode.described]
+    return {fact: x for name, mode in zip(free, unknown, strict=False) for fact, x in mode.facts(name).items()}
+
+
+def scaled_by(
+    gain: Interval, facts: Mapping[str, Any], found: Estimate, stage: StageParameters
+) -> tuple[dict[str, Any], float]:
+    """``facts`` with all forces over the mass as the response shows them, and that scale relative to the record's.
+
+    What rings or gives way in a record is inertia to a model without it: all forces come out too large or too small by
+    one factor. The response has the mass's line beside the modes.
+    """
+    if not gain.high / gain.value <= POOR:
+        return dict(facts), 1.0
+    turns = facts.get("actuator.turns", stage.actuator.turns)
+    scale = gain.value * (turns / found.parameters["actuator.turns"].value) ** 2
+    ranges = stage.uncertainty
+    scaled = {name: x * scale for name, x in facts.items() if name in _FORCES}
+    return {
+        **facts,
+        **scaled,
+        "actuator.turns": turns * math.sqrt(gain.value),
+        "uncertainty.mass": min(ranges.mass, _STAYS_OPEN["mass"]),
+        "uncertainty.force": min(ranges.force, max(_STAYS_OPEN["force"], gain.high / gain.value - 1.0)),
+    }, scale
+
+
+def strangeness(found: Estimate, described: StageParameters, scale: float = 1.0) -> str:
+    """What is not as described, in a sentence, empty if all is; ``scale`` is that of :func:`scaled_by`."""
     ranges = described.uncertainty
     values = to_mapping(described)
     gap, turns, friction = (
@@ -216,14 +249,14 @@ def strangeness(found: Estimate, described: StageParameters) -> str:
         ),
         (
             # K̄_i/M = N² A …/y0² M: with the gap as found, what is left is force over mass.
-            turns**2,
+            scale * turns**2,
             (1.0 - ranges.force) / heaviest,
             (1.0 + ranges.force) / lightest,
             "a current accelerates the platform {:.2g} times as much as described (allowed by 'stage.uncertainty': "
             "{:.2g} to {:.2g}); look whether the platform is loose, or has lost a part of its load, and at the coils",
         ),
         (
-            friction,
+            scale * friction,
             1.0 / (ranges.friction * heaviest),
             ranges.friction / lightest,
             "friction is {:.2g} times the described one relative to the mass (allowed by 'stage.uncertainty': {:.2g} "
@@ -236,19 +269,9 @@ def strangeness(found: Estimate, described: StageParameters) -> str:
 def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
     """Facts of the description as found, by dotted name, and how well they are known now: never worse than before.
 
-    What the record hardly identifies keeps its description, and how well that is known.
+    What the record hardly identifies, and no better than it was described, keeps its description.
     """
     estimated, before = found.parameters, stage.uncertainty
-    facts: dict[str, Any] = {
-        name: one.value for name, one in estimated.items() if name not in DERIVED and not (one.known or one.poor)
-    }
-    # Friction that differs from its description differs as a whole: F_S/F_C is described better than F_S.
-    described, coulomb = stage.friction, facts.get("friction.coulomb", stage.friction.coulomb)
-    ratio = described.static / described.coulomb if described.coulomb > 0.0 else 1.0
-    static = facts.get("friction.static", ratio * coulomb)
-    facts["friction.static"] = max(static, coulomb)
-    if found.path.rate_found:
-        facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}
     turns, gap, friction = (estimated[name] for name in ("actuator.turns", "actuator.air_gap", "friction.coulomb"))
     # The mass is held, so that the forces have its uncertainty too: without them it is as open as it was.
     intervals = {
@@ -257,9 +280,22 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
         "air_gap": (gap, gap.high / gap.value - 1.0),
         "friction": (friction, friction.high / friction.value),
     }
+    better = {fact.name for name, (fact, width) in intervals.items() if 0.0 < width < getattr(before, name)}
+    facts: dict[str, Any] = {
+        name: one.value
+        for name, one in estimated.items()
+        if name not in DERIVED and not one.known and (name in better or not one.poor)
+    }
+    # Friction that differs from its description differs as a whole: F_S/F_C is described better than F_S.
+    described, coulomb = stage.friction, facts.get("friction.coulomb", stage.friction.coulomb)
+    ratio = described.static / described.coulomb if described.coulomb > 0.0 else 1.0
+    if {"friction.coulomb", "friction.static"} & facts.keys():
+        facts["friction.static"] = max(facts.get("friction.static", ratio * coulomb), coulomb)
+    if found.path.rate_found:
+        facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}
     for name, least in _STAYS_OPEN.items():
         fact, width = intervals.get(name, (None, 0.0))
-        if fact is None or not fact.poor:
+        if fact is None or fact.name in facts:
             facts[f"uncertainty.{name}"] = min(getattr(before, name), max(least, width))
     return {
         **facts,
@@ -328,9 +364,9 @@ def frequency_response(work: Work) -> Outcome:
         "plant_um_A": (np.abs(measured.response.plant) * 1e6).tolist(),
         "model_plant_um_A": (np.abs(found.model.plant) * 1e6).tolist(),
     }
-    figures["modes"] = [mode.to_display() for mode in found.modes]
+    figures["modes"] = [mode.to_display() for mode in found.mechanics.modes]
     wrong = margins_missed(margins)
-    if unknown := [mode for mode in found.modes if not mode.described]:
+    if unknown := [mode for mode in found.mechanics.modes if not mode.described]:
         facts = ", ".join(f"stage.{name}: {value:.4g}" for name, value in unknown[0].facts("first").items())
         wrong = f"{unknown[0].text}; describe it ({facts}), so that the design answers it, and commission again"
     elif not found.explained:
@@ -379,13 +415,18 @@ def _measured(work: Work, draws: int = MultisineParameters().draws) -> ComparedR
     except ExcitationEnded:
         excitation, described = _foreseen(work, dataclasses.replace(excitation, motion=0.5 * excitation.motion))
         found = work.machine.response(work.values, excitation)
-    # What the simulated machine shows as well is friction, and no resonance of the machine.
+    # Where friction or the magnets outweigh the mass, what looks like a mode is friction.
+    mass, pull = work.stage.platform.mass, abs(work.stage.actuator.position_stiffness - work.stage.platform.stiffness)
+    lowest = max(found.damping / mass, math.sqrt(pull / mass)) / (2.0 * math.pi)
+    own, foreseen = found.mechanics.above(lowest), described.mechanics.above(lowest)
+    # What the simulated machine shows as well is friction, too.
     modes = tuple(
         one
-        for one in found.modes
-        if one.described or not any(one.frequency.meets(other.frequency) for other in described.modes)
+        for one in own.modes
+        if one.described or not any(one.frequency.meets(other.frequency) for other in foreseen.modes)
     )
-    return dataclasses.replace(found, model=described.measured.response, modes=modes)
+    mechanics = FoundPlant(own.gain.over(foreseen.gain), modes)
+    return dataclasses.replace(found, model=described.measured.response, mechanics=mechanics)
 
 
 def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisineParameters, ComparedResponse]:

@@ -49,6 +49,12 @@ class Interval(NamedTuple):
         """Whether a value may be in both."""
         return self.low <= other.high and other.low <= self.high
 
+    def over(self, other: "Interval") -> "Interval":
+        """The ratio of two positive values that are known independently of each other."""
+        ratio = self.value / other.value
+        wide = math.exp(math.hypot(*(math.log(one.high / one.value) for one in (self, other))))
+        return Interval(ratio, ratio / wide, ratio * wide)
+
 
 class FoundMode(NamedTuple):
     """A mode of a measured plant: frequency Hz, damping ratio, φ_c φ_e; and which described mode it is, '' if none."""
@@ -88,13 +94,39 @@ class FoundMode(NamedTuple):
         return {**{name: list(getattr(self, name)) for name in self._fields[:3]}, "described": self.described}
 
 
-def found_modes(
+class FoundPlant(NamedTuple):
+    """The mechanics of a measured plant: force over mass relative to the description, and the modes by rising
+    frequency."""
+
+    gain: Interval = Interval(1.0, 0.0, math.inf)
+    modes: tuple[FoundMode, ...] = ()
+
+    def above(self, lowest: float) -> "FoundPlant":
+        """The mechanics beyond ``lowest`` Hz: a mode below it is a part of the gain there, by its residue."""
+        below = [mode.residue for mode in self.modes if mode.frequency.low <= lowest]
+        share = 1.0 + sum(residue.value for residue in below)
+        if not below:
+            return self
+        if share <= 0.0:
+            return FoundPlant()
+        wide = math.hypot(
+            math.log(self.gain.high / self.gain.value), *((one.high - one.value) / share for one in below)
+        )
+        value = share * self.gain.value
+        modes = [mode for mode in self.modes if mode.frequency.low > lowest]
+        return FoundPlant(
+            Interval(value, value * math.exp(-wide), value * math.exp(wide)),
+            tuple(mode._replace(residue=Interval(*(one / share for one in mode.residue))) for mode in modes),
+        )
+
+
+def found_plant(
     frequencies: Array, plant: Complex, radius: Array, rigid: Complex, damping: float, stage: StageParameters
-) -> tuple[FoundMode, ...]:
-    """The modes in ``plant`` (lines,) in m/A, each line with its ``radius`` of confidence; ``rigid`` (lines,) is that
-    of the stage without modes and with a ``damping`` in N·s/m. By rising frequency."""
+) -> FoundPlant:
+    """What fits ``plant`` (lines,) in m/A, each line with its ``radius`` of confidence; ``rigid`` (lines,) is that of
+    the stage without modes and with a ``damping`` in N·s/m. With few lines nothing is known."""
     if frequencies.size < 8:
-        return ()
+        return FoundPlant()
     s = 2j * np.pi * frequencies
     mass, stiffness = stage.platform.mass, stage.actuator.position_stiffness
     weight = 1.0 / np.hypot(radius, _LEAST_RELATIVE * np.abs(plant))
@@ -142,10 +174,10 @@ def found_modes(
         if not cost > 0.0 or (before - cost) / 3.0 / (cost / freedom) < fisher.ppf(1.0 - _CHANCE, 3, freedom):
             break
         best = more
-    if best.x.size == 2:
-        return ()
     freedom = 2 * frequencies.size - best.x.size
     spread = 2.0 * np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * 2.0 * best.cost / freedom)
+    log_g, dg = best.x[0], min(spread[0], 10.0)
+    gain = Interval(*(math.exp(x) for x in (log_g, log_g - dg, log_g + dg)))
     found = []
     for k in range(2, best.x.size, 3):
         (log_f, log_z, r), (df, dz, dr) = best.x[k : k + 3], np.minimum(spread[k : k + 3], 10.0)
@@ -154,7 +186,7 @@ def found_modes(
         damping_ratio = Interval(*(math.exp(x) for x in (log_z, log_z - dz, log_z + dz)))
         residues = Interval(float(r), float(r - dr), float(r + dr))
         found.append(FoundMode(frequency, damping_ratio, residues, _described(frequency, stage)))
-    return tuple(sorted(found))
+    return FoundPlant(gain, tuple(sorted(found)))
 
 
 def _described(frequency: Interval, stage: StageParameters) -> str:

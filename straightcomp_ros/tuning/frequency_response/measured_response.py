@@ -45,7 +45,7 @@ from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, found_modes
+from straightcomp_ros.tuning.frequency_response.found_modes import FoundPlant, found_plant
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -214,7 +214,7 @@ class ComparedResponse:
     damping: float  # that friction, N·s/m
     clipped: int  # samples in which the current limit cut the excitation
     duration: float  # of the excitation, s
-    modes: tuple[FoundMode, ...] = ()  # resonances in the measured plant
+    mechanics: FoundPlant = FoundPlant()  # gain and resonances of the measured plant
     late_share: float = 0.0  # of the samples whose command came after it was due, or only after the next sample
 
     @property
@@ -295,9 +295,9 @@ def compared_response(
     alone = dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=ModesParameters()))
     rigid = loop_response(law, alone, measured.frequencies[lines], damping).plant
     plant, radius = measured.response.plant[lines], measured.plant_radius[lines]
-    modes = found_modes(measured.frequencies[lines], plant, radius, rigid, damping, stage)
+    mechanics = found_plant(measured.frequencies[lines], plant, radius, rigid, damping, stage)
     duration = excitation.currents.size / stage.rate
-    return ComparedResponse(control.law, measured, model, damping, clipped, duration, modes)
+    return ComparedResponse(control.law, measured, model, damping, clipped, duration, mechanics)
 
 
 _SETTLE = 1.0

@@ -61,7 +61,7 @@ def _magnitude(axes: Axes, found: ComparedResponse, name: str, scale: float) -> 
     expected = np.abs(scale * getattr(found.model, name))
     axes.loglog(frequencies, expected, color=VERMILION, linewidth=1.0, label="model")
     axes.loglog(frequencies, magnitude, ".", color=BLUE, markersize=4.0, label="measured")
-    for mode in found.modes:
+    for mode in found.mechanics.modes:
         axes.axvspan(mode.frequency.low, mode.frequency.high, color=GREY, alpha=0.3)
         axes.axvline(mode.frequency.value, color=GREY, linewidth=0.8, label=f"mode, {mode.frequency.value:.0f} Hz")
     axes.legend(fontsize=8)

@@ -301,7 +301,7 @@ def _followed(
         level = search.solve(begin, missed)
         if level.rms <= max(EXPLAINED, last.rms):
             last, neighbours = level, [begin]
-        elif len(neighbours) == 1:
+        elif len(neighbours) == 1 and level.rms < _LOST:
             neighbours.append(level.vector)
         # One that hardly failed may be nearer to the next one than the last that held.
         begin = level.vector if level.rms < _LOST else last.vector

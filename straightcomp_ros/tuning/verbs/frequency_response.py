@@ -120,7 +120,7 @@ def _figures(found: ComparedResponse) -> dict[str, Any]:
         "margins": of_measured._asdict(),
         "model_margins": of_model._asdict(),
         "model_explains_the_plant": found.explained,
-        "modes": [mode.to_display() for mode in found.modes],
+        "modes": [mode.to_display() for mode in found.mechanics.modes],
         "frequency_Hz": measured.frequencies.tolist(),
         "coherence": measured.coherence.tolist(),
         **curves,
@@ -140,7 +140,7 @@ def _print(found: ComparedResponse, name: str) -> None:
     console.print(titled_table(title, "margin", "measured", "description", rows=rows))
     if found.explained:
         console.print(_verdict(found), style="green", highlight=False)
-    for mode in found.modes:
+    for mode in found.mechanics.modes:
         console.print(mode.text[0].upper() + mode.text[1:], highlight=False)
     if found.lateness:
         notes.print(found.lateness, highlight=False)

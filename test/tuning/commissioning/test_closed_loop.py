@@ -19,11 +19,13 @@ from straightcomp_ros.tuning.commissioning.closed_loop import (
     frequency_response,
     identification,
     margins_missed,
+    modes_found,
+    scaled_by,
     strangeness,
 )
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.frequency_response import response_plot
-from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, Interval
+from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, FoundPlant, Interval
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ResponseMargins,
     measure_simulated,
@@ -81,12 +83,12 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     known = FoundMode(Interval(350.0, 349.0, 351.0), *2 * (Interval(0.01, 0.008, 0.013),), "stage.platform.modes.first")
     found = known._replace(frequency=Interval(180.0, 179.0, 181.0), residue=Interval(-1.0, -1.1, -0.9), described="")
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
-    friction = found._replace(frequency=Interval(2.1, 2.0, 2.2))
-    response = SimpleNamespace(modes=(friction, found, known), damping=30.0)
+    response = SimpleNamespace(mechanics=FoundPlant(modes=(found, known)))
     monkeypatch.setattr(closed_loop, "_measured", lambda work, draws: response)
-    facts, words = closed_loop._resonances(work)
+    mechanics, words = closed_loop._looked_at(work)
+    facts = modes_found(mechanics, work.stage)
     assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
-    assert not any("first" in name for name in facts) and "180.0 Hz" in words and "design answers" in words
+    assert not any("first" in name for name in facts) and "180.0 Hz" in words and "350.0 Hz" in words
     values_of_both = {**work.values, "stage": {**work.values["stage"], **facts}}
     assert node_parameters("controller", values_of_both).stage.platform.modes.second.residue == -1.0
 
@@ -94,8 +96,38 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
         raise ExcitationEnded("the excitation was ended early: too far")
 
     monkeypatch.setattr(closed_loop, "_measured", fails)
-    facts, words = closed_loop._resonances(work)
-    assert not facts and "resonances were not looked for: the excitation was ended early" in words
+    mechanics, words = closed_loop._looked_at(work)
+    assert mechanics == FoundPlant() and "resonances were not looked for: the excitation was ended early" in words
+
+
+def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_record_alike():
+    found = estimate(turns=1.2, coulomb=1.44, static=1.44)
+    facts = facts_found(found, STAGE)
+    # The record made all forces 1.44 times as large: the response shows them as described.
+    scaled, scale = scaled_by(Interval(1.0 / 1.44, 0.98 / 1.44, 1.02 / 1.44), facts, found, STAGE)
+    assert scale == pytest.approx(1.0 / 1.44)
+    assert scaled["actuator.turns"] == pytest.approx(STAGE.actuator.turns)
+    for name in ("coulomb", "static"):
+        assert scaled[f"friction.{name}"] == pytest.approx(getattr(STAGE.friction, name), rel=1e-6)
+    assert scaled["uncertainty.mass"] == 0.02 and scaled["uncertainty.force"] == 0.05
+    # Of what the record did not identify, the description is what is scaled.
+    poor = estimate("actuator.turns", turns=1.2)
+    scaled, scale = scaled_by(Interval(1.1, 1.09, 1.11), facts_found(poor, STAGE), poor, STAGE)
+    assert scaled["actuator.turns"] == pytest.approx(STAGE.actuator.turns * 1.1**0.5)
+    assert scale == pytest.approx(1.1 / 1.44) and scaled["uncertainty.force"] == 0.05
+    # A response that shows nothing changes nothing.
+    assert scaled_by(FoundPlant().gain, facts, found, STAGE) == (facts, 1.0)
+    assert "2 times" in strangeness(estimate(turns=2.0**0.5), STAGE) and not strangeness(found, STAGE, 1.0 / 1.44)
+
+
+def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken():
+    wide = UncertaintyParameters(mass=0.4, force=0.4, air_gap=0.4, friction=3.0)
+    stage = dataclasses.replace(STAGE, uncertainty=wide)
+    facts = facts_found(estimate("friction.coulomb", coulomb=1.5), stage)
+    assert facts["friction.coulomb"] == pytest.approx(1.5 * STAGE.friction.coulomb)
+    assert facts["uncertainty.friction"] == pytest.approx(2.0)
+    facts = facts_found(estimate("friction.coulomb", coulomb=1.5), STAGE)
+    assert not {"friction.coulomb", "uncertainty.friction"} & facts.keys()
 
 
 @pytest.mark.parametrize(
