@@ -120,10 +120,16 @@ def identification(work: Work) -> Outcome:
             for name, one in found.parameters.items()
         },
     }
-    facts = facts_found(found, stage)
-    values = with_values(with_values(work.values, "stage", facts), "controller", gains)
-    mechanics, words = _looked_at(dataclasses.replace(work, values=values))
-    facts, scale = scaled_by(mechanics.gain, facts, found, stage)
+    by_record = facts = facts_found(found, stage)
+    gain, scale = Interval(1.0, 1.0, 1.0), 1.0
+    # The second look has the machine of the first one for its model, and sees more.
+    for _ in range(2):
+        values = with_values(with_values(work.values, "stage", facts), "controller", gains)
+        mechanics, words = _looked_at(dataclasses.replace(work, values=values))
+        if mechanics == FoundPlant():
+            break
+        gain = Interval(*(gain.value * one for one in mechanics.gain))
+        facts, scale = scaled_by(gain, by_record, found, stage)
     if strange := strangeness(found, work.description, scale):
         return Outcome(False, strange, figures)
     modes = modes_found(mechanics, stage)
@@ -318,6 +324,7 @@ def design(work: Work) -> Outcome:
             LAW,
             evaluations=work.evaluations,
             machines=work.machines,
+            slipping=True,
             progress=lambda part, fraction: work.progress(fraction if part == "search" else 0.0),
         )
     except DesignError as error:

@@ -120,6 +120,32 @@ def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_reco
     assert "2 times" in strangeness(estimate(turns=2.0**0.5), STAGE) and not strangeness(found, STAGE, 1.0 / 1.44)
 
 
+def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_more(tmp_path, monkeypatch):
+    found = dataclasses.replace(estimate(turns=1.2), fit=SimpleNamespace(rms_error_m=1e-8))
+    mode = FoundMode(Interval(180.0, 179.0, 181.0), *2 * (Interval(0.01, 0.008, 0.013),), "")
+    seen = []
+
+    def looked_at(work):
+        seen.append(work.stage.actuator.turns)
+        # Of the machine as described, but for a tenth of its force.
+        force = 0.9 * (STAGE.actuator.turns / seen[-1]) ** 2
+        gain = Interval(force, 0.98 * force, 1.02 * force)
+        return FoundPlant(gain, (mode,) if len(seen) > 1 else ()), ""
+
+    monkeypatch.setattr(closed_loop, "_excited", lambda *_: {})
+    monkeypatch.setattr(closed_loop, "estimate_from_bag", lambda *_: found)
+    monkeypatch.setattr(closed_loop, "_looked_at", looked_at)
+    monkeypatch.setattr(Estimate, "to_display", lambda self: {})
+    monkeypatch.setattr(Estimate, "not_identifiable", [])
+    monkeypatch.setattr(found.path, "rate", 1.0, raising=False)
+    outcome = identification(work_on(values_of(), tmp_path))
+    assert outcome.passed and outcome.stage["platform.modes.first.frequency"] == 180.0
+    turns = STAGE.actuator.turns
+    assert seen == pytest.approx([1.2 * turns, 0.9**0.5 * turns])
+    assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns)
+    assert outcome.stage["friction.coulomb"] == pytest.approx(STAGE.friction.coulomb * 0.9 / 1.44)
+
+
 def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken():
     wide = UncertaintyParameters(mass=0.4, force=0.4, air_gap=0.4, friction=3.0)
     stage = dataclasses.replace(STAGE, uncertainty=wide)
