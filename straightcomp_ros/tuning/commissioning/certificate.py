@@ -80,7 +80,7 @@ def certificate(work: Work) -> Outcome:
             "machine": "simulated" if work.machine.simulated else "real",
             "serial_number": stage.serial,
             "law": work.values["controller"].get("control.law"),
-            "gains": work.outcomes["design"].gains,
+            "gains": {**work.outcomes["design"].gains, **work.outcomes["frequency_response"].gains},
             "required_um": work.require,
             "straightness": straightness,
             "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
@@ -206,7 +206,7 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     section("Limits for later strokes", (("figure", "this stroke", "later strokes: at most"), later), note=_LATER)
     budget = [
         (one["cause"].replace("as described", "as found"), one["pp_um"], one["rms_um"])
-        for one in figures["design"].get("budget", [])
+        for one in figures["frequency_response"].get("design", figures["design"]).get("budget", [])
     ]
     of_map = _BUDGET.format(content["map_noise_um"], content["map_noise_by_runs"])
     note = " ".join([*remarks([BudgetEntry(*one) for one in budget]), of_map])

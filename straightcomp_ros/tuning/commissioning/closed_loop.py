@@ -312,11 +312,9 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
 
 def design(work: Work) -> Outcome:
     """Search the gains; nothing moves."""
-    # The safe law's notch is not the design's.
-    safe = [
-        name for step in ("safe_loop", "identification") if step in work.outcomes for name in work.outcomes[step].gains
-    ]
-    unset = {name: 0.0 for name in safe if name.startswith(_FILTERS) and name.endswith("frequency")}
+    # The notches of the laws before are not the design's.
+    before = [name for outcome in work.outcomes.values() for name in outcome.gains]
+    unset = {name: 0.0 for name in before if name.startswith(_FILTERS) and name.endswith("frequency")}
     scenario = make_scenario(with_values(work.described(), "controller", unset), [LAW])
     try:
         found = design_gains(
@@ -346,12 +344,23 @@ def design(work: Work) -> Outcome:
 
 
 def frequency_response(work: Work) -> Outcome:
-    """Measure under the designed law, with the stage at rest."""
-    stage = work.stage
+    """Measure under the designed law, with the stage at rest; where that shows a mode which the safe law did not,
+    under one that is designed for this mode too."""
+    modes, designed, words = dict[str, float](), Outcome(True, ""), ""
     try:
         found = _measured(work)
+        if modes := modes_found(found.mechanics, work.stage):
+            words = "; ".join(mode.text for mode in found.mechanics.modes if not mode.described)
+            work = dataclasses.replace(work, values=with_values(work.values, "stage", modes))
+            designed = design(work)
+            if not designed.passed:
+                return Outcome(False, f"{words}; {designed.sentence}")
+            work = dataclasses.replace(work, values=with_values(work.values, "controller", designed.gains))
+            found = _measured(work)
+            words = f"; {words}, designed for: {designed.sentence}"
     except FrequencyResponseError as error:
         return Outcome(False, str(error))
+    stage = work.stage
     # Only here: matplotlib takes longer to import than the measurement.
     from straightcomp_ros.tuning.frequency_response.response_plot import plot_response
 
@@ -372,6 +381,8 @@ def frequency_response(work: Work) -> Outcome:
         "model_plant_um_A": (np.abs(found.model.plant) * 1e6).tolist(),
     }
     figures["modes"] = [mode.to_display() for mode in found.mechanics.modes]
+    if modes:
+        figures["design"] = designed.figures
     wrong = margins_missed(margins)
     if unknown := [mode for mode in found.mechanics.modes if not mode.described]:
         facts = ", ".join(f"stage.{name}: {value:.4g}" for name, value in unknown[0].facts("first").items())
@@ -385,7 +396,8 @@ def frequency_response(work: Work) -> Outcome:
     if wrong:
         return Outcome(False, wrong, figures)
     within = f"the model explains the plant within {gain:.2f} dB and {phase:.1f}°"
-    return Outcome(True, f"{within}; {_in_words(margins)}, peak of |S| {margins.sensitivity_peak:.2f}", figures)
+    sentence = f"{within}; {_in_words(margins)}, peak of |S| {margins.sensitivity_peak:.2f}{words}"
+    return Outcome(True, sentence, figures, stage=modes, gains=designed.gains)
 
 
 def margins_missed(margins: ResponseMargins) -> str:

@@ -197,7 +197,7 @@ def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_saf
     assert strokes[0] == 0.0 and strokes[1:] == ([pytest.approx(rings, rel=0.02)] if rings and lawful else [])
 
 
-@pytest.mark.parametrize("step", ["safe_loop", "identification"])
+@pytest.mark.parametrize("step", ["safe_loop", "identification", "design"])
 def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch, step):
     notch = "control.filters.first.frequency"
     work = work_on(values_of(), tmp_path)
@@ -249,6 +249,35 @@ def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(re
     assert outcome.passed and motion == 0.5 * USUAL
     outcome, _ = response(0.0)
     assert not outcome.passed and outcome.sentence == "the excitation was ended early at 0.083 of the travel"
+
+
+def test_a_mode_that_shows_under_the_designed_law_is_designed_for_and_measured_again(tmp_path, monkeypatch, measured):
+    mode = FoundMode(Interval(560.0, 550.0, 570.0), *2 * (Interval(0.01, 0.008, 0.013),), "")
+    explained = dataclasses.replace(measured, model=measured.measured.response)
+    shown, seen = dataclasses.replace(explained, mechanics=FoundPlant(modes=(mode,))), []
+    notch, gains = "control.filters.second.frequency", {"control.law": "smc_observer", "control.smc.zeta": 0.8}
+
+    def responds(work):
+        seen.append(work.stage.platform.modes.first.frequency)
+        return explained if seen[-1] else shown
+
+    def designed(work):
+        assert work.stage.platform.modes.first.frequency == 560.0
+        return closed_loop.Outcome(True, "0.2 µm p-p predicted", {"budget": []}, gains=gains)
+
+    monkeypatch.setattr(closed_loop, "_measured", responds)
+    monkeypatch.setattr(closed_loop, "design", designed)
+    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
+    work = dataclasses.replace(
+        work_on(values_of(), tmp_path), outcomes={"design": closed_loop.Outcome(True, "", gains={notch: 300.0})}
+    )
+    outcome = frequency_response(work)
+    assert outcome.passed and seen == [0.0, 560.0] and "560.0 Hz" in outcome.sentence
+    assert outcome.stage["platform.modes.first.frequency"] == 560.0 and outcome.gains == gains
+    assert outcome.figures["design"] == {"budget": []}
+    monkeypatch.setattr(closed_loop, "design", lambda work: closed_loop.Outcome(False, "no gains have margins"))
+    outcome = frequency_response(work)
+    assert not outcome.passed and "560.0 Hz" in outcome.sentence and "no gains have margins" in outcome.sentence
 
 
 @pytest.mark.parametrize(("needed", "share"), [(0.69, 1.0), (0.9, 0.7), (1.8, 0.5), (3.0, 0.35)])
