@@ -155,14 +155,14 @@ def test_it_is_named_at_the_first_step_that_can_see_it(commissioned, settings, w
 
 
 class LosesItsLoad(SimulatedMachine):
-    """Half of the mass falls off after the identification, which ends with a first response."""
+    """Half of the mass falls off after the identification, which ends with two responses."""
 
     responses = 0
 
     def response(self, values, excitation):
         self.responses += 1
         whole = self.parameters
-        self.parameters = {**whole, "simulated.truth.mass": 0.5 if self.responses > 1 else 1.0}
+        self.parameters = {**whole, "simulated.truth.mass": 0.5 if self.responses > 2 else 1.0}
         try:
             return super().response(values, excitation)
         finally:
