@@ -322,7 +322,6 @@ def design(work: Work) -> Outcome:
             LAW,
             evaluations=work.evaluations,
             machines=work.machines,
-            slipping=True,
             progress=lambda part, fraction: work.progress(fraction if part == "search" else 0.0),
         )
     except DesignError as error:

@@ -112,7 +112,6 @@ def design_gains(
     machines: int = _MACHINES,
     seed: int = 1,
     jobs: int = -1,
-    slipping: bool = False,
     progress: Progress = lambda part, fraction: None,
 ) -> Design:
     """Design ``law`` for the stage of ``scenario``; the gains of its controls are not read.
@@ -123,7 +122,6 @@ def design_gains(
         machines: of the verification.
         seed: of all random numbers; the same seed gives the same design on the same processor.
         jobs: processes; −1 takes all cores. The result does not depend on it.
-        slipping: judge by machines whose bristles slip one by one too: no identification tells those from others.
 
     Raises:
         DesignError: no gains hold the demands; the message says what would have to change.
@@ -164,7 +162,7 @@ def design_gains(
         rounds += 1
         # The first candidates take as long as many later ones: what goes on now is the search.
         progress("search", 0.0)
-        judge, budget, found = Judge(scenario, law, quiet, held, slipping), evaluations // min(rounds, 2), list[Found]()
+        judge, budget, found = Judge(scenario, law, quiet, held), evaluations // min(rounds, 2), list[Found]()
         ways = [[*starts(law, begins[name]), *more, tighter] for name, tighter in near.items()]
         while ways:
             share = budget // len(ways) if len(ways) == 1 else budget // (2 * len(ways))

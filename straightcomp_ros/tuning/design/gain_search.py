@@ -181,12 +181,9 @@ class Judge:
     """Judges gains of ``law`` on the stage of ``scenario``; ``quiet``, from 0 to 1, is the weight of the coils' work.
 
     ``control`` is the controller's, of which the law and its gains are replaced, ``delay`` that of a command in s.
-    With ``slipping`` the bristles of the extreme machines slip one by one.
     """
 
-    def __init__(
-        self, scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD, slipping: bool = False
-    ) -> None:
+    def __init__(self, scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD) -> None:
         self.law, self.stage, self._quiet = law, scenario.description, quiet
         self.control = next(iter(scenario.controls.values()))
         self._stop = scenario.driver.plant.platform.stop
@@ -194,7 +191,7 @@ class Judge:
         self._check = StabilityCheck(self.stage, demands)
         self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
         self._short = prepared_stroke(shortened(scenario, _SHORT))
-        self._extremes = extreme_machines(scenario, slipping)
+        self._extremes = extreme_machines(scenario)
         carried = self.stage.friction.coulomb / self.stage.actuator.current_stiffness
         self._work_scale = max(carried, _LEAST_STEPS * self.stage.drive.current_step)
 
@@ -242,13 +239,9 @@ class Judge:
         return lines + sum(run.excursion >= self._stop for run in runs)
 
 
-def extreme_machines(scenario: Scenario, slipping: bool = False) -> list[tuple[PlantParameters, float]]:
+def extreme_machines(scenario: Scenario) -> list[tuple[PlantParameters, float]]:
     """Machines on which a law must neither oscillate nor fail, and the delay of their commands in s: each has the loop
-    gain, the friction and the delay of one end of its range, or of its middle; with ``slipping`` each has bristles that
-    slip one by one (Maxwell slip)."""
-    nominal = scenario.driver.plant
-    if slipping:
-        nominal = dataclasses.replace(nominal, contact=dataclasses.replace(nominal.contact, model="maxwell_slip"))
+    gain, the friction and the delay of one end of its range, or of its middle."""
     stage, ranges = scenario.description, scenario.description.uncertainty
     latest, soonest = max(1.0, ranges.longest_delay), min(1.0, ranges.shortest_delay)
     ends = (
@@ -262,7 +255,7 @@ def extreme_machines(scenario: Scenario, slipping: bool = False) -> list[tuple[P
     return [
         (
             deviating(
-                nominal,
+                scenario.driver.plant,
                 Factors(
                     mass=1.0 - gain * ranges.mass,
                     force=1.0 + gain * ranges.force,
