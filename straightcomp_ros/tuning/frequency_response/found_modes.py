@@ -175,12 +175,14 @@ def found_plant(
             break
         best = more
     freedom = 2 * frequencies.size - best.x.size
-    spread = 2.0 * np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * 2.0 * best.cost / freedom)
-    log_g, dg = best.x[0], min(spread[0], 10.0)
+    variance = np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * 2.0 * best.cost / freedom
+    # Of what the lines hardly determine, rounding may leave less than nothing.
+    spread = np.minimum(2.0 * np.sqrt(np.where(variance > 0.0, variance, np.inf)), 10.0)
+    log_g, dg = best.x[0], spread[0]
     gain = Interval(*(math.exp(x) for x in (log_g, log_g - dg, log_g + dg)))
     found = []
     for k in range(2, best.x.size, 3):
-        (log_f, log_z, r), (df, dz, dr) = best.x[k : k + 3], np.minimum(spread[k : k + 3], 10.0)
+        (log_f, log_z, r), (df, dz, dr) = best.x[k : k + 3], spread[k : k + 3]
         df, dz = math.hypot(df, _FOLDED), math.hypot(dz, _FOLDED_DAMPING)
         frequency = Interval(*(math.exp(x) for x in (log_f, log_f - df, log_f + df)))
         damping_ratio = Interval(*(math.exp(x) for x in (log_z, log_z - dz, log_z + dz)))

@@ -87,3 +87,10 @@ def test_beyond_a_frequency_a_mode_below_it_is_a_part_of_the_gain_and_the_others
 def test_the_ratio_of_two_values_is_as_wide_as_both_together():
     ratio = Interval(2.0, 1.8, 2.2).over(Interval(1.0, 0.95, 1.05))
     assert ratio.value == 2.0 and ratio.high / 2.0 == pytest.approx(1.114, abs=0.001) and ratio.low < 1.8
+
+
+def test_what_the_lines_do_not_determine_has_a_wide_interval_and_no_nan(monkeypatch):
+    monkeypatch.setattr(np.linalg, "pinv", lambda matrix: -1e-18 * np.eye(len(matrix)))
+    gain, (mode,) = found(with_modes(ModeParameters(180.0, 0.01, 1.0, -1.0)))
+    assert gain.high > 1e3 * gain.value and mode.frequency.high > 1e3 * mode.frequency.value
+    assert np.isfinite([*gain, *mode.frequency, *mode.damping, *mode.residue]).all()
