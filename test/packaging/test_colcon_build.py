@@ -18,7 +18,8 @@ START_S = 180.0
 
 if importlib.util.find_spec("colcon_core") is None:
     pytest.skip(
-        "NOT TESTED: whether the package builds with colcon. Remedy: pip install -e '.[nightly]'", allow_module_level=True
+        "NOT TESTED: whether the package builds with colcon. Remedy: pip install -e '.[nightly]'",
+        allow_module_level=True,
     )
 
 

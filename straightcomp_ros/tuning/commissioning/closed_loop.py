@@ -121,13 +121,15 @@ def identification(work: Work) -> Outcome:
         },
     }
     by_record = facts = facts_found(found, stage)
-    gain, scale = Interval(1.0, 1.0, 1.0), 1.0
+    gain, scale, mechanics, words = Interval(1.0, 1.0, 1.0), 1.0, FoundPlant(), ""
     # The second look has the machine of the first one for its model, and sees more.
     for _ in range(2):
         values = with_values(with_values(work.values, "stage", facts), "controller", gains)
-        mechanics, words = _looked_at(dataclasses.replace(work, values=values))
-        if mechanics == FoundPlant():
+        seen, said = _looked_at(dataclasses.replace(work, values=values))
+        if seen == FoundPlant():
+            words = words or said
             break
+        mechanics, words = seen, said
         gain = Interval(*(gain.value * one for one in mechanics.gain))
         facts, scale = scaled_by(gain, by_record, found, stage)
     if strange := strangeness(found, work.description, scale):

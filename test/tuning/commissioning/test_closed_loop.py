@@ -144,6 +144,12 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     assert seen == pytest.approx([1.2 * turns, 0.9**0.5 * turns])
     assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns)
     assert outcome.stage["friction.coulomb"] == pytest.approx(STAGE.friction.coulomb * 0.9 / 1.44)
+    # Where the second look fails, the first one counts.
+    looks = [(FoundPlant(Interval(0.625, 0.62, 0.63), (mode,)), "; one mode"), (FoundPlant(), "; not looked for")]
+    monkeypatch.setattr(closed_loop, "_looked_at", lambda work: looks.pop(0))
+    outcome = identification(work_on(values_of(), tmp_path))
+    assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns) and not looks
+    assert outcome.stage["platform.modes.first.frequency"] == 180.0 and "one mode" in outcome.sentence
 
 
 def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken():
