@@ -150,8 +150,8 @@ def identification(work: Work) -> Outcome:
 def _excited(work: Work, bag: Path) -> dict[str, Any]:
     """Make one cycle along the excitation, recorded as ``bag``; returns the gains that the safe law got for it.
 
-    A platform that swings out of its travel rings at a mode that nobody described: the cycle is made once more, under a
-    safe law for a mode there.
+    A platform that swings out of its travel rings at a mode that no description has: the cycle is made once more, under
+    a safe law for a mode there.
 
     Raises:
         LeftTravel: the platform left its travel, and there is no such law, or under it too.
@@ -167,7 +167,7 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
         return {}
     except LeftTravel as error:
         f = _swinging(bag, stage)
-        free = [name for name in ("first", "second") if not getattr(stage.platform.modes, name).frequency]
+        free = _undescribed(stage)
         if not f or not free:
             raise
         left = f"{error}; it swung at {f:.0f} Hz then"
@@ -209,10 +209,15 @@ def _looked_at(work: Work) -> tuple[FoundPlant, str]:
 
 
 def modes_found(mechanics: FoundPlant, stage: StageParameters) -> dict[str, float]:
-    """Facts of the modes that nobody described, by dotted name."""
-    free = [name for name in ("first", "second") if not getattr(stage.platform.modes, name).frequency]
+    """Facts of the modes that the description lacks, by dotted name."""
     unknown = [mode for mode in mechanics.modes if not mode.described]
-    return {fact: x for name, mode in zip(free, unknown, strict=False) for fact, x in mode.facts(name).items()}
+    found = zip(_undescribed(stage), unknown, strict=False)
+    return {fact: x for name, mode in found for fact, x in mode.facts(name).items()}
+
+
+def _undescribed(stage: StageParameters) -> list[str]:
+    """Names of the modes that the description has room for."""
+    return [name for name in ("first", "second") if not getattr(stage.platform.modes, name).frequency]
 
 
 def scaled_by(
