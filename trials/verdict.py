@@ -258,6 +258,12 @@ CAUSES: Mapping[str, Spoil] = {
         current=random.uniform(1.0, 5.0) * drawn.dry / drawn.stage.actuator.current_stiffness,
         time=random.uniform(0.3, 2.0),
     ).true("disturbances.", seed=int(random.integers(1000))),
+    "vibration": lambda drawn, random: drawn.true(
+        "disturbances.vibration.",
+        acceleration=random.uniform(0.5, 3.0) * drawn.dry / drawn.stage.platform.mass,
+        frequency=10.0 ** random.uniform(1.0, 2.3),
+        damping=random.uniform(0.01, 0.1),
+    ).true("disturbances.", seed=int(random.integers(1000))),
     "stiction": _sticky,
     "friction": lambda drawn, random: drawn.true(friction=random.uniform(20.0, 60.0)),
     "loop": _of_loop,
@@ -271,6 +277,7 @@ _WORDS = {
     "locked_to_x": "cogging",
     "stick_slip": "friction",
     "resonance": "mode",
+    "vibration": "vibration",
     "oscillates": "loop",
 }
 _PHRASES = {

@@ -1,4 +1,5 @@
-"""What makes an error that is not the law's: the mains, something locked to x, friction, a mode, or the loop itself.
+"""What makes an error that is not the law's: the mains, something locked to x, friction, a mode, a vibration, or the
+loop itself.
 
 Each is told from facts of the record, not from the size of the error:
 
@@ -10,6 +11,8 @@ Each is told from facts of the record, not from the size of the error:
 - **friction** (stick-slip, hunting): the platform stands most of the time and jumps in between. Its velocity is then
   far from that of a sine or of noise: kurtosis 1.5 and 3.
 - **a mode**: a line at a described frequency of the platform.
+- **vibration**: a line whose amplitude comes and goes as that of noise behind a resonance; a loop that oscillates sets
+  its own amplitude.
 """
 
 from __future__ import annotations
@@ -41,8 +44,6 @@ _STANDS_OUT = 5.0
 """Amplitude of a line relative to the median around it: of noise, one in 10^7 has as much."""
 _COHERENT = 0.5
 """Least part of a line's amplitude that keeps its phase over a whole stroke; of one that wanders by a cycle, none."""
-_BETTER = 1.1
-"""Ratio by which a line must keep its phase better over x than over time, or the other way round."""
 _AROUND = 0.15
 """Relative distance from the frequency of a line in a short segment within which that of the whole run lies."""
 _BINS, _FINER = 16, 4
@@ -77,6 +78,10 @@ velocity: 0.16 of noise. It was 0.4 to 0.9 with stiction, 0.1 to 0.25 without.""
 _JUMPS = 4.5
 """Least kurtosis of the velocity then, 3 of noise. It was 5 to 20 with stiction, 1.5 to 4.6 without; an oscillation
 that comes and goes has as much, but stands less."""
+_COMES_AND_GOES = 0.5 * (math.sqrt(math.log(4.0)) - math.sqrt(math.log(4.0 / 3.0))) / math.sqrt(math.log(2.0))
+"""Distance between the quartiles of a line's amplitude, relative to its median, that is noise: half of Rayleigh's."""
+_ENDS = 0.05
+"""Part of a filtered piece at each end whose amplitude depends on what was before and after."""
 UNKNOWN = "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
 """What there is to say of an error of which no cause shows."""
 _VELOCITY_OVER = 0.002
@@ -119,7 +124,9 @@ def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke], 
         speed = float(np.quantile(np.abs(np.gradient(x[samples], time[samples])), 0.9))
         over_x = _coherent(x[samples], error[samples], line.at / speed)
         over_time = _coherent(time[samples], error[samples], line.at)
-        if over_x.amplitude < max(_COHERENT * line.amplitude, _BETTER * over_time.amplitude):
+        # At constant speed both are the same line: the ramps make the difference, which noise must not make.
+        least = over_time.amplitude + _background(x[samples], error[samples], over_x.at)
+        if over_x.amplitude < max(_COHERENT * line.amplitude, least):
             return None
         found.append(over_x)
     return min(found, default=None)
@@ -129,6 +136,22 @@ def mode_of(frequency: float, modes: Sequence[float]) -> float | None:
     """The frequency in Hz of the described mode that a line at ``frequency`` is of."""
     nearest = min(modes, key=lambda mode: abs(mode - frequency), default=math.inf)
     return nearest if abs(frequency / nearest - 1.0) <= _OF_A_MODE else None
+
+
+def shaken(pieces: Sequence[Array], frequency: float, period: float) -> bool:
+    """Whether the line at ``frequency`` in Hz comes and goes in the steadier half of the ``pieces`` of the error, (m,)
+    in m, of samples ``period`` s apart without a gap: where an oscillation has just begun, it is not steady either."""
+    spreads = []
+    for error in pieces:
+        # Flat where a line wanders; without edges, so that a jump, as from the end to the beginning, rings shortly.
+        off = np.abs(np.fft.fftfreq(error.size, period) / frequency - 1.0)
+        band = np.cos(0.5 * math.pi * np.clip(off / _AROUND - 1.0, 0.0, 1.0)) ** 2
+        ends = round(_ENDS * error.size)
+        amplitude = np.abs(np.fft.ifft(band * np.fft.fft(error)))[ends : error.size - ends]
+        low, middle, high = np.quantile(amplitude, (0.25, 0.5, 0.75)).tolist()
+        spreads.append((high - low) / middle if middle else 0.0)
+    steadier = sorted(spreads)[: (len(spreads) + 1) // 2]
+    return sum(steadier) > _COMES_AND_GOES * len(steadier)
 
 
 def stick_slip(error: Array, period: float) -> bool:
@@ -273,11 +296,18 @@ def _coherent(along: Array, error: Array, near: float) -> Line:
 
 def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bool:
     """Whether ``error`` (n,) has a line of ``least`` m over ``along`` (n,) within the resolution of ``at``, and that is
-    `_STANDS_OUT` above what is around it to half and three halves of that."""
+    `_STANDS_OUT` above what is around it."""
     tried, spectrum = _spectrum(along, error, at)
-    away = np.abs(tried - at) * float(np.ptp(along))
-    around = spectrum[(away > 2.0) & (np.abs(tried / at - 1.0) < 0.5)]
-    return float(spectrum[away <= 1.0].max()) > max(least, _STANDS_OUT * float(np.median(around)))
+    there = np.abs(tried - at) * float(np.ptp(along)) <= 1.0
+    return float(spectrum[there].max()) > max(least, _STANDS_OUT * _background(along, error, at))
+
+
+def _background(along: Array, error: Array, at: float) -> float:
+    """Median amplitude in m of ``error`` (n,) over ``along`` (n,) around a line ``at``, to half and three halves of
+    it."""
+    tried, spectrum = _spectrum(along, error, at)
+    beside = (np.abs(tried - at) * float(np.ptp(along)) > 2.0) & (np.abs(tried / at - 1.0) < 0.5)
+    return float(np.median(spectrum[beside]))
 
 
 def _spectrum(along: Array, error: Array, near: float) -> tuple[Array, Array]:

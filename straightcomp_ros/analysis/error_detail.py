@@ -224,9 +224,14 @@ def _held_line(error: Array, reference: Array, period: float, dither: float, spa
     line, there = own.sum(axis=1), np.where(near, asked, 0.0).sum(axis=1)
     found = (line > _MOST * power.sum(axis=1)) & (line > ASKED**2 * there)
     amplitudes = np.where(found, np.sqrt(line / _HANN_BANDWIDTH), 0.0)
-    held = sliding_window_view(amplitudes, min(_HELD, amplitudes.size)).min(axis=1)
-    at = int(held.argmax())
-    return Oscillation(float(held[at]), float(own[at] @ frequencies / line[at]) if held[at] else 0.0)
+    together = sliding_window_view(amplitudes, min(_HELD, amplitudes.size))
+    first = int(together.min(axis=1).argmax())
+    amplitude = float(together[first].min())
+    if not amplitude:
+        return Oscillation(0.0, 0.0)
+    # A transient in one of the segments has a frequency of its own.
+    segments = slice(first, first + together.shape[1])
+    return Oscillation(amplitude, float(np.median(own[segments] @ frequencies / line[segments])))
 
 
 def _power(values: Array, length: int) -> Array:

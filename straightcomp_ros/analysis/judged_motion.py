@@ -167,6 +167,7 @@ class JudgedMotion:
     span: tuple[float, float] = (-math.inf, math.inf)  # of x in which the map's reference follows the guide or runs out
     late: str = ""  # that commands came later than described, as of `late_commands`
     by_encoder: bool = False  # whether y and the error are the encoder's
+    unseen: bool = False  # whether the error is hardly in the encoder's readings
     promise: Callable[[], Promise | None] = lambda: None  # what the description leaves on this motion
     # Of the description, see `UncertaintyParameters`.
     friction: float = 2.0

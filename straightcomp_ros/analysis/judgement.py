@@ -6,10 +6,10 @@ from typing import NamedTuple
 WORDS = (
     *("in_order", "clock_jumped", "interrupted", "starved", "at_stop"),
     *("left_map", "saturated", "wrong_guide", "mains", "locked_to_x", "stick_slip", "resonance"),
-    *("oscillates", "inaccurate"),
+    *("vibration", "oscillates", "inaccurate"),
 )
 IN_ORDER, CLOCK_JUMPED, INTERRUPTED, STARVED, AT_STOP, LEFT_MAP, SATURATED, WRONG_GUIDE = WORDS[:8]
-MAINS, LOCKED_TO_X, STICK_SLIP, RESONANCE, OSCILLATES, INACCURATE = WORDS[8:]
+MAINS, LOCKED_TO_X, STICK_SLIP, RESONANCE, VIBRATION, OSCILLATES, INACCURATE = WORDS[8:]
 
 
 class Verdict(NamedTuple):

@@ -51,6 +51,8 @@ _PIECES, _READINGS = 200, 5
 _OF_LOOP = 0.0125
 """Frequency relative to the rate from which an error without a held line is the loop's: slower ones it rejects, and
 what then is left of a disturbance has no line either."""
+_SEEN = 0.5
+"""Part of an error's RMS in the encoder's readings below which the encoder made it: a quarter of its power."""
 _HUNTS = 0.02
 """Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
 
@@ -69,16 +71,17 @@ def judged_motion(
     :func:`late_commands`, ``sensor`` the guide's deviation (n,) in m by a displacement sensor at the record's samples,
     up to a constant, NaN where it has none. MetricsError if the stage does not move."""
     run = record.moving
-    truth, first, last = run.true_error(reference), run.time[0], run.time[-1]
+    truth, seen, first, last = run.true_error(reference), run.r - run.y, run.time[0], run.time[-1]
     return JudgedMotion(
         time=run.time,
         x=run.x,
         y=run.y if run.true_y is None else run.true_y,
         r=run.r,
         current=run.current,
-        error=run.r - run.y if truth is None else truth,
+        error=seen if truth is None else truth,
         count=encoder_count(run.y),
         by_encoder=truth is None,
+        unseen=truth is not None and float(seen.std()) < _SEEN * float(truth.std()),
         fit=_guide_fit(record, reference, straightness, sensor),
         stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
         promise=lambda: _promise(record, parameters, straightness),
@@ -294,10 +297,21 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             f"the platform's mode at {mode:.0f} Hz is excited: {found.frequency:.0f} Hz {amplitude}; measure it by "
             "straightcomp frequency-response, correct stage.platform.modes, and design anew",
         )
+    # A loop at its limit changes from one moment to the next.
+    limited = float(np.abs(motion.current).max()) >= AT_LIMIT * motion.current_limit
+    halves = [half for one in motion.strokes for half in np.array_split(motion.error[one.samples], 2)]
+    if not limited and causes.shaken(halves, found.frequency, motion.period):
+        return Verdict(
+            words.VIBRATION,
+            f"the platform is shaken at {found.frequency:.0f} Hz {amplitude}; that comes and goes like noise, which an "
+            "oscillation of the loop does not: look for what shakes the guide or the floor; if nothing does, the loop "
+            "has hardly any margins there: measure them by straightcomp frequency-response",
+        )
     return Verdict(
         words.OSCILLATES,
         f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; compare stage.platform.mass, stage.actuator, "
-        "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains that fit a description",
+        "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains that fit a description. "
+        "A line that is the same with other gains comes from outside",
     )
 
 
@@ -335,6 +349,8 @@ def _inaccurate(motion: JudgedMotion) -> str:
 
 
 def _cause(motion: JudgedMotion) -> str:
+    if motion.unseen:
+        return "the encoder of y hardly shows it: it is the encoder's own, between its counts (interpolation)"
     return causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
 
 

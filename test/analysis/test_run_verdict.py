@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.causes import of_map
 from straightcomp_ros.analysis.interruption import Stall
@@ -53,9 +54,14 @@ OTHER, NEARLY_RIGHT = GuideFit(20e-6, 27e-6, "shift it"), GuideFit(20e-6, 0.3e-6
 SPEED = 0.5 * np.abs(np.sin(np.pi * TIME / 4.0))
 THERE_AND_BACK = np.cumsum(np.where(TIME < 4.0, SPEED, -SPEED)) * T
 WAVES = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.01)
+SHORT_RAMPS = [np.cumsum(0.44 * np.clip(8.0 * np.sin(np.pi * TIME / 4.0), -1.0, 1.0)) * T]
+SHORT_RAMPS.append(0.4e-6 * np.sin(2.0 * np.pi * SHORT_RAMPS[0] / 0.01))
 STEPS = 0.5e-6 * np.cumsum(
     np.where(np.arange(TIME.size) % 200 == 0, np.where(np.arange(TIME.size) % 400 == 0, 1, -1), 0)
 )
+# Noise behind a resonance of 30 Hz and 5 %.
+DECAYS = np.exp((2j - 0.1) * np.pi * 30.0 * T)
+SHAKEN = 0.4e-6 * lfilter([0.1], [1.0, -DECAYS], np.random.default_rng(1).standard_normal(TIME.size)).real
 SLOW = 0.4e-6 * np.sin(2.0 * np.pi * 0.17 * TIME + 1.0)
 DRAGGED = 0.4e-6 * np.clip(3.0 * np.cos(2.0 * np.pi * 0.3 * TIME), -1.0, 1.0)
 NOISE = np.random.default_rng(1).normal(0.0, 0.05e-6, TIME.size)
@@ -89,7 +95,7 @@ CASES = {
         ("in_order", "", stalled(SMALL + bump(4.0, 0.3e-6), count=1e-6)),
     ],
     "a loop that fails without its stalls too has another reason": [
-        ("oscillates", "", stalled(3e-6 * sine(30.0) + bump(4.0, 30e-6), 0.2 * R, fit=None)),
+        ("oscillates", "30 Hz", stalled(3e-6 * sine(30.0) + bump(4.0, 30e-6), 0.2 * R, fit=None)),
         ("starved", "", stalled(0.01 * (3e-6 * sine(30.0) + bump(4.0, 30e-6)), 0.2 * R, fit=None)),
     ],
     "a run of stalls is starved only if its figures are bad": [
@@ -172,6 +178,8 @@ CASES = {
     "waves over x are locked to it, whatever their frequency": [
         ("locked_to_x", "every 9.99.* mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=THERE_AND_BACK)),
+        ("locked_to_x", "every 10.* mm of x", motion(SMALL + SHORT_RAMPS[1], x=SHORT_RAMPS[0], r=0.1 * R)),
+        ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=SHORT_RAMPS[0], r=0.1 * R)),
     ],
     "a platform that stands and jumps sticks and slips": [
         ("stick_slip", "stage.friction.static", motion(STEPS, promise=promised(0.05))),
@@ -191,6 +199,13 @@ CASES = {
             motion(STEPS, promise=promised(0.05), modes=(80.0,), destabilised=lambda: True),
         ),
         ("in_order", "", motion(modes=(80.0,), destabilised=lambda: True)),
+    ],
+    "a line that comes and goes is a vibration, but of a loop that begins to oscillate, or is at its limit": [
+        ("vibration", "shaken at 3. Hz", motion(SMALL + SHAKEN)),
+        ("oscillates", "30 Hz", motion(SMALL + 0.4e-6 * sine(30.0))),
+        ("oscillates", "30 Hz", motion(SMALL + 0.4e-6 * sine(30.0) * np.clip((TIME - 2.0) / 2.0, 0.01, 1.0))),
+        ("oscillates", "", motion(SMALL + SHAKEN, current=0.9 * np.sign(SHAKEN), current_limit=0.9)),
+        ("resonance", "", motion(SMALL + SHAKEN, modes=(31.0,))),
     ],
     "an error is judged by what the description leaves, with the friction's range and the encoder's counts": [
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.31))),
@@ -221,6 +236,7 @@ CASES = {
     ],
     "an error that is too large goes with something": [
         ("inaccurate", "changes slowly", motion(SLOW, promise=promised(0.1))),
+        ("inaccurate", "encoder of y hardly shows it", motion(SLOW, promise=promised(0.1), unseen=True)),
         ("inaccurate", "direction in which the platform moves", motion(DRAGGED, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
         (
