@@ -126,4 +126,4 @@ def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, most, monkeypatch):
         elif not (fact["done"] and fact["code"] == first["code"]):
             # In one sentence: rich breaks none.
             assert fact["code"] in (1, 2) and "Traceback" not in fact["said"], fact
-            assert fact["said"].splitlines()[-1].startswith("straightcomp "), fact
+            assert fact["said"].splitlines()[-1].startswith("straightcomp "), fact["said"]
