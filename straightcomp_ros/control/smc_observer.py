@@ -242,9 +242,6 @@ def step(
     asked, dither = _dithered(g, state.dither, rest, asked)
     answer = limited(loop, asked)
     after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
-    if fit.size < g.counting:
-        # The slow observer would follow a stiffness that is not as described too late: the fit knows it.
-        others += fit.slope / g.travel * r_dot * g.loop.period
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, bristle, fit, rest, dither, memory), command
