@@ -258,8 +258,7 @@ def _stiffness(g: Gains, fit: Fit) -> Stiffness:
     share = max(0.0, min(1.0, misfit / g.misfit - 1.0))
     if share <= 0.0:
         return a
-    # What is not explained is no friction where there is none, and nothing damps the stiffest loop there.
-    stiff = share - calm
+    stiff = share * (1.0 + calm) - calm
     return _mixed(g.quiet, g.stiff, stiff) if stiff >= 0.0 else _calmed(g, -stiff)
 
 
