@@ -139,7 +139,7 @@ class Gains(NamedTuple):
 
     Attributes:
         free, quiet, stiff: the law without friction, with friction that the model explains, and at its stiffest, from
-            twice ``misfit`` on; ``slow``: quiet with the observer of free, midway.
+            twice ``misfit`` on.
         share: m.
         misfit: m/s², from which the law stiffens.
         kept: weight that the past of the fit keeps from one sample to the next.
@@ -158,7 +158,6 @@ class Gains(NamedTuple):
     """
 
     free: Stiffness
-    slow: Stiffness
     quiet: Stiffness
     stiff: Stiffness
     share: float
@@ -249,24 +248,14 @@ def step(
 
 @compilable
 def _stiffness(g: Gains, fit: Fit) -> Stiffness:
-    """From free over quiet, by the size of friction, to stiff, by the misfit."""
+    """Between free and quiet by the size of friction, and from there to stiff by the misfit."""
     # No size at all is only in the linearisation of `margins.py`, which asks for free and quiet one by one.
     calm = max(0.0, min(1.0, 2.0 - 2.0 * fit.size / g.counting)) if fit.size > 0.0 else 0.0
-    a = _calmed(g, calm) if calm > 0.0 else g.quiet
+    a = _mixed(g.quiet, g.free, calm) if calm > 0.0 else g.quiet
     # The misfit is an acceleration of the mass that is assumed.
     misfit = math.sqrt(max(0.0, fit.misfit_square)) * (a.mass / g.loop.mass)
     share = max(0.0, min(1.0, misfit / g.misfit - 1.0))
-    if share <= 0.0:
-        return a
-    stiff = share * (1.0 + calm) - calm
-    return _mixed(g.quiet, g.stiff, stiff) if stiff >= 0.0 else _calmed(g, -stiff)
-
-
-@compilable
-def _calmed(g: Gains, calm: float) -> Stiffness:
-    """From quiet to free: first the observer, then the law. Midway on the straight line the much damping of the one
-    meets the fast observer of the other, and no margins are left though both ends have them."""
-    return _between(g.quiet, g.slow, 2.0 * calm) if calm <= 0.5 else _between(g.slow, g.free, 2.0 * calm - 1.0)
+    return _mixed(a, g.stiff, share) if share > 0.0 else a
 
 
 @compilable
@@ -280,21 +269,6 @@ def _mixed(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
         a.double + share * (b.double - a.double),
         a.third + share * (b.third - a.third),
         a.mass + share * (b.mass - a.mass),
-    )
-
-
-@compilable
-def _between(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
-    """As `_mixed`, by factors: gains that stand in a product keep it."""
-    return Stiffness(
-        a.surface ** (1.0 - share) * b.surface**share,
-        a.reaching ** (1.0 - share) * b.reaching**share,
-        a.position ** (1.0 - share) * b.position**share,
-        a.velocity ** (1.0 - share) * b.velocity**share,
-        a.disturbance ** (1.0 - share) * b.disturbance**share,
-        a.double ** (1.0 - share) * b.double**share,
-        a.third ** (1.0 - share) * b.third**share,
-        a.mass ** (1.0 - share) * b.mass**share,
     )
 
 

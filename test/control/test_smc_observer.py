@@ -2,7 +2,6 @@
 
 import math
 import random
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, make_law
-from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.control.observer import observer_gains
-from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged, step
+from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged
 from straightcomp_ros.model.friction import bristle_after, friction_force
 from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.starts import run_stroke
@@ -206,29 +203,8 @@ def test_the_law_goes_over_to_its_free_gains_as_friction_vanishes():
     for size in (1e-12, 0.4):
         assert np.array(_stiffness(gains, bare._replace(size=size * gains.counting))) == pytest.approx(gains.free)
     halfway = _stiffness(gains, bare._replace(size=0.75 * gains.counting))
-    assert np.array(halfway) == pytest.approx(gains.slow)
-    assert gains.slow[:2] == gains.quiet[:2] and gains.slow.third == gains.free.third
+    assert halfway.surface == pytest.approx(0.5 * (gains.free.surface + gains.quiet.surface))
     assert _stiffness(gains, fit_at_start(gains.counting)) == gains.quiet
-
-
-@pytest.mark.parametrize("changes", [{}, {"surface": 460.0, "reaching": 520.0, "third_pole": 0.7, "bandwidth": 230.0}])
-def test_between_its_gains_the_law_is_as_stable_as_with_the_worse_of_them_on_any_machine(changes):
-    control = ControlParameters(smc_observer=replace(ControlParameters().smc_observer, **changes))
-    own = make_law(control, STAGE)
-    gains = own.gains
-    for light in (1.0, 1.25):
-        machine = stage(platform__mass=STAGE.platform.mass / light, actuator__turns=STAGE.actuator.turns * light**0.5)
-        plant = sampled_plant(machine, 1.4 * STAGE.period)
-
-        def radius(one, plant=plant):
-            law = Law(gains._replace(free=one, slow=one, quiet=one, stiff=one), own.start, step, compiled=True)
-            return spectral_radius(closed_loop(plant, linearised(law, with_current=True)))
-
-        worst = max(map(radius, (gains.free, gains.slow, gains.quiet, gains.stiff)))
-        for size in np.linspace(0.4, 1.0, 13) * gains.counting:
-            for misfit in np.linspace(0.0, 4.0, 9) * gains.misfit:
-                between = _stiffness(gains, fit_at_start(size)._replace(misfit_square=misfit**2))
-                assert radius(between) <= worst + 2e-3
 
 
 def test_without_enough_friction_the_command_is_not_held():
