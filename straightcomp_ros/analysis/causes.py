@@ -125,8 +125,8 @@ def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke], 
         over_x = _coherent(x[samples], error[samples], line.at / speed)
         over_time = _coherent(time[samples], error[samples], line.at)
         # At constant speed both are the same line: the ramps make the difference, which noise must not make.
-        least = over_time.amplitude + _background(x[samples], error[samples], over_x.at)
-        if over_x.amplitude < max(_COHERENT * line.amplitude, least):
+        noise = _background(*_spectrum(x[samples], error[samples], over_x.at), float(np.ptp(x[samples])), over_x.at)
+        if over_x.amplitude < max(_COHERENT * line.amplitude, over_time.amplitude + noise):
             return None
         found.append(over_x)
     return min(found, default=None)
@@ -138,7 +138,7 @@ def mode_of(frequency: float, modes: Sequence[float]) -> float | None:
     return nearest if abs(frequency / nearest - 1.0) <= _OF_A_MODE else None
 
 
-def shaken(pieces: Sequence[Array], frequency: float, period: float) -> bool:
+def comes_and_goes(pieces: Sequence[Array], frequency: float, period: float) -> bool:
     """Whether the line at ``frequency`` in Hz comes and goes in the steadier half of the ``pieces`` of the error, (m,)
     in m, of samples ``period`` s apart without a gap: where an oscillation has just begun, it is not steady either."""
     spreads = []
@@ -298,16 +298,15 @@ def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bo
     """Whether ``error`` (n,) has a line of ``least`` m over ``along`` (n,) within the resolution of ``at``, and that is
     `_STANDS_OUT` above what is around it."""
     tried, spectrum = _spectrum(along, error, at)
-    there = np.abs(tried - at) * float(np.ptp(along)) <= 1.0
-    return float(spectrum[there].max()) > max(least, _STANDS_OUT * _background(along, error, at))
+    length = float(np.ptp(along))
+    there = float(spectrum[np.abs(tried - at) * length <= 1.0].max())
+    return there > max(least, _STANDS_OUT * _background(tried, spectrum, length, at))
 
 
-def _background(along: Array, error: Array, at: float) -> float:
-    """Median amplitude in m of ``error`` (n,) over ``along`` (n,) around a line ``at``, to half and three halves of
-    it."""
-    tried, spectrum = _spectrum(along, error, at)
-    beside = (np.abs(tried - at) * float(np.ptp(along)) > 2.0) & (np.abs(tried / at - 1.0) < 0.5)
-    return float(np.median(spectrum[beside]))
+def _background(tried: Array, spectrum: Array, length: float, at: float) -> float:
+    """Median of a :func:`_spectrum` over ``length`` around a line ``at``, to half and three halves of it."""
+    around = (np.abs(tried - at) * length > 2.0) & (np.abs(tried / at - 1.0) < 0.5)
+    return float(np.median(spectrum[around]))
 
 
 def _spectrum(along: Array, error: Array, near: float) -> tuple[Array, Array]:

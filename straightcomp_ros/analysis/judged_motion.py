@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.metrics import RESTING
-from straightcomp_ros.analysis.record import Array, MetricsError, Stroke, motion_of
+from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stroke, motion_of
 from straightcomp_ros.control.laws import dither_of
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.model.converters import DriveParameters
@@ -186,6 +186,11 @@ class JudgedMotion:
     def recovery(self) -> int:
         """Samples in which the error of a disturbance decays."""
         return max(round(RECOVERY / self.period), RECOVERY_SAMPLES)
+
+    @property
+    def limited(self) -> NDArray[np.bool_]:
+        """The samples (n,) whose command is at the current limit."""
+        return np.asarray(np.abs(self.current) >= AT_LIMIT * self.current_limit)
 
     @cached_property
     def pp(self) -> float:

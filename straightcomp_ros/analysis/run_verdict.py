@@ -27,7 +27,7 @@ from straightcomp_ros.analysis.judged_motion import (
 )
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import residual_over
-from straightcomp_ros.analysis.record import AT_LIMIT, Array, ReferenceMap, StrokeRecord, group_means, runs_of
+from straightcomp_ros.analysis.record import Array, ReferenceMap, StrokeRecord, group_means, runs_of
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
@@ -207,7 +207,7 @@ def _left_map(motion: JudgedMotion) -> str:
 
 
 def _saturated(motion: JudgedMotion) -> str:
-    limited = np.sign(motion.current) * (np.abs(motion.current) >= AT_LIMIT * motion.current_limit)
+    limited = np.sign(motion.current) * motion.limited
     if not limited.any():
         return ""
     span = min(motion.recovery, limited.size)
@@ -297,10 +297,9 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             f"the platform's mode at {mode:.0f} Hz is excited: {found.frequency:.0f} Hz {amplitude}; measure it by "
             "straightcomp frequency-response, correct stage.platform.modes, and design anew",
         )
-    # A loop at its limit changes from one moment to the next.
-    limited = float(np.abs(motion.current).max()) >= AT_LIMIT * motion.current_limit
     halves = [half for one in motion.strokes for half in np.array_split(motion.error[one.samples], 2)]
-    if not limited and causes.shaken(halves, found.frequency, motion.period):
+    # A loop at its limit changes from one moment to the next.
+    if not motion.limited.any() and causes.comes_and_goes(halves, found.frequency, motion.period):
         return Verdict(
             words.VIBRATION,
             f"the platform is shaken at {found.frequency:.0f} Hz {amplitude}; that comes and goes like noise, which an "
