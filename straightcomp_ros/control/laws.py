@@ -180,6 +180,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     largest = min(design.largest_size, _LARGEST_DITHERED) if amplitude > 0.0 else design.largest_size
     gains = smc_observer.Gains(
         free=_stiffness(_free(design, stage), 1.0, stage),
+        slow=_stiffness(_slow(design, stage), 1.0, stage),
         quiet=_stiffness(design, 1.0, stage),
         stiff=_stiffness(design, design.stiffening, stage),
         share=design.velocity_share,
@@ -269,13 +270,19 @@ def _free(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
     return replace(design, **gains, **_FREE)
 
 
-def freed(control: ControlParameters, stage: StageParameters) -> ControlParameters | None:
-    """'smc_observer' where it finds no friction; None for other laws, and for a stage that certainly has friction."""
-    if control.law != "smc_observer":
-        return None
-    if stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * _quantum(stage):
-        return None
-    return replace(control, smc_observer=replace(_free(control.smc_observer, stage), stiffening=1.0))
+def _slow(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
+    free = _free(design, stage)
+    return replace(design, bandwidth=free.bandwidth, third_pole=free.third_pole)
+
+
+def freed(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
+    """'smc_observer' as it finds less and less friction, ``slow`` and ``free``; empty for other laws, and for a stage
+    that certainly has friction."""
+    certain = stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * _quantum(stage)
+    if control.law != "smc_observer" or certain:
+        return {}
+    states = {"slow": _slow(control.smc_observer, stage), "free": _free(control.smc_observer, stage)}
+    return {name: replace(control, smc_observer=replace(one, stiffening=1.0)) for name, one in states.items()}
 
 
 def stiffened(control: ControlParameters) -> ControlParameters:

@@ -337,8 +337,8 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
     ends = [(quiet, "", LEAST_GAINS)]
     if stiff is not control:
         ends.append((make_law(stiff, stage), ", at its stiffest", _STIFFEST_GAINS))
-    if (free := freed(control, stage)) is not None:
-        ends.append((make_law(free, stage), ", without friction", LEAST_GAINS))
+    words = {"slow": ", with hardly any friction", "free": ", without friction"}
+    ends += [(make_law(one, stage), words[name], LEAST_GAINS) for name, one in freed(control, stage).items()]
     for law, where, gains in ends:
         for measured, how in ((False, ""), (True, ", with the coils' current measured")):
             stable = partial(_stable, plant, linearised(law, with_current=measured))

@@ -72,6 +72,9 @@ from straightcomp_ros.model.friction import LuGre, bristle_after, friction_force
 _FIRST_VARIANCE = 1.0
 """Of c, b times the travel, and s, in units of the variance of one sample's disturbance."""
 _LARGEST_TRACE = 30.0
+_SETTLED = 0.1
+"""Variance of s below which the fit is believed again after a motion has begun: what it finds in the first tenths of a
+second may be no friction on a machine that has it."""
 SMALLEST_SHAPE = 0.1
 """Size of friction below which the model keeps its shape and only its force shrinks: with the level the bristles' bend
 would shrink to nothing, and the model to a switch that the encoder's noise throws."""
@@ -139,7 +142,7 @@ class Gains(NamedTuple):
 
     Attributes:
         free, quiet, stiff: the law without friction, with friction that the model explains, and at its stiffest, from
-            twice ``misfit`` on.
+            twice ``misfit`` on; ``slow``: quiet with the observer of free, midway.
         share: m.
         misfit: m/s², from which the law stiffens.
         kept: weight that the past of the fit keeps from one sample to the next.
@@ -158,6 +161,7 @@ class Gains(NamedTuple):
     """
 
     free: Stiffness
+    slow: Stiffness
     quiet: Stiffness
     stiff: Stiffness
     share: float
@@ -195,12 +199,14 @@ class Rest(NamedTuple):
 
 
 class State(NamedTuple):
-    """The next sample as predicted with friction but for d, the command in A, z in m, fit, rest, dither and filters."""
+    """The next sample as predicted with friction but for d, the command in A, z in m, the fit and the s of it that is
+    believed, rest, dither and filters."""
 
     prior: Estimate
     command: float
     bristle: float
     fit: Fit
+    believed: float
     rest: Rest
     dither: Dither
     memory: Memory
@@ -215,7 +221,7 @@ def fit_at_start(size: float) -> Fit:
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
     prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(y, 0.0, 0.0, 0.0, 0.0)
-    return State(prior, 0.0, 0.0, fit_at_start(size), rest, Dither(1.0, 0.0), EMPTY)
+    return State(prior, 0.0, 0.0, fit_at_start(size), size, rest, Dither(1.0, 0.0), EMPTY)
 
 
 @compilable
@@ -223,7 +229,8 @@ def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> tuple[State, Command]:
     """One sample; see the module."""
-    s = _stiffness(g, state.fit)
+    believed = state.believed if _SETTLED < state.fit.p22 < _FIRST_VARIANCE else state.fit.size
+    s = _stiffness(g, believed, state.fit.misfit_square)
     gains, loop = ObserverGains(s.position, s.velocity, s.disturbance), with_mass(g.loop, s.mass)
     observed = corrected(gains, with_measured_current(loop, state.prior, current), y)
     bristle, unit = _unit_friction(g, s.mass, state.fit.size, state.bristle, r_dot, observed.velocity)
@@ -241,21 +248,35 @@ def step(
     asked, dither = _dithered(g, state.dither, rest, asked)
     answer = limited(loop, asked)
     after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
+    if believed < g.counting:
+        # The slow observer would follow a stiffness that is not as described too late: the fit knows it.
+        others += fit.slope / g.travel * r_dot * g.loop.period
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, bristle, fit, rest, dither, memory), command
+    return State(prior, answer, bristle, fit, believed, rest, dither, memory), command
 
 
 @compilable
-def _stiffness(g: Gains, fit: Fit) -> Stiffness:
-    """Between free and quiet by the size of friction, and from there to stiff by the misfit."""
+def _stiffness(g: Gains, size: float, misfit_square: float) -> Stiffness:
+    """From free over quiet, by the ``size`` of friction, to stiff, by the misfit."""
     # No size at all is only in the linearisation of `margins.py`, which asks for free and quiet one by one.
-    calm = max(0.0, min(1.0, 2.0 - 2.0 * fit.size / g.counting)) if fit.size > 0.0 else 0.0
-    a = _mixed(g.quiet, g.free, calm) if calm > 0.0 else g.quiet
+    calm = max(0.0, min(1.0, 2.0 - 2.0 * size / g.counting)) if size > 0.0 else 0.0
+    a = _calmed(g, calm) if calm > 0.0 else g.quiet
     # The misfit is an acceleration of the mass that is assumed.
-    misfit = math.sqrt(max(0.0, fit.misfit_square)) * (a.mass / g.loop.mass)
+    misfit = math.sqrt(max(0.0, misfit_square)) * (a.mass / g.loop.mass)
     share = max(0.0, min(1.0, misfit / g.misfit - 1.0))
-    return _mixed(a, g.stiff, share) if share > 0.0 else a
+    if share <= 0.0:
+        return a
+    # What is not explained is no friction where there is none, and nothing damps the stiffest loop there.
+    stiff = share - calm
+    return _mixed(g.quiet, g.stiff, stiff) if stiff >= 0.0 else _calmed(g, -stiff)
+
+
+@compilable
+def _calmed(g: Gains, calm: float) -> Stiffness:
+    """From quiet to free: first the observer, then the law. Midway on the straight line the much damping of the one
+    meets the fast observer of the other, and no margins are left though both ends have them."""
+    return _between(g.quiet, g.slow, 2.0 * calm) if calm <= 0.5 else _between(g.slow, g.free, 2.0 * calm - 1.0)
 
 
 @compilable
@@ -269,6 +290,21 @@ def _mixed(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
         a.double + share * (b.double - a.double),
         a.third + share * (b.third - a.third),
         a.mass + share * (b.mass - a.mass),
+    )
+
+
+@compilable
+def _between(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
+    """As `_mixed`, by factors: gains that stand in a product keep it."""
+    return Stiffness(
+        a.surface ** (1.0 - share) * b.surface**share,
+        a.reaching ** (1.0 - share) * b.reaching**share,
+        a.position ** (1.0 - share) * b.position**share,
+        a.velocity ** (1.0 - share) * b.velocity**share,
+        a.disturbance ** (1.0 - share) * b.disturbance**share,
+        a.double ** (1.0 - share) * b.double**share,
+        a.third ** (1.0 - share) * b.third**share,
+        a.mass ** (1.0 - share) * b.mass**share,
     )
 
 

@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, make_law
+from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.control.observer import observer_gains
-from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged
+from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged, step
 from straightcomp_ros.model.friction import bristle_after, friction_force
 from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.starts import run_stroke
@@ -74,7 +77,7 @@ def test_where_the_friction_model_explains_little_the_law_is_stiffer_and_leaves_
 @pytest.mark.parametrize(("misfit", "share"), [(0.0, 0.0), (1.0, 0.0), (1.25, 0.25), (2.0, 1.0), (50.0, 1.0)])
 def test_the_law_stiffens_between_one_and_two_tolerated_misfits(misfit, share):
     one = law()
-    found = _stiffness(one.gains, fit_at_start(1.0)._replace(misfit_square=(misfit * one.gains.misfit) ** 2))
+    found = _stiffness(one.gains, 1.0, (misfit * one.gains.misfit) ** 2)
     quiet, stiff = np.array(one.gains.quiet), np.array(one.gains.stiff)
     assert np.array(found) == pytest.approx(quiet + share * (stiff - quiet))
     assert one.gains.stiff.surface == pytest.approx(1.4 * one.gains.quiet.surface)
@@ -198,13 +201,53 @@ def test_an_air_bearing_and_a_flexure_are_quiet_when_they_are_described(facts):
     assert np.ptp(errors[1000:]) < 0.18e-6 and np.diff(commands[1000:]).std() < 4e-3
 
 
+@pytest.mark.parametrize("amplitude", [5e-6, 20e-6])
+def test_a_stiffness_that_is_not_as_described_is_known_to_the_slow_observer(amplitude):
+    flexure = {**NONE, "platform__stiffness": 5e4, "platform__damping": 20.0}
+    truth = stage(**flexure, actuator__air_gap=1.1 * STAGE.actuator.air_gap)
+    errors, _ = following(stage(**flexure), truth, 4.0, amplitude)
+    assert errors[4000:].std() < max(20e-9, 2.5e-3 * amplitude)
+
+
 def test_the_law_goes_over_to_its_free_gains_as_friction_vanishes():
-    gains, bare = law().gains, fit_at_start(1e-12)
+    gains = law().gains
     for size in (1e-12, 0.4):
-        assert np.array(_stiffness(gains, bare._replace(size=size * gains.counting))) == pytest.approx(gains.free)
-    halfway = _stiffness(gains, bare._replace(size=0.75 * gains.counting))
-    assert halfway.surface == pytest.approx(0.5 * (gains.free.surface + gains.quiet.surface))
-    assert _stiffness(gains, fit_at_start(gains.counting)) == gains.quiet
+        assert np.array(_stiffness(gains, size * gains.counting, 0.0)) == pytest.approx(gains.free)
+    assert np.array(_stiffness(gains, 0.75 * gains.counting, 0.0)) == pytest.approx(gains.slow)
+    assert gains.slow[:2] == gains.quiet[:2] and gains.slow.third == gains.free.third
+    assert _stiffness(gains, gains.counting, 0.0) == gains.quiet
+    unexplained = (10.0 * gains.misfit) ** 2
+    assert np.array(_stiffness(gains, 1e-12, unexplained)) == pytest.approx(gains.quiet)
+    assert _stiffness(gains, gains.counting, unexplained) == gains.stiff
+
+
+@pytest.mark.parametrize(("variance", "kept"), [(1.0, False), (0.5, True), (0.05, False)])
+def test_a_fit_that_a_motion_has_only_begun_is_not_believed(variance, kept):
+    one = law()
+    state = one.start(0.0)
+    state = state._replace(fit=state.fit._replace(size=1e-12, p22=variance), believed=1.0)
+    after, _ = step(one.gains, state, 0.0, 0.0, 0.0, 0.0, math.nan)
+    assert after.believed == (1.0 if kept else 1e-12)
+
+
+@pytest.mark.parametrize("changes", [{}, {"surface": 460.0, "reaching": 520.0, "third_pole": 0.7, "bandwidth": 230.0}])
+def test_between_its_gains_the_law_is_as_stable_as_with_the_worse_of_them_on_any_machine(changes):
+    control = ControlParameters(smc_observer=replace(ControlParameters().smc_observer, **changes))
+    own = make_law(control, STAGE)
+    gains = own.gains
+    for light in (1.0, 1.25):
+        machine = stage(platform__mass=STAGE.platform.mass / light, actuator__turns=STAGE.actuator.turns * light**0.5)
+        plant = sampled_plant(machine, 1.4 * STAGE.period)
+
+        def radius(one, plant=plant):
+            law = Law(gains._replace(free=one, slow=one, quiet=one, stiff=one), own.start, step, compiled=True)
+            return spectral_radius(closed_loop(plant, linearised(law, with_current=True)))
+
+        worst = max(map(radius, (gains.free, gains.slow, gains.quiet, gains.stiff)))
+        for size in np.linspace(0.4, 1.0, 13) * gains.counting:
+            for misfit in np.linspace(0.0, 4.0, 9) * gains.misfit:
+                between = _stiffness(gains, size, misfit**2)
+                assert radius(between) <= worst + 2e-3
 
 
 def test_without_enough_friction_the_command_is_not_held():

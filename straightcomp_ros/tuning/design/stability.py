@@ -203,16 +203,16 @@ class FailingLimits(NamedTuple):
 
 
 def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, FailingLimits]:
-    """The limits of a law by its state: ``quiet``, for a law that stiffens ``stiff``, and ``free`` where the stage may
-    have no friction."""
+    """The limits of a law by its state: ``quiet``, for a law that stiffens ``stiff``, and where the stage may have no
+    friction ``slow`` and ``free``."""
     stage = scenario.description
     return {state: _limits(stage, one) for state, one in _states(control, stage).items()}
 
 
 def _states(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
-    stiff, free = stiffened(control), freed(control, stage)
+    stiff = stiffened(control)
     found = {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
-    return found if free is None else {**found, "free": free}
+    return {**found, **freed(control, stage)}
 
 
 def _limits(stage: StageParameters, control: ControlParameters) -> FailingLimits:

@@ -151,6 +151,24 @@ def shipped():
     return values
 
 
+NONE = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("stage", "driver", "machines"),
+    [
+        ({}, {"simulated.truth.friction": 0.05}, (30, 462, 660, 662)),
+        ({**NONE, "platform.stiffness": 5e4, "platform.damping": 20.0}, {}, (20, 308, 361, 941)),
+    ],
+)
+def test_no_machine_is_lost_between_the_gains_with_and_without_friction(stage, driver, machines):
+    values = shipped_parameters()
+    values["stage"].update(stage)
+    values["driver"].update(driver)
+    results = run_trials(make_scenario(values, ["smc_observer"]), 1, machines)
+    assert all(one.verdict.in_order and one.pp < 0.6e-6 for one in results)
+
+
 def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(shipped):
     def rms(delays):
         return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]
