@@ -80,7 +80,10 @@ SMALLEST_SHAPE = 0.1
 would shrink to nothing, and the model to a switch that the encoder's noise throws."""
 
 _PATIENCE = 5.0
-"""Times the wait at rest after which a platform that does not come to rest is taken for one that cannot."""
+"""Times the wait at rest after which the band grows in which a platform may toggle."""
+_DOUBTING = 7.0
+"""Times the wait at rest after which friction is doubted. The band has grown to three times by then: friction that holds
+the platform at all has held it, under dither too."""
 _TOGGLING = 20.0
 """Times the band at rest: noise and stiction move a platform by counts. What moves it farther is neither, but a push or
 an excitation, and says nothing of whether friction holds."""
@@ -371,7 +374,7 @@ def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
 
     At rest the friction model answers to the encoder's noise: without friction in the machine it makes a limit cycle.
     """
-    if rest.restless <= _PATIENCE * g.wait or fit.p22 < _FIRST_VARIANCE:
+    if rest.restless <= _DOUBTING * g.wait or fit.p22 < _FIRST_VARIANCE:
         return fit
     size = max(g.smallest, (1.0 - g.weight) * fit.size)
     return Fit(fit.constant, fit.slope, size, *fit[3:])
