@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.metrics import RESTING
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stroke, motion_of
-from straightcomp_ros.control.laws import dither_of
+from straightcomp_ros.control.laws import ControlParameters, dither_of
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.model.modes import modes_of
@@ -88,8 +88,8 @@ def bounds_of(
         bounds["modes"] = tuple(float(one) for one in modes if one)
         if bounds["modes"]:
             bounds["destabilised"] = partial(destabilised, parameters["controller"])
-        if shaken := _dither(parameters["controller"]):
-            bounds["dither"] = shaken
+        if node := _described(parameters["controller"]):
+            bounds["dither"] = dither_frequency(node.control, node.stage)
     return bounds
 
 
@@ -101,13 +101,10 @@ def _described(controller: Mapping[str, Any]) -> ControllerNodeParameters | None
     return None
 
 
-def _dither(controller: Mapping[str, Any]) -> float:
-    """Frequency in Hz of the law's dither; 0 where there is none, or none is known."""
-    known = _described(controller)
-    if known is None or known.control.law != "smc_observer":
-        return 0.0
-    dither = dither_of(known.control.smc_observer, known.stage)
-    return dither.angle / math.tau * known.stage.rate if dither.amplitude > 0.0 else 0.0
+def dither_frequency(control: ControlParameters, stage: StageParameters) -> float:
+    """Frequency in Hz of the law's dither; 0 where there is none."""
+    dither = dither_of(control.smc_observer, stage)
+    return dither.angle / math.tau * stage.rate if control.law == "smc_observer" and dither.amplitude > 0.0 else 0.0
 
 
 def destabilised(controller: Mapping[str, Any]) -> bool:

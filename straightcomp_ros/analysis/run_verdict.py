@@ -300,11 +300,14 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
     halves = [half for one in motion.strokes for half in np.array_split(motion.error[one.samples], 2)]
     # A loop at its limit changes from one moment to the next.
     if not motion.limited.any() and causes.comes_and_goes(halves, found.frequency, motion.period):
+        dithered = (
+            "friction is more than the dither overcomes (stage.friction.coulomb, static), or " if motion.dither else ""
+        )
         return Verdict(
             words.VIBRATION,
             f"the platform is shaken at {found.frequency:.0f} Hz {amplitude}; that comes and goes like noise, which an "
-            "oscillation of the loop does not: look for what shakes the guide or the floor; if nothing does, the loop "
-            "has hardly any margins there: measure them by straightcomp frequency-response",
+            "oscillation of the loop does not: look for what shakes the guide or the floor; if nothing does, "
+            f"{dithered}the loop has hardly any margins there: measure them by straightcomp frequency-response",
         )
     return Verdict(
         words.OSCILLATES,

@@ -82,8 +82,8 @@ would shrink to nothing, and the model to a switch that the encoder's noise thro
 _PATIENCE = 5.0
 """Times the wait at rest after which the band grows in which a platform may toggle."""
 _DOUBTING = 7.0
-"""Times the wait at rest after which friction is doubted. The band has grown to three times by then: friction that holds
-the platform at all has held it, under dither too."""
+"""Times the wait at rest after which friction is doubted. The band has grown to three times by then: what holds the
+platform at all has held it, under dither too."""
 _TOGGLING = 20.0
 """Times the band at rest: noise and stiction move a platform by counts. What moves it farther is neither, but a push or
 an excitation, and says nothing of whether friction holds."""

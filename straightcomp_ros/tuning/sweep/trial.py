@@ -21,7 +21,7 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.judged_motion import JudgedMotion
+from straightcomp_ros.analysis.judged_motion import JudgedMotion, dither_frequency
 from straightcomp_ros.analysis.judgement import IN_ORDER, INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.analysis.run_verdict import verdict_of
@@ -76,6 +76,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         "current_limit": min(stage.actuator.current_limit, nominal.drive.largest_current),
         "stop": nominal.platform.stop,
         "span": (first - stage.guide.runout, last + stage.guide.runout),
+        "modes": tuple(mode.frequency for mode in stage.platform.modes.present),
     }
     results = []
     for name, law in laws.items():
@@ -86,6 +87,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
             continue
         y, r, current = cycle.true_y[window], target[window], cycle.current[window]
         count = nominal.encoder.y_resolution
+        bounds["dither"] = dither_frequency(scenario.controls[name], stage)
         judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
         steps = np.diff(current)
         rms, rms_step = (float(np.sqrt(np.mean(values * values))) for values in (judged.error, steps))

@@ -151,6 +151,7 @@ def shipped():
     return values
 
 
+CONTACT = "simulated.truth.contact"
 NONE = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.0}
 
 
@@ -167,6 +168,14 @@ def test_no_machine_is_lost_between_the_gains_with_and_without_friction(stage, d
     values["driver"].update(driver)
     results = run_trials(make_scenario(values, ["smc_observer"]), 1, machines)
     assert all(one.verdict.in_order and one.pp < 0.6e-6 for one in results)
+
+
+def test_friction_that_the_dither_does_not_overcome_is_among_what_the_verdict_names():
+    values = shipped_parameters()
+    values["stage"].update({"friction.bristle_stiffness": 1e8, "friction.static": 0.559})
+    values["driver"].update({f"{CONTACT}.model": "maxwell_slip", f"{CONTACT}.maxwell_slip.blocks": 1})
+    for one in run_trials(make_scenario(values, ["smc_observer"]), 1, (2, 64, 263, 579)):
+        assert not one.verdict.in_order and "stage.friction" in one.verdict.reason
 
 
 def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(shipped):
