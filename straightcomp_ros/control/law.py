@@ -55,6 +55,8 @@ class Law:
             reading y in m, reference r in m with its rate in m/s and acceleration in m/s², measured control
             current of the coils in A (NaN where none is measured).
         compiled: whether the step is `compilable`; otherwise :meth:`step` calls the Python function.
+        unrest: path of the number in a compiled law's state that says for how long the platform has not come to rest,
+            such as ``.rest.restless``; an excitation keeps it at zero.
     """
 
     def __init__(
@@ -63,8 +65,10 @@ class Law:
         start: Callable[[float], Any],
         step: Callable[..., tuple[Any, Command]],
         compiled: bool = False,
+        unrest: str = "",
     ) -> None:
         self.gains, self.start, self.function = gains, start, step
+        self._unrest = list(_paths(type(start(0.0)))).index(unrest) if unrest else -1
         self._run: Callable[..., None] | None = self._first if compiled else None
         self._gains = np.array(flat(gains))
         self._answer = np.zeros(len(Command._fields))
@@ -89,6 +93,11 @@ class Law:
         """Restart at rest at ``y`` (m), with nothing integrated."""
         state = self.start(y)
         self._state = state if self._run is None else np.array(flat(state))
+
+    def excited(self) -> None:
+        """A test signal moves the platform: that it does not come to rest says nothing of its friction."""
+        if self._unrest >= 0:
+            self._state[self._unrest] = 0.0
 
     def step(self, y: float, r: float, r_dot: float, r_ddot: float, current: float = math.nan) -> Command:
         """Answer one sample; arguments as of the law's ``step``."""

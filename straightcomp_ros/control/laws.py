@@ -211,7 +211,8 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         filters=filters,
     )
     first_size = max(gains.smallest, min(design.first_size, gains.largest))
-    return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)
+    first = partial(smc_observer.start, first_size)
+    return Law(gains, first, smc_observer.step, compiled=True, unrest=".rest.restless")
 
 
 class Dithering(NamedTuple):

@@ -35,6 +35,10 @@ class Crossfade:
         self.new.reset(y)
         self._finished(self)
 
+    def excited(self) -> None:
+        """As of `Law.excited`: the old law does not live to conclude anything."""
+        self.new.excited()
+
     def step(self, y: float, *others: float) -> Command:
         """The new law's answer with the blended current; arguments as of `Law.step`."""
         if not self._done:
@@ -110,6 +114,8 @@ class Servo:
         else:
             if gap or not self._running:
                 self._law.reset(y)
+            if self._injection is not None and not self._injection.finished:
+                self._law.excited()
             if self._learning is None:
                 self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
             else:

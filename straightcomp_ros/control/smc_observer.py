@@ -85,8 +85,8 @@ _DOUBTING = 7.0
 """Times the wait at rest after which friction is doubted. The band has grown to three times by then: what holds the
 platform at all has held it, under dither too."""
 _TOGGLING = 20.0
-"""Times the band at rest: noise and stiction move a platform by counts. What moves it farther is neither, but a push or
-an excitation, and says nothing of whether friction holds."""
+"""Times the band at rest: noise and stiction move a platform by counts. What moves one with friction farther is a push,
+after which the hold is as narrow as before."""
 
 
 class Lags(NamedTuple):
@@ -247,7 +247,7 @@ def step(
     wanted = current_for(loop, action.y, holding - s.reaching * sigma)
     # While the command is held, the error is not answered.
     asked, memory = filtered(g.filters, state.memory, wanted, y - r if state.rest.time <= g.wait else 0.0)
-    asked, rest = _held(g, state.rest, fit.size, asked, y, r, r_dot)
+    asked, rest = _held(g, state.rest, fit, asked, y, r, r_dot)
     asked, dither = _dithered(g, state.dither, rest, asked)
     answer = limited(loop, asked)
     after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
@@ -381,14 +381,14 @@ def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
 
 
 @compilable
-def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
-    """The command for the one that the law asks for, A, and the rest with this sample, with ``size`` of friction."""
+def _held(g: Gains, rest: Rest, fit: Fit, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
+    """The command for the one that the law asks for, A, and the rest with this sample."""
     resting, miss = abs(r_dot) <= g.speed and abs(r - rest.place) <= g.still, abs(y - r)
     place = rest.place if resting else r
     # Stiction may let the platform toggle across the band for ever: the band grows until the toggling is within.
     band = g.band * (1.0 + max(0.0, rest.restless / g.wait - _PATIENCE))
     time = 0.0
-    if resting and miss <= band and size >= g.holding:
+    if resting and miss <= band and fit.size >= g.holding:
         # A platform that slipped as the command was held, or creeps, is not left there: the hold is made anew.
         beside = rest.time > g.wait and miss > 0.5 * band
         time = rest.time - g.loop.period if beside else min(rest.time + g.loop.period, 2.0 * g.wait)
@@ -397,7 +397,8 @@ def _held(g: Gains, rest: Rest, size: float, asked: float, y: float, r: float, r
     restless = rest.restless + g.loop.period
     if held:
         restless = max(0.0, rest.restless - g.loop.period) if miss <= g.band else rest.restless
-    if not resting or miss > _TOGGLING * g.band:
+    # Before a motion has shown friction it may be a limit cycle of the friction that is assumed.
+    if not resting or (miss > _TOGGLING * g.band and fit.p22 < _FIRST_VARIANCE):
         restless = 0.0
     if held:
         # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.excitation import Injection
-from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.law import Command, Law, _rebuilt
 from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, make_law
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Servo
@@ -258,6 +258,20 @@ def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_f
     assert command.equivalent_current + command.switching_current == pytest.approx(0.1)
     assert servo.step(0, 0.0, 0.0, REST) == command
     assert servo.step(500_000, 0.0, 0.0, REST).current == pytest.approx(0.3 + 1e-4)
+
+
+def test_a_test_signal_is_no_sign_of_missing_friction():
+    """Of a platform that moves at rest before the first motion the law takes friction to be less than described."""
+    found = []
+    for excited in (False, True):
+        law = make_law(ControlParameters(), StageParameters())
+        servo, unrest = Servo(law), np.random.default_rng(1).normal(0.0, 3e-6, 2000)
+        if excited:
+            servo.inject(made(np.zeros(2000), fade=1))
+        for k, y in enumerate(unrest):
+            servo.step(k * T, float(y), 0.0, REST)
+        found.append(_rebuilt(law.start(0.0), iter(law._state)).fit.size / law.start(0.0).fit.size)
+    assert found[0] < 0.1 and found[1] == 1.0
 
 
 def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():

@@ -159,6 +159,7 @@ NONE = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.0
     ("stage", "driver", "machines"),
     [
         ({}, {"simulated.truth.friction": 0.05}, (30, 462, 660, 662)),
+        ({}, {"simulated.truth.friction": 0.001}, (308, 361, 703, 775)),
         ({**NONE, "platform.stiffness": 5e4, "platform.damping": 20.0}, {}, (20, 308, 361, 941)),
     ],
 )
