@@ -374,7 +374,8 @@ def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
 
     At rest the friction model answers to the encoder's noise: without friction in the machine it makes a limit cycle.
     """
-    if rest.restless <= _DOUBTING * g.wait or fit.p22 < _FIRST_VARIANCE:
+    # Without a band nothing is ever at rest.
+    if g.band <= 0.0 or rest.restless <= _DOUBTING * g.wait or fit.p22 < _FIRST_VARIANCE:
         return fit
     size = max(g.smallest, (1.0 - g.weight) * fit.size)
     return Fit(fit.constant, fit.slope, size, *fit[3:])

@@ -3,6 +3,7 @@ a bump; a test signal within limits."""
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -260,18 +261,20 @@ def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_f
     assert servo.step(500_000, 0.0, 0.0, REST).current == pytest.approx(0.3 + 1e-4)
 
 
-def test_a_test_signal_is_no_sign_of_missing_friction():
-    """Of a platform that moves at rest before the first motion the law takes friction to be less than described."""
-    found = []
-    for excited in (False, True):
-        law = make_law(ControlParameters(), StageParameters())
-        servo, unrest = Servo(law), np.random.default_rng(1).normal(0.0, 3e-6, 2000)
-        if excited:
-            servo.inject(made(np.zeros(2000), fade=1))
-        for k, y in enumerate(unrest):
-            servo.step(k * T, float(y), 0.0, REST)
-        found.append(_rebuilt(law.start(0.0), iter(law._state)).fit.size / law.start(0.0).fit.size)
-    assert found[0] < 0.1 and found[1] == 1.0
+@pytest.mark.parametrize(
+    ("excited", "rest_band", "doubted"), [(False, 2.0, True), (True, 2.0, False), (False, 0.0, False)]
+)
+def test_unrest_before_the_first_motion_says_that_friction_is_less_than_described(excited, rest_band, doubted):
+    """Not where a test signal moves the platform, and not for a law that never lets it rest."""
+    control = replace(ControlParameters().smc_observer, rest_band=rest_band)
+    law = make_law(ControlParameters(smc_observer=control), StageParameters())
+    servo = Servo(law)
+    if excited:
+        servo.inject(made(np.zeros(2000), fade=1))
+    for k, y in enumerate(np.random.default_rng(1).normal(0.0, 3e-6, 2000)):
+        servo.step(k * T, float(y), 0.0, REST)
+    left = _rebuilt(law.start(0.0), iter(law._state)).fit.size / law.start(0.0).fit.size
+    assert left < 0.1 if doubted else left == 1.0
 
 
 def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
