@@ -30,6 +30,9 @@ _CHANCE = 1e-4
 _MOST = 2
 """Modes that a description has room for."""
 _GRID = 400
+_RESONATES = 0.5 * math.log(0.5)
+"""Logarithm of the damping ratio below which a mode has a peak, as a resonance has: what is damped more is friction, or
+the path."""
 _FIRST_DAMPING = 0.02
 _LEAST_RELATIVE = 0.01
 """Of a line's magnitude, which no line counts more than: a model is not the machine."""
@@ -163,7 +166,7 @@ def found_plant(
             begins.append((residue * residue * power, math.log(f), residue))
         _, log_f, residue = max(begins)
         more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue], each)
-        known = more.x[-2] < 0.0 and math.log(frequencies[0]) < more.x[-3] < math.log(1.2 * frequencies[-1])
+        known = more.x[-2] < _RESONATES and math.log(frequencies[0]) < more.x[-3] < math.log(1.2 * frequencies[-1])
         freedom = 2 * frequencies.size - 2 - more.x.size
         if not known or freedom < 1:
             break
