@@ -68,7 +68,7 @@ class Law:
         unrest: str = "",
     ) -> None:
         self.gains, self.start, self.function = gains, start, step
-        self._unrest = list(_paths(type(start(0.0)))).index(unrest) if unrest else -1
+        self._unrest = _place(start(0.0).__class__, unrest) if unrest else -1
         self._run: Callable[..., None] | None = self._first if compiled else None
         self._gains = np.array(flat(gains))
         self._answer = np.zeros(len(Command._fields))
@@ -159,6 +159,12 @@ def _from_array(array: str, kind: type, places: Iterator[int], names: dict[str, 
     name = f"{kind.__name__}_{len(names)}"
     names[name] = kind
     return f"{name}({', '.join(parts)})"
+
+
+@cache
+def _place(state: type, path: str) -> int:
+    """Where the number at ``path`` stands in a flat ``state``."""
+    return list(_paths(state)).index(path)
 
 
 def _paths(kind: type) -> Iterator[str]:

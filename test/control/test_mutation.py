@@ -18,7 +18,7 @@ from straightcomp_ros.stage.description import StageParameters
 STAGE = StageParameters()
 _FREE = replace(STAGE, friction=replace(STAGE.friction, coulomb=0.0, static=0.0))
 FLEXURE = replace(_FREE, platform=replace(STAGE.platform, stiffness=5e4, damping=20.0))
-"""Without friction, and a tenth stiffer than it is described below."""
+"""What a stage without friction is described as, whose flexure is a tenth stiffer."""
 PERIOD_NS, SAMPLES, SETTLED = 500_000, 600, 200
 ENCODER = 1e-7
 FILTERS = FilterParameters(first=NotchParameters(400.0, 0.3), mains=HumParameters(50.0, width=20.0))
