@@ -41,9 +41,13 @@ _STILL = 0.1
 """Counts by which a reference at rest may move: a hold costs no more than that, and rounding costs 0.29, RMS."""
 _DITHER = 0.54
 """Frequency of the dither times the dead time: well beyond the loop's bandwidth, a quarter of the shipped rate."""
-_LARGEST_DITHERED = 0.7
-"""Size of friction that the law counts on under dither: with more of it, a machine that the dither does not keep
-sliding makes limit cycles of half a micrometre, from 1.6 times the described friction on."""
+_SPRING = 0.1
+"""Of the force that moves the mass by as much at the dither's frequency: softer bristles are a spring to the dither."""
+_BEGINNING = 10.0
+"""Turns over which the dither begins and ends: a platform that slides is stopped within less than one."""
+_MOST_DITHER = 1.7
+"""Dither relative to that of the described friction: blocks that bend by more than the dither moves them seem to be
+ever more friction, which no dither keeps sliding."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +84,10 @@ class ObserverDesign:
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
     dither: float = parameter(
-        1.5,
-        "Amplitude of the dither relative to the current that carries Coulomb friction at its frequency; only where "
-        "friction's bristles bend by less than two counts before the platform slides. 0: none",
+        1.7,
+        "Amplitude of the dither relative to the current that carries, at its frequency, the friction that is found; "
+        "only where friction's bristles bend by less than two counts before the platform slides, and are stiff enough. "
+        "0: none",
         "[0, 10]",
     )
 
@@ -177,7 +182,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     coulomb = max(friction.coulomb, _SMALLEST_SIZE * quantum)
     band = design.rest_band * stage.encoder.y_resolution
     turn, amplitude, knee = dither_of(design, stage)
-    largest = min(design.largest_size, _LARGEST_DITHERED) if amplitude > 0.0 else design.largest_size
+    most = _MOST_DITHER * smc_observer.UNDER_DITHER if amplitude > 0.0 else design.largest_size
     gains = smc_observer.Gains(
         free=_stiffness(_free(design, stage), 1.0, stage),
         slow=_stiffness(_slow(design, stage), 1.0, stage),
@@ -193,7 +198,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         travel=stage.platform.mass / stage.actuator.position_stiffness,
         # Without dry friction there is no size to fit.
         smallest=_SMALLEST_SIZE if friction.coulomb > 0.0 else 1.0,
-        largest=largest if friction.coulomb > 0.0 else 1.0,
+        largest=min(design.largest_size, most) if friction.coulomb > 0.0 else 1.0,
         counting=_COUNTING * quantum / coulomb,
         # Friction holds the platform a count beside the balance, with half a step of the converter too much.
         holding=(quantum - 0.5 * converter) / coulomb,
@@ -205,7 +210,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         # The mean is over a quarter of the wait: it must forget the approach.
         weight=1.0 - math.exp(-4.0 * period / design.rest_wait),
         dither=amplitude,
-        turn=smc_observer.Dither(math.cos(turn), math.sin(turn)),
+        turn=smc_observer.Dither(math.cos(turn), math.sin(turn), turn / (math.tau * _BEGINNING)),
         knee=knee,
         loop=loop,
         filters=filters,
@@ -225,9 +230,12 @@ class Dithering(NamedTuple):
 
 
 def needs_dither(stage: StageParameters) -> bool:
-    """Whether friction counts, and switches within two counts of the encoder, so that readings do not predict it."""
-    bending = stage.friction.static / stage.friction.bristle_stiffness
-    return bending <= _BENDING * stage.encoder.y_resolution and stage.friction.coulomb >= _SWITCHING * _quantum(stage)
+    """Whether friction counts, and switches within two counts of the encoder, so that readings do not predict it, and
+    dither makes the platform slide."""
+    friction = stage.friction
+    switches = friction.static <= _BENDING * stage.encoder.y_resolution * friction.bristle_stiffness
+    slides = friction.bristle_stiffness >= _SPRING * stage.platform.mass * _dither_rate(stage) ** 2
+    return switches and slides and friction.coulomb >= _SWITCHING * _quantum(stage)
 
 
 def dither_of(design: ObserverDesign, stage: StageParameters) -> Dithering:
@@ -236,14 +244,16 @@ def dither_of(design: ObserverDesign, stage: StageParameters) -> Dithering:
     It keeps the platform sliding to and fro, far faster than the loop, so that friction acts on the slow motion as a
     damping (`margins.py`).
     """
-    friction, drive = stage.friction, stage.drive
     if not needs_dither(stage):
         return Dithering(0.0, 0.0, 0.0)
-    frequency = min(0.25 * stage.rate, _DITHER / stage.dead_time)
-    passed = 1.0 / math.hypot(1.0, frequency / drive.bandwidth)
-    force, omega = design.dither * friction.coulomb, 2.0 * math.pi * frequency
+    force, omega = design.dither * stage.friction.coulomb, _dither_rate(stage)
+    passed = 1.0 / math.hypot(1.0, omega / (2.0 * math.pi * stage.drive.bandwidth))
     amplitude = force / (passed * stage.actuator.current_stiffness)
     return Dithering(omega * stage.period, amplitude, force / (stage.platform.mass * omega))
+
+
+def _dither_rate(stage: StageParameters) -> float:
+    return 2.0 * math.pi * min(0.25 * stage.rate, _DITHER / stage.dead_time)
 
 
 def _quantum(stage: StageParameters) -> float:

@@ -38,6 +38,8 @@ observer's bandwidth, λ and κ between two sets, the quiet one and one that is 
 
 Under dither friction is, in the mean over a turn, a curve that rises with the velocity. It takes the place of the
 bristles, F̂ = s (F_C/√(v² + v_d²) + σ2) v, with the velocity v_d that the dither would give the mass without friction.
+Its amplitude follows the friction that is found. It begins and ends over some turns: one that began at once would push
+the platform, which has been held, by a count.
 
 At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
 reference for a while, the command is held at the mean of the last ones. When the hold ends, the mean difference between
@@ -75,6 +77,8 @@ _LARGEST_TRACE = 30.0
 _SETTLED = 0.1
 """Variance of s below which the fit is believed again after a motion has begun: what it finds in the first tenths of a
 second may be no friction on a machine that has it."""
+UNDER_DITHER = 2.0 / math.pi
+"""Size that Coulomb friction has under dither: the mean of its sign over a sine of velocity V is 2/π v/V."""
 SMALLEST_SHAPE = 0.1
 """Size of friction below which the model keeps its shape and only its force shrinks: with the level the bristles' bend
 would shrink to nothing, and the model to a switch that the encoder's noise throws."""
@@ -134,10 +138,11 @@ class Stiffness(NamedTuple):
 
 
 class Dither(NamedTuple):
-    """Cosine and sine of the dither's angle."""
+    """Cosine and sine of the dither's angle, and the share of its amplitude that it has by now."""
 
     cosine: float
     sine: float
+    level: float
 
 
 class Gains(NamedTuple):
@@ -159,8 +164,9 @@ class Gains(NamedTuple):
         band: largest |y − r| of the reading at rest, m.
         wait: time at rest until the command is held, s.
         weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
-        dither: its amplitude in A; ``turn``: the angle by which it goes on in a period.
-        knee: m/s, beside which friction under dither saturates; 0 without dither.
+        dither: its amplitude in A with friction as described.
+        turn: cosine and sine of the angle by which it goes on in a period, and by how much its level then changes.
+        knee: m/s, beside which friction saturates under that dither; 0 without dither.
     """
 
     free: Stiffness
@@ -224,7 +230,7 @@ def fit_at_start(size: float) -> Fit:
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
     prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(y, 0.0, 0.0, 0.0, 0.0)
-    return State(prior, 0.0, 0.0, fit_at_start(size), size, rest, Dither(1.0, 0.0), EMPTY)
+    return State(prior, 0.0, 0.0, fit_at_start(size), size, rest, Dither(1.0, 0.0, 0.0), EMPTY)
 
 
 @compilable
@@ -236,7 +242,8 @@ def step(
     s = _stiffness(g, believed, state.fit.misfit_square)
     gains, loop = ObserverGains(s.position, s.velocity, s.disturbance), with_mass(g.loop, s.mass)
     observed = corrected(gains, with_measured_current(loop, state.prior, current), y)
-    bristle, unit = _unit_friction(g, s.mass, state.fit.size, state.bristle, r_dot, observed.velocity)
+    knee = g.knee * _dithering(state.fit)
+    bristle, unit = _unit_friction(g, s.mass, knee, state.fit.size, state.bristle, r_dot, observed.velocity)
     fit = _doubted(g, fitted(g, s, state.fit, r, r_dot, unit, observed.disturbance), state.rest)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
@@ -248,7 +255,7 @@ def step(
     # While the command is held, the error is not answered.
     asked, memory = filtered(g.filters, state.memory, wanted, y - r if state.rest.time <= g.wait else 0.0)
     asked, rest = _held(g, state.rest, fit, asked, y, r, r_dot)
-    asked, dither = _dithered(g, state.dither, rest, asked)
+    asked, dither = _dithered(g, state.dither, rest, fit, asked)
     answer = limited(loop, asked)
     after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
     if believed < g.counting:
@@ -313,18 +320,18 @@ def _between(a: Stiffness, b: Stiffness, share: float) -> Stiffness:
 
 @compilable
 def _unit_friction(
-    g: Gains, mass: float, size: float, bristle: float, r_dot: float, observed: float
+    g: Gains, mass: float, knee: float, size: float, bristle: float, r_dot: float, observed: float
 ) -> tuple[float, float]:
     """z in m after this sample's period, and F̄ of ``mass`` in m/s² until then; r_dot and the ``observed`` velocity in
-    m/s."""
+    m/s, as is the knee."""
     if size <= 0.0:
         # Only in the linearisation of `margins.py`.
         return bristle, 0.0
     velocity = r_dot + g.share * (observed - r_dot)
     coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
-    if g.knee > 0.0:
+    if knee > 0.0:
         # What friction is in the mean over the dither.
-        return bristle, -velocity * (coulomb / math.hypot(velocity, g.knee) + viscous) / mass
+        return bristle, -velocity * (coulomb / math.hypot(velocity, knee) + viscous) / mass
     shape = max(size, SMALLEST_SHAPE)
     lugre = LuGre(shape * coulomb, shape * static, stribeck_velocity, stiffness, damping, viscous)
     after = bristle_after(lugre, bristle, velocity, g.loop.period)
@@ -411,10 +418,18 @@ def _held(g: Gains, rest: Rest, fit: Fit, asked: float, y: float, r: float, r_do
 
 
 @compilable
-def _dithered(g: Gains, dither: Dither, rest: Rest, asked: float) -> tuple[float, Dither]:
-    """The command with dither, A, while it is not held, and the angle of the next sample."""
+def _dithering(fit: Fit) -> float:
+    """How much dither friction needs, relative to the described one: by its size, as far as that is known."""
+    unknown = min(1.0, fit.p22 / _FIRST_VARIANCE)
+    return unknown + (1.0 - unknown) * max(fit.size, SMALLEST_SHAPE) / UNDER_DITHER
+
+
+@compilable
+def _dithered(g: Gains, dither: Dither, rest: Rest, fit: Fit, asked: float) -> tuple[float, Dither]:
+    """The command with dither, A, which ends while it is held, and the dither of the next sample."""
     if g.dither == 0.0:
         return asked, dither
-    c, s = g.turn
-    after = Dither(c * dither.cosine - s * dither.sine, s * dither.cosine + c * dither.sine)
-    return asked + g.dither * dither.cosine if rest.time <= g.wait else asked, after
+    c, s = g.turn.cosine, g.turn.sine
+    level = max(0.0, min(1.0, dither.level + (g.turn.level if rest.time <= g.wait else -g.turn.level)))
+    after = Dither(c * dither.cosine - s * dither.sine, s * dither.cosine + c * dither.sine, level)
+    return asked + level * _dithering(fit) * g.dither * dither.cosine, after

@@ -278,13 +278,32 @@ def test_only_a_stage_whose_bristles_hide_within_the_count_gets_a_dither_which_r
     assert dither_of(ObserverDesign(), STAGE).amplitude == dither_of(ObserverDesign(), stage(**NONE)).amplitude == 0.0
     stiff = stage(**STIFF)
     angle, amplitude, _ = dither_of(ObserverDesign(), stiff)
-    # At a quarter of the rate, and as much as carries F_C through the amplifier's lag, one and a half times.
+    # At a quarter of the rate, and as much as carries F_C through the amplifier's lag, 1.7 times.
     assert angle == pytest.approx(0.5 * math.pi)
-    assert amplitude == pytest.approx(1.5 * 0.43 / stiff.actuator.current_stiffness * math.hypot(1.0, 500.0 / 500.0))
+    assert amplitude == pytest.approx(1.7 * 0.43 / stiff.actuator.current_stiffness * math.hypot(1.0, 500.0 / 500.0))
     assert dither_of(ObserverDesign(dither=0.0), stiff).amplitude == 0.0
     errors, commands = following(stiff, stiff, 2.0, amplitude=5e-6)
     assert not np.diff(commands[1800:2000]).any() and np.diff(commands[2400:]).std() > amplitude
-    assert np.ptp(errors[2400:]) < 0.3e-6
+    # It begins over ten turns of four samples, and the platform is not pushed.
+    begun = 2000 + np.flatnonzero(np.diff(commands[2000:]))[0]
+    assert (
+        np.abs(np.diff(commands[begun : begun + 8])).max()
+        < 0.5 * np.abs(np.diff(commands[begun + 60 : begun + 100])).max()
+    )
+    assert np.ptp(errors[2000:]) < 0.2e-6
+
+
+def test_the_dither_follows_the_friction_that_is_found_within_its_bounds():
+    described = stage(**STIFF)
+    angle, amplitude, _ = dither_of(ObserverDesign(), described)
+    found = []
+    for factor in (0.02, 0.4, 0.8, 3.0):
+        true = stage(**{**STIFF, "friction__coulomb": factor * 0.43, "friction__static": factor * 0.56})
+        commands = following(described, true, 5.0, amplitude=5e-6)[1][6000:]
+        found.append(2.0 * abs(np.mean(commands * np.exp(1j * angle * np.arange(commands.size)))) / amplitude)
+    # The law answers what the encoder shows of it, too.
+    least, less, one, most = found
+    assert least < 0.3 * one and less == pytest.approx(0.55 * one, rel=0.1) and one < most < 2.5
 
 
 @pytest.mark.parametrize("velocity", [-1e-3, -1e-5, 2e-6, 1e-4])

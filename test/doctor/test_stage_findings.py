@@ -79,20 +79,20 @@ def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyon
 @pytest.mark.parametrize(
     ("facts", "dither", "state", "words"),
     [
-        ({}, 1.5, "ok", "the bristles bend by 645 nm"),
-        ({"friction.coulomb": 0.0, "friction.static": 0.0}, 1.5, "ok", "no dry friction"),
+        ({}, 1.7, "ok", "the bristles bend by 645 nm"),
+        ({"friction.coulomb": 0.0, "friction.static": 0.0}, 1.7, "ok", "no dry friction"),
         (
             {"friction.bristle_stiffness": 1e8, "friction.static": 0.5, "uncertainty.friction": 1.3},
-            1.5,
+            1.7,
             "ok",
-            "a dither of 20.4 mA keeps it sliding",
+            "a dither of 23.1 mA keeps it sliding",
         ),
-        ({"friction.bristle_stiffness": 1e8, "friction.static": 0.5}, 1.5, "warn", "may be off by a factor of 2"),
+        ({"friction.bristle_stiffness": 1e8, "friction.static": 0.645}, 1.7, "warn", "may be 3 times"),
         (
-            {"friction.bristle_stiffness": 1e8, "friction.static": 0.8, "uncertainty.friction": 1.3},
-            1.5,
+            {"friction.bristle_stiffness": 1e8, "friction.static": 1.0, "uncertainty.friction": 1.3},
+            1.7,
             "warn",
-            "a dither of 20.4 mA",
+            "a dither of 23.1 mA",
         ),
         ({"friction.bristle_stiffness": 1e8, "friction.static": 0.5}, 0.0, "fail", "the platform will hunt"),
     ],

@@ -171,12 +171,22 @@ def test_no_machine_is_lost_between_the_gains_with_and_without_friction(stage, d
     assert all(one.verdict.in_order and one.pp < 0.6e-6 for one in results)
 
 
-def test_friction_that_the_dither_does_not_overcome_is_among_what_the_verdict_names():
+def on_a_block(friction, machines):
     values = shipped_parameters()
     values["stage"].update({"friction.bristle_stiffness": 1e8, "friction.static": 0.559})
     values["driver"].update({f"{CONTACT}.model": "maxwell_slip", f"{CONTACT}.maxwell_slip.blocks": 1})
-    for one in run_trials(make_scenario(values, ["smc_observer"]), 1, (2, 64, 263, 579)):
-        assert not one.verdict.in_order and "stage.friction" in one.verdict.reason
+    values["driver"]["simulated.truth.friction"] = friction
+    return run_trials(make_scenario(values, ["smc_observer"]), 1, machines)
+
+
+def test_machines_with_twice_the_described_stiction_do_not_hunt():
+    # With a dither for the described friction these did, of 1,000.
+    assert all(one.verdict.in_order for one in on_a_block(1.0, (2, 64, 263, 579)))
+
+
+def test_friction_that_the_dither_does_not_overcome_is_among_what_the_verdict_names():
+    (one,) = on_a_block(2.0, [64])
+    assert not one.verdict.in_order and "stage.friction" in one.verdict.reason
 
 
 def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(shipped):
