@@ -32,8 +32,8 @@ _GRID = 0.1e-3
 _GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 """Least gain margins of a loop that deserves trust, to either side."""
 _QUIET_STICTION = 2.6
-"""Static friction over the described Coulomb friction up to which dither leaves at most 0.3 µm (shipped stage,
-docs/evidence/accuracy.md)."""
+"""Static friction over the described Coulomb friction up to which dither leaves at most 0.3 µm (shipped stage, all but
+single soft blocks, docs/evidence/accuracy.md)."""
 _SHARE_OF_LIMIT = 0.7
 """Of the current limit for the largest steady demand: the rest is for the law's corrections."""
 _BUS_FULL = 0.8
