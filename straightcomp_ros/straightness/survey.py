@@ -167,7 +167,7 @@ class Table(NamedTuple):
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
-_NAME_AND_UNIT = re.compile(r"([a-z]+)[\s_]*[\[(]?\s*(m|mm|um|nm)\s*[\])]?")
+_NAME_AND_UNIT = re.compile(r"([a-z]+)[\s_]*[\[(/]?\s*(m|mm|um|nm)\s*[\])]?")
 _OWN_UNIT = re.compile(r".*?[^a-z](m|mm|um|nm)\s*[\])]?")
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
