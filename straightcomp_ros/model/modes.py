@@ -141,9 +141,16 @@ def swing(state: Array, mode: int, t: Turn) -> None:
 
 @compilable
 def push(k: Array, state: Array, gained: float) -> None:
-    """Give the modes their share of a velocity ``gained`` by the whole mass, m/s."""
+    """Give the whole mass the velocity ``gained``, m/s, at the coils, and the modes their share of it."""
+    state[1] += gained
     state[MODE_STATE + 1] += k[_MODE + 5] * gained
     state[MODE_STATE + 3] += k[_MODE + _FIELDS + 5] * gained
+
+
+@compilable
+def yielding(k: Array) -> float:
+    """The velocity that the coils gain by a push, relative to the whole mass's."""
+    return float(1.0 + k[_MODE + 5] ** 2 + k[_MODE + _FIELDS + 5] ** 2)
 
 
 @compilable

@@ -44,7 +44,7 @@ from straightcomp_ros.model.friction import (
     lugre_now,
     step_friction,
 )
-from straightcomp_ros.model.modes import ModesParameters, at_coil, at_encoder, push, swing, turn
+from straightcomp_ros.model.modes import ModesParameters, at_coil, at_encoder, push, swing, turn, yielding
 from straightcomp_ros.parameters.declaration import group, parameter
 
 Array = NDArray[np.float64]
@@ -174,9 +174,7 @@ def _kick(k: Array, plant: Plant, lugre: LuGre, state: Array, duration: float) -
     force = magnetic_force(plant.actuator, at_coil(k, state, 0), state[4], state[3] + state[OFFSET])
     force -= extended_force(k, lugre, state, at_coil(k, state, 1))
     force -= plant.stiffness * at_coil(k, state, 0) + plant.damping * at_coil(k, state, 1)
-    gained = duration * (force + disturbing_force(k, state)) / plant.mass
-    state[1] += gained
-    push(k, state, gained)
+    push(k, state, duration * (force + disturbing_force(k, state)) / plant.mass)
 
 
 @compilable
@@ -197,8 +195,11 @@ def _hold_extended(k: Array, plant: Plant, state: Array, command: float, bias_co
         step_friction(k, lugre, state, at_coil(k, state, 1), h)
         state[3] += settle * (command - state[3])
         state[4] += settle * (bias_command - state[4])
-        if abs(state[0]) > plant.stop:
-            state[0], state[1] = math.copysign(plant.stop, state[0]), 0.0
+        place = at_coil(k, state, 0)
+        if abs(place) > plant.stop:
+            # The coils rest against the stop: a mode may carry them there, too.
+            state[0] += math.copysign(plant.stop, place) - place
+            push(k, state, -at_coil(k, state, 1) / yielding(k))
         _kick(k, plant, lugre, state, 0.5 * h)
 
 

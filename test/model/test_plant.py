@@ -18,6 +18,7 @@ from straightcomp_ros.model.actuator import (
 )
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.friction import LuGre, LuGreParameters
+from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, at_coil, modes_of
 from straightcomp_ros.model.plant import (
     BIAS,
     COMMAND,
@@ -109,6 +110,19 @@ def test_the_platform_stays_between_its_stops(side):
     # With the bias off and a little push it comes back from there.
     pushed = run(FREE, after._replace(bias=0.0, velocity=-side * 0.01), 0.0, 0.02, bias=0.0)
     assert abs(pushed.y) < FREE.platform.stop - 1e-4
+
+
+def test_the_coils_stay_between_the_stops_where_a_mode_would_carry_them_beyond():
+    modes = modes_of(ModeParameters(72.0, 0.008, 0.5, -0.5))
+    plant = PlantParameters(PlatformParameters(modes=modes), friction=NO_FRICTION)
+    constants, state, farthest = plant.constants(), plant_state(bias=1.0), 0.0
+    for sample in range(4000):
+        # In step with the mode: what a loop does that it makes unstable.
+        command = math.copysign(1.0, math.sin(2.0 * math.pi * 72.0 * sample * 5e-4))
+        advance(constants, state, 1.0, command, 500_000)
+        farthest = max(farthest, abs(at_coil(constants, state, 0)))
+    assert farthest == pytest.approx(plant.platform.stop, rel=1e-6)
+    assert np.abs(state[MODE_STATE : MODE_STATE + 4]).max() < 10.0
 
 
 def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
