@@ -14,10 +14,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, spectral_radius, with_modes_off
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
 from straightcomp_ros.tuning.design.gain_search import cheapest, prepared_stroke, shortened
 from straightcomp_ros.tuning.design.gains import (
@@ -244,9 +244,7 @@ def growths(scenario: Scenario, corners: Sequence[Corner], gains: Values) -> lis
     the platform without modes.
     """
     try:
-        # A gain beyond its range is refused, as a node would.
-        control = from_mapping(ControlParameters, to_mapping(with_gains(scenario.controls[LAW], LAW, gains)))
-        law = linearised(make_law(control, scenario.description))
+        law = linearised(make_law(with_gains(scenario.controls[LAW], LAW, gains), scenario.description))
     except ValueError:
         return [math.inf] * len(corners)
     found = [math.log(spectral_radius(closed_loop(corner.sampled, law))) for corner in corners]

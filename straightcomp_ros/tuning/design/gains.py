@@ -21,6 +21,7 @@ import numpy as np
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.sliding_mode import reaching_bound
 from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.parameters.declaration import from_mapping, to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
@@ -155,9 +156,10 @@ def with_gains(control: ControlParameters, law: str, values: Values) -> ControlP
     """``control`` with the law ``law`` and ``values``, by dotted name.
 
     Raises:
-        ParameterError: a value is refused.
+        ParameterError: a value is refused, as a node would.
     """
-    return replaced(control, {**{name.removeprefix("control."): value for name, value in values.items()}, "law": law})
+    own = {name.removeprefix("control."): value for name, value in values.items()}
+    return from_mapping(ControlParameters, {**to_mapping(control), **own, "law": law})
 
 
 def shapes_for(stage: StageParameters) -> dict[str, dict[str, float]]:

@@ -12,7 +12,7 @@ from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, loop_margins, missing_margin, sampled_plant
 from straightcomp_ros.model.modes import ModeParameters, modes_of
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 from straightcomp_ros.tuning.design import feasible_gains as module
@@ -39,6 +39,13 @@ def test_the_rule_gives_the_gains_that_are_shipped_for_the_shipped_stage():
     shipped = ControlParameters().smc_observer
     for name, value in rule("smc_observer", STAGE).items():
         assert value == pytest.approx(getattr(shipped, name.removeprefix(OBSERVER)), rel=2e-3), name
+
+
+def test_gains_beyond_a_parameters_range_are_refused_as_a_node_would_and_no_search_ends_there(shipped):
+    beyond = {**rule("smc_observer", STAGE), OBSERVER + "velocity_share": 1.01}
+    with pytest.raises(ParameterError, match=r"velocity_share.*1\.01.*allowed: >= 0 and <= 1"):
+        with_gains(ControlParameters(), "smc_observer", beyond)
+    assert FeasibleGains(shipped, "smc_observer").violation(beyond) == math.inf
 
 
 def test_a_later_command_or_a_slower_rate_makes_the_gains_slower_and_scaling_leaves_what_is_no_rate():
