@@ -153,8 +153,8 @@ def found_plant(
     def fitted(begin: Sequence[float], counted: Array) -> Any:
         return least_squares(misses, begin, x_scale="jac", loss="linear", max_nfev=200, args=(counted,))
 
-    each = np.ones(frequencies.size)
-    best = fitted([0.0, 0.0], each)
+    every = np.ones(frequencies.size)
+    best = fitted([0.0, 0.0], every)
     while best.x.size < 2 + 3 * _MOST:
         left, share = plant - modelled(best.x), math.exp(best.x[0])
         begins = []
@@ -165,18 +165,27 @@ def found_plant(
             residue = float(np.sum((basis.conj() * weight * left).real)) / power
             begins.append((residue * residue * power, math.log(f), residue))
         _, log_f, residue = max(begins)
-        more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue], each)
+        more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue], every)
         known = more.x[-2] < _RESONATES and math.log(frequencies[0]) < more.x[-3] < math.log(1.2 * frequencies[-1])
-        freedom = 2 * frequencies.size - 2 - more.x.size
-        if not known or freedom < 1:
-            break
-        # Three numbers explain any one line: the others must speak for the mode.
-        explained = np.square(misses(best.x, each)) - np.square(misses(more.x, each))
-        others = np.where(np.arange(frequencies.size) == explained.reshape(2, -1).sum(axis=0).argmax(), 0.0, 1.0)
-        before, cost = fitted(best.x, others).cost, fitted(more.x, others).cost
-        if not cost > 0.0 or (before - cost) / 3.0 / (cost / freedom) < fisher.ppf(1.0 - _CHANCE, 3, freedom):
+        if not known or 2 * frequencies.size - 2 <= more.x.size:
             break
         best = more
+
+    def by_chance(fewer: Array, more: Any) -> bool:
+        """Whether chance explains as much as a mode does: three numbers explain any one line, the others must speak."""
+        explained = np.square(misses(fewer, every)) - np.square(misses(more.x, every))
+        others = np.where(np.arange(frequencies.size) == explained.reshape(2, -1).sum(axis=0).argmax(), 0.0, 1.0)
+        before, cost = fitted(fewer, others).cost, fitted(more.x, others).cost
+        freedom = 2 * frequencies.size - 2 - more.x.size
+        return not cost > 0.0 or bool((before - cost) / 3.0 / (cost / freedom) < fisher.ppf(1.0 - _CHANCE, 3, freedom))
+
+    # Two modes are looked for before either is judged: what is left of the one would hide the other.
+    while best.x.size > 2:
+        without = [fitted(np.delete(best.x, range(k, k + 3)), every) for k in range(2, best.x.size, 3)]
+        fewer = min(without, key=lambda one: one.cost)
+        if not by_chance(fewer.x, best):
+            break
+        best = fewer
     freedom = 2 * frequencies.size - best.x.size
     variance = np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * 2.0 * best.cost / freedom
     # Of what the lines hardly determine, rounding may leave less than nothing.

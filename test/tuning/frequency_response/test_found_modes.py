@@ -63,6 +63,15 @@ def test_two_modes_are_found_in_order_of_frequency():
     assert [one.frequency.value for one in modes] == pytest.approx([160.0, 350.0], rel=0.03)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_two_modes_that_one_line_each_shows_hide_each_other_and_are_found(seed):
+    modes = ModeParameters(69.9, 0.012, 0.34, 0.34), ModeParameters(135.3, 0.012, 0.28, -0.28)
+    first, second = found(with_modes(*modes), seed=seed).modes
+    for one, mode in ((first, modes[0]), (second, modes[1])):
+        assert one.frequency.value == pytest.approx(mode.frequency, rel=0.02)
+        assert one.residue.value == pytest.approx(mode.residue, rel=0.25)
+
+
 def test_a_found_mode_is_named_as_described_and_becomes_facts_of_a_description():
     mode = ModeParameters(180.0, 0.02, 1.0, -1.0)
     (one,) = found(with_modes(mode), described=with_modes(mode)).modes
