@@ -47,7 +47,12 @@ class FrequencyResponseError(ValueError):
 
 
 class ExcitationEnded(FrequencyResponseError):
-    """The platform left the allowed travel, and the excitation faded out."""
+    """The platform left the allowed travel, and the excitation faded out; ``reading`` (n,) is y in m until then, as far
+    as it is known."""
+
+    def __init__(self, text: str, reading: Array | None = None) -> None:
+        super().__init__(text)
+        self.reading = np.empty(0) if reading is None else reading
 
 
 @dataclass(frozen=True)

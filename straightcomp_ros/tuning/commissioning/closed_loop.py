@@ -30,7 +30,7 @@ from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, CommissioningError, LeftTravel
-from straightcomp_ros.tuning.commissioning.machine import Outcome, Work, recorded_series
+from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Work, recorded_series
 from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
@@ -125,7 +125,8 @@ def identification(work: Work) -> Outcome:
     # The second look has the machine of the first one for its model, and sees more.
     for _ in range(2):
         values = with_values(with_values(work.values, "stage", facts), "controller", gains)
-        seen, said = _looked_at(dataclasses.replace(work, values=values))
+        seen, said, other = _looked_at(dataclasses.replace(work, values=values))
+        gains |= other
         if seen == FoundPlant():
             words = words or said
             break
@@ -166,32 +167,43 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
         work.machine.stroke(values, bag, work.travel)
         return {}
     except LeftTravel as error:
-        f = _swinging(bag, stage)
-        free = _undescribed(stage)
-        if not f or not free:
-            raise
-        left = f"{error}; it swung at {f:.0f} Hz then"
-    for seen in _SEEN:
-        mode = {"frequency": f, "coil": seen, "encoder": -seen, **_RINGING}
-        facts = {f"platform.modes.{free[0]}.{fact}": value for fact, value in mode.items()}
-        with suppress(DesignError):
-            safe = safe_law(make_scenario(with_values(work.described(), "stage", facts), [SAFE_LAW])).values
-            break
-    else:
-        raise LeftTravel(f"{left}; no safe law can leave a mode there alone: describe it (stage.platform.modes)")
+        y = np.empty(0)
+        with suppress(CommissioningError):
+            y = recorded_series(bag).y
+        safe, left = _leaving_alone(work, y, error)
     try:
         work.machine.stroke(with_values(values, "controller", safe), bag, work.travel)
     except LeftTravel as error:
         again = "and left it again under a law for a mode there: describe it (stage.platform.modes)"
         raise LeftTravel(f"{left}, {again}") from error
-    return dict(safe)
+    return safe
 
 
-def _swinging(bag: Path, stage: StageParameters) -> float:
-    """Frequency in Hz at which the platform swung when it left its travel; 0 if it did not."""
-    samples, y = round(_BEFORE * stage.rate), np.empty(0)
-    with suppress(CommissioningError):
-        y = recorded_series(bag).y[-samples:]
+def _leaving_alone(work: Work, y: Array, left: ValueError) -> tuple[dict[str, Any], str]:
+    """Gains of a safe law for a mode at which the platform swung out of its travel, and what happened in words; ``y``
+    (n,) in m ends there.
+
+    Raises:
+        ValueError: ``left``, where it did not swing.
+        LeftTravel: there is no such law.
+    """
+    f, free = _swinging(y, work.stage), _undescribed(work.stage)
+    if not f or not free:
+        raise left
+    said = f"{left}; it swung at {f:.0f} Hz then"
+    for seen in _SEEN:
+        mode = {"frequency": f, "coil": seen, "encoder": -seen, **_RINGING}
+        facts = {f"platform.modes.{free[0]}.{fact}": value for fact, value in mode.items()}
+        with suppress(DesignError):
+            scenario = make_scenario(with_values(work.described(), "stage", facts), [SAFE_LAW])
+            return dict(safe_law(scenario).values), said
+    raise LeftTravel(f"{said}; no safe law can leave a mode there alone: describe it (stage.platform.modes)")
+
+
+def _swinging(y: Array, stage: StageParameters) -> float:
+    """Frequency in Hz at which the platform swung at the end of ``y`` (n,) in m; 0 if it did not."""
+    samples = round(_BEFORE * stage.rate)
+    y = y[-samples:]
     if not y.size:
         return 0.0
     y = np.pad(y, (samples - y.size, 0), mode="edge")
@@ -199,13 +211,20 @@ def _swinging(bag: Path, stage: StageParameters) -> float:
     return line.frequency if line.amplitude >= _SWUNG * float(np.ptp(y)) else 0.0
 
 
-def _looked_at(work: Work) -> tuple[FoundPlant, str]:
-    """Gain and modes of the machine by its response, and its modes in words; nothing where it cannot be measured."""
+def _looked_at(work: Work) -> tuple[FoundPlant, str, dict[str, Any]]:
+    """Gain and modes of the machine by its response, its modes in words, and the gains of another safe law if it took
+    one; nothing where it cannot be measured."""
+    gains = dict[str, Any]()
     try:
-        mechanics = _measured(work, _SEARCH_DRAWS).mechanics
-    except FrequencyResponseError as error:
-        return FoundPlant(), f"; resonances were not looked for: {error}"
-    return mechanics, "".join(f"; {mode.text}" for mode in mechanics.modes)
+        try:
+            mechanics = _measured(work, _SEARCH_DRAWS).mechanics
+        except ExcitationEnded as error:
+            gains, _ = _leaving_alone(work, error.reading, error)
+            work = dataclasses.replace(work, values=with_values(work.values, "controller", gains))
+            mechanics = _measured(work, _SEARCH_DRAWS).mechanics
+    except (FrequencyResponseError, LeftTravel) as error:
+        return FoundPlant(), f"; resonances were not looked for: {error}", {}
+    return mechanics, "".join(f"; {mode.text}" for mode in mechanics.modes), gains
 
 
 def modes_found(mechanics: FoundPlant, stage: StageParameters) -> dict[str, float]:
@@ -393,7 +412,7 @@ def frequency_response(work: Work) -> Outcome:
     if unknown := [mode for mode in found.mechanics.modes if not mode.described]:
         facts = ", ".join(f"stage.{name}: {value:.4g}" for name, value in unknown[0].facts("first").items())
         wrong = f"{unknown[0].text}; describe it ({facts}), so that the design answers it, and commission again"
-    elif not found.explained:
+    elif not found.explained and not dataclasses.replace(found, open=found.open + _open_by_friction(work)).explained:
         lateness = f"; {found.lateness}" if found.lateness else ""
         wrong = (
             f"what was identified does not explain the measured plant: up to {gain:.2g} dB and {phase:.2g}° off "
@@ -469,6 +488,20 @@ def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisinePar
         except ExcitationEnded as error:
             reason = str(error)
     raise FrequencyResponseError(f"the machine as identified needs too much of the travel: {reason}")
+
+
+def _open_by_friction(work: Work) -> Array:
+    """(lines,) The share of the plant by which it may differ where friction is not known better than it was described:
+    a record whose platform hardly slides does not show how much there is."""
+    excitation, described = _foreseen(work, MultisineParameters(travel=work.travel))
+    ranges, plants = work.stage.uncertainty, described.measured.response.plant
+    total = np.zeros(plants.size)
+    for friction in (1.0 / ranges.friction, ranges.friction):
+        values = with_values(work.described(), "driver", {"simulated.truth.friction": friction})
+        with suppress(ExcitationEnded):
+            end = measure_simulated(values, excitation).measured.response.plant
+            total = np.maximum(total, np.abs(end / plants - 1.0))
+    return total
 
 
 def _changed(found: ComparedResponse) -> str:

@@ -34,12 +34,12 @@ from straightcomp_ros.control.excitation import (
     MultisineParameters,
     multisine_injection,
 )
-from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.modes import ModesParameters
+from straightcomp_ros.model.modes import ModeParameters, ModesParameters, modes_of, off
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.simulation import Simulation
@@ -216,6 +216,7 @@ class ComparedResponse:
     duration: float  # of the excitation, s
     mechanics: FoundPlant = FoundPlant()  # gain and resonances of the measured plant
     late_share: float = 0.0  # of the samples whose command came after it was due, or only after the next sample
+    open: float | Array = 0.0  # what the modes' uncertainty leaves open of the model's plant at each line, relative
 
     @property
     def lateness(self) -> str:
@@ -254,11 +255,12 @@ class ComparedResponse:
         """Whether there are coherent lines, all are finite, and none contradicts the description.
 
         A line contradicts it if it is certainly off by more than `WITHIN_DB` or `WITHIN_DEG`: if no value in its circle
-        is nearer. The circles are those that hold for all coherent lines at once.
+        is nearer. The circles are those that hold for all coherent lines at once, larger by what the uncertainty of the
+        described modes leaves open.
         """
         measured = self.measured
         size = np.abs(measured.response.plant)
-        radius = np.minimum(1.0, measured.jointly * measured.plant_radius / size)
+        radius = np.minimum(1.0, measured.jointly * measured.plant_radius / size + self.open)
         gain, phase = self.deviations
         with np.errstate(divide="ignore"):
             least, most = gain + 20.0 * np.log10(1.0 - radius), gain + 20.0 * np.log10(1.0 + radius)
@@ -296,8 +298,24 @@ def compared_response(
     rigid = loop_response(law, alone, measured.frequencies[lines], damping).plant
     plant, radius = measured.response.plant[lines], measured.plant_radius[lines]
     mechanics = found_plant(measured.frequencies[lines], plant, radius, rigid, damping, stage)
-    duration = excitation.currents.size / stage.rate
-    return ComparedResponse(control.law, measured, model, damping, clipped, duration, mechanics)
+    duration, left_open = excitation.currents.size / stage.rate, _left_open(law, stage, measured, damping)
+    return ComparedResponse(control.law, measured, model, damping, clipped, duration, mechanics, open=left_open)
+
+
+def _left_open(law: Law, stage: StageParameters, measured: MeasuredResponse, damping: float) -> Array:
+    """(lines,) The share of the plant by which it may differ within the uncertainty of the described modes."""
+    present, frequencies = stage.platform.modes.present, measured.frequencies
+
+    def plant(*modes: ModeParameters) -> Complex:
+        platform = dataclasses.replace(stage.platform, modes=modes_of(*modes))
+        return loop_response(law, dataclasses.replace(stage, platform=platform), frequencies, damping).plant
+
+    described, total = plant(*present), np.zeros(frequencies.size)
+    for place, mode in enumerate(present):
+        for fact in np.eye(3):  # frequency, damping, participation
+            ends = [plant(*present[:place], off(mode, *end), *present[place + 1 :]) for end in (fact, -fact)]
+            total += np.max([np.abs(end / described - 1.0) for end in ends], axis=0)
+    return total
 
 
 _SETTLE = 1.0
@@ -337,6 +355,9 @@ def measure_simulated(
     first, rows = round(_SETTLE * stage.rate), array("d")
     index = 0
 
+    def series() -> Array:
+        return np.asarray(np.frombuffer(rows).reshape(-1, 3).T)
+
     def observe(sample: Sample, truth: Truth, reference: Sequence[float], command: Command, age: float) -> None:
         nonlocal index
         index += 1
@@ -345,13 +366,14 @@ def measure_simulated(
         elif index > first:
             asked = command.equivalent_current + command.switching_current
             rows.extend((asked, command.current, sample.y))
+        if injection.stopped:
+            raise ExcitationEnded(
+                f"the excitation was ended early: {injection.stopped}; take less current, or allow more travel",
+                series()[2],
+            )
 
     simulation.run(progress, observe)
-    if injection.stopped:
-        raise ExcitationEnded(
-            f"the excitation was ended early: {injection.stopped}; take less current, or allow more travel"
-        )
-    asked, commands, reading = np.frombuffer(rows).reshape(-1, 3).T
+    asked, commands, reading = series()
     return compared_response(excitation, asked, commands, reading, control, stage, injection.clipped)
 
 

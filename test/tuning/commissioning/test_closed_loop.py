@@ -85,7 +85,8 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
     response = SimpleNamespace(mechanics=FoundPlant(modes=(found, known)))
     monkeypatch.setattr(closed_loop, "_measured", lambda work, draws: response)
-    mechanics, words = closed_loop._looked_at(work)
+    mechanics, words, gains = closed_loop._looked_at(work)
+    assert gains == {}
     facts = modes_found(mechanics, work.stage)
     assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
     assert not any("first" in name for name in facts) and "180.0 Hz" in words and "350.0 Hz" in words
@@ -96,7 +97,7 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
         raise ExcitationEnded("the excitation was ended early: too far")
 
     monkeypatch.setattr(closed_loop, "_measured", fails)
-    mechanics, words = closed_loop._looked_at(work)
+    mechanics, words, _ = closed_loop._looked_at(work)
     assert mechanics == FoundPlant() and "resonances were not looked for: the excitation was ended early" in words
 
 
@@ -130,7 +131,7 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
         # Of the machine as described, but for a tenth of its force.
         force = 0.9 * (STAGE.actuator.turns / seen[-1]) ** 2
         gain = Interval(force, 0.98 * force, 1.02 * force)
-        return FoundPlant(gain, (mode,) if len(seen) > 1 else ()), ""
+        return FoundPlant(gain, (mode,) if len(seen) > 1 else ()), "", {}
 
     monkeypatch.setattr(closed_loop, "_excited", lambda *_: {})
     monkeypatch.setattr(closed_loop, "estimate_from_bag", lambda *_: found)
@@ -145,7 +146,7 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns)
     assert outcome.stage["friction.coulomb"] == pytest.approx(STAGE.friction.coulomb * 0.9 / 1.44)
     # Where the second look fails, the first one counts.
-    looks = [(FoundPlant(Interval(0.625, 0.62, 0.63), (mode,)), "; one mode"), (FoundPlant(), "; not looked for")]
+    looks = [(FoundPlant(Interval(0.625, 0.62, 0.63), (mode,)), "; one mode", {}), (FoundPlant(), "; none", {})]
     monkeypatch.setattr(closed_loop, "_looked_at", lambda work: looks.pop(0))
     outcome = identification(work_on(values_of(), tmp_path))
     assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns) and not looks
@@ -201,6 +202,52 @@ def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_saf
     found = identification(work)
     assert not found.passed and re.search(words, found.sentence)
     assert strokes[0] == 0.0 and strokes[1:] == ([pytest.approx(rings, rel=0.02)] if rings and lawful else [])
+
+
+def test_a_platform_that_swings_out_of_its_travel_while_modes_are_looked_for_is_looked_at_under_a_safe_law_for_one(
+    tmp_path, monkeypatch
+):
+    time, notch = np.arange(400) * STAGE.period, "control.filters.first.frequency"
+    swings = ExcitationEnded("too far", 1e-9 * np.exp(20.0 * time) * np.cos(2.0 * np.pi * 72.0 * time))
+    mode = FoundMode(Interval(72.3, 72.1, 72.5), *2 * (Interval(0.01, 0.008, 0.013),), "")
+    again = True
+
+    def measured(work, draws):
+        if again or not work.values["controller"].get(notch):
+            raise swings
+        return SimpleNamespace(mechanics=FoundPlant(modes=(mode,)))
+
+    def safe_law(scenario):
+        return SimpleNamespace(values={notch: scenario.description.platform.modes.first.frequency})
+
+    monkeypatch.setattr(closed_loop, "_measured", measured)
+    monkeypatch.setattr(closed_loop, "safe_law", safe_law)
+    work = work_on(values_of(), tmp_path)
+    mechanics, words, gains = closed_loop._looked_at(work)
+    assert mechanics == FoundPlant() and "not looked for: too far" in words and not gains
+    again = False
+    mechanics, words, gains = closed_loop._looked_at(work)
+    assert mechanics.modes == (mode,) and gains == {notch: pytest.approx(72.0, rel=0.02)}
+
+
+@pytest.mark.parametrize(("known", "passes"), [(3.0, True), (1.1, False)])
+def test_a_plant_that_only_its_friction_explains_passes_if_the_friction_is_as_open_as_that(
+    tmp_path, monkeypatch, measured, known, passes
+):
+    turned = dataclasses.replace(measured.measured.response, plant=measured.measured.response.plant * np.exp(0.5j))
+
+    # A share of friction turns this plant by as much of its logarithm.
+    def simulated(values, excitation):
+        turn = 0.5 * np.log(values["driver"].get("simulated.truth.friction", 1.0)) / np.log(2.0)
+        response = dataclasses.replace(measured.measured.response, plant=turned.plant * np.exp(1j * (turn - 0.5)))
+        return dataclasses.replace(measured, measured=dataclasses.replace(measured.measured, response=response))
+
+    shown = dataclasses.replace(measured, measured=dataclasses.replace(measured.measured, response=turned))
+    monkeypatch.setattr(closed_loop, "measure_simulated", simulated)
+    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
+    machine = SimpleNamespace(response=lambda values, excitation: shown)
+    work = dataclasses.replace(work_on(values_of(uncertainty__friction=known), tmp_path), machine=machine)
+    assert frequency_response(work).passed == passes
 
 
 @pytest.mark.parametrize("step", ["safe_loop", "identification", "design"])

@@ -16,10 +16,13 @@ from straightcomp_ros.control.excitation import (
 )
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_margins, loop_response
+from straightcomp_ros.model.modes import ModeParameters, modes_of
+from straightcomp_ros.model.plant import PlatformParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ComparedResponse,
     MeasuredResponse,
+    compared_response,
     measured_response,
     response_margins,
 )
@@ -108,6 +111,31 @@ def test_a_model_is_rejected_by_a_line_that_is_coherent_and_certainly_off_or_by_
     assert ComparedResponse("linear", measured, model, 1.0, 0, 1.0).explained is explained
     silent = dataclasses.replace(measured, coherence=0.5 * ones)
     assert not ComparedResponse("linear", silent, model, 1.0, 0, 1.0).explained
+
+
+def test_what_the_uncertainty_of_a_described_mode_leaves_open_does_not_contradict_the_description():
+    mode = ModeParameters(180.0, 0.01, 0.5, -0.5, frequency_error=0.01, damping_factor=1.5, participation_error=0.1)
+    excitation = multisine(MultisineParameters(lines=200, period=2.0), 2000.0, flat)
+
+    def explained(frequency):
+        """Whether the described mode explains one at ``frequency``, measured without noise."""
+        plants = []
+        for one in (mode, dataclasses.replace(mode, frequency=frequency)):
+            stage = StageParameters(platform=PlatformParameters(modes=modes_of(one)))
+            law = make_law(ControlParameters(), stage)
+            plants.append(loop_response(law, stage, excitation.frequencies, 10.0).plant)
+        # Of a signal that is neither taken back nor added to, so that the reading is the plant's answer to it.
+        spectrum = np.zeros((excitation.draws, excitation.samples // 2 + 1), complex)
+        spectrum[:, excitation.bins] = np.fft.rfft(excitation.used(excitation.currents), axis=1)[:, excitation.bins]
+        spectrum[:, excitation.bins] *= plants[1]
+        reading = np.zeros_like(excitation.currents)
+        excitation.used(reading)[:] = np.fft.irfft(spectrum, excitation.samples, axis=1)
+        control, stage = ControlParameters(), StageParameters(platform=PlatformParameters(modes=modes_of(mode)))
+        asked = np.zeros_like(reading)
+        found = compared_response(excitation, asked, excitation.currents, reading, control, stage, 0)
+        return dataclasses.replace(found, model=dataclasses.replace(found.model, plant=plants[0])).explained
+
+    assert explained(180.0) and explained(181.5) and not explained(186.0)
 
 
 def test_a_response_that_is_not_a_number_is_not_explained():
