@@ -236,6 +236,11 @@ CASES = {
     ],
     "an error that is too large goes with something": [
         ("inaccurate", "changes slowly", motion(SLOW, promise=promised(0.1))),
+        *(
+            ("inaccurate", "changes slowly", motion(0.5e-6 * sine(f), x=THERE_AND_BACK, promise=promised(0.1)))
+            # Fewer than four waves in a stroke, from which what is around them cannot be told.
+            for f in (0.9, 0.95)
+        ),
         ("inaccurate", "encoder of y hardly shows it", motion(SLOW, promise=promised(0.1), unseen=True)),
         ("inaccurate", "direction in which the platform moves", motion(DRAGGED, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
