@@ -304,8 +304,8 @@ def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bo
 
 
 def _background(tried: Array, spectrum: Array, length: float, at: float) -> float:
-    """Median of a :func:`_spectrum` over ``length`` around a line ``at``, to half and three halves of it; infinite where
-    the length has too few waves to tell the line from what is around it."""
+    """Median of a :func:`_spectrum` over ``length`` around a line ``at``, to half and three halves of it; infinite
+    where the length has too few waves to tell the line from what is around it."""
     around = spectrum[(np.abs(tried - at) * length > 2.0) & (np.abs(tried / at - 1.0) < 0.5)]
     return float(np.median(around)) if around.size else math.inf
 
