@@ -164,36 +164,33 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     Raises:
         ValueError: the law is not linear there.
     """
-    columns = _slopes_at_rest(law, inputs=2 if with_current else 1)
-    size = len(columns) - 1
-    # A clock or a paused fit would be a pole on the unit circle, though it is not in the loop.
-    all_a, all_b, all_c = columns[:size, :size], columns[:size, size:], columns[size:, :size]
-    looped = np.flatnonzero(_connected(all_a, all_c) & _connected(all_a.T, all_b.T))
-    return StateSpace(all_a[np.ix_(looped, looped)], all_b[looped], all_c[:, looped], columns[size:, size:])
+    inputs, size = (2 if with_current else 1), len(flat(law.start(0.0)))
+    for step in _STEPS:
+        columns, coarser = (_slopes_at_rest(law, inputs, size, one) for one in (step, 2.0 * step))
+        # A clock or a paused fit is a pole on the unit circle, but not in the loop. Nor is a dither, which bends.
+        all_a, all_b, all_c = columns[:size, :size], columns[:size, size:], columns[size:, :size]
+        looped = np.flatnonzero(_connected(all_a, all_c) & _connected(all_a.T, all_b.T))
+        kept = np.ix_([*looped, size], [*looped, *range(size, size + inputs)])
+        if np.allclose(columns[kept], coarser[kept], rtol=_LINEAR_WITHIN, atol=0.0):
+            return StateSpace(all_a[np.ix_(looped, looped)], all_b[looped], all_c[:, looped], columns[size:, size:])
+    raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
 
 
-def _slopes_at_rest(law: Law, inputs: int) -> Matrix:
-    """Derivatives (states + 1, states + inputs) of next state and command by state and inputs, about rest at zero.
+def _slopes_at_rest(law: Law, inputs: int, size: int, step: float) -> Matrix:
+    """Derivatives (``size`` states + 1, states + inputs) of next state and command by state and inputs, about rest at
+    zero, by differences of ``step`` to both sides.
 
     The first input is the reading. The second is the measured current; with one input, none is measured.
     """
-    size = len(flat(law.start(0.0)))
 
-    def disturbed(place: int, step: float) -> Matrix:
+    def disturbed(place: int, by: float) -> Matrix:
         numbers = [0.0] * (size + 1) + ([0.0] if inputs > 1 else [math.nan])
-        numbers[place] = step
+        numbers[place] = by
         after, command = law.answer_from(numbers[:size], *numbers[size:])
         return np.array([*after, command.current])
 
-    def slopes(step: float) -> Matrix:
-        places = range(size + inputs)
-        return np.array([(disturbed(place, step) - disturbed(place, -step)) / (2.0 * step) for place in places]).T
-
-    for step in _STEPS:
-        columns, coarser = slopes(step), slopes(2.0 * step)
-        if np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
-            return columns
-    raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
+    places = range(size + inputs)
+    return np.array([(disturbed(place, step) - disturbed(place, -step)) / (2.0 * step) for place in places]).T
 
 
 def _connected(a: Matrix, c: Matrix) -> NDArray[np.bool_]:

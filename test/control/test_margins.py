@@ -91,6 +91,18 @@ def test_a_law_that_switches_has_no_linearisation():
         linearised(law("smc", smc=SlidingDesign(boundary_layer=0.0)))
 
 
+@pytest.mark.parametrize("bristles", [2e7, 5e7, 1e9])
+def test_a_law_with_a_dither_is_linear_on_any_stage_with_stiction(bristles):
+    for bandwidth in range(300, 1000, 25):
+        friction = {"friction.bristle_stiffness": bristles, "friction.coulomb": 0.7, "friction.static": 0.72}
+        drive = {"drive.delay": 0.8, "drive.bandwidth": float(bandwidth)}
+        linearised(
+            make_law(
+                ControlParameters(), from_mapping(StageParameters, {**friction, **drive, "actuator.air_gap": 1.66e-3})
+            )
+        )
+
+
 def test_knowing_the_delay_makes_the_observer_tolerate_it():
     ignorant = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=0.0)), STAGE, PERIOD)
     knowing = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), STAGE, PERIOD)
