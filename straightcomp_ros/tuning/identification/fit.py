@@ -292,17 +292,17 @@ def _followed(
     search: Search, first: Level, described: Array, progress: Callable[[float], None]
 ) -> tuple[Level, list[Array]]:
     """The solution with the least process noise that holds, from ``first`` on; and its neighbours: the solution that
-    its search began with (for ``first`` the description's), and the next one if that failed."""
+    its search began with, and the next one if that hardly failed; the description where neither is known."""
     last, begin = first, first.vector
-    neighbours = [described]
+    before, after = list[Array](), list[Array]()
     levels = [missed for missed in (*_MORE, *MISSED) if missed < first.missed]
     for number, missed in enumerate(levels, 1):
         progress(number / (len(levels) + 1))
         level = search.solve(begin, missed)
         if level.rms <= max(EXPLAINED, last.rms):
-            last, neighbours = level, [begin]
-        elif len(neighbours) == 1 and level.rms < _LOST:
-            neighbours.append(level.vector)
+            last, before, after = level, [begin], []
+        elif not after and level.rms < _LOST:
+            after = [level.vector]
         # One that hardly failed may be nearer to the next one than the last that held.
         begin = level.vector if level.rms < _LOST else last.vector
-    return last, neighbours
+    return last, [*before, *after] or [described]
