@@ -183,10 +183,16 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     band = design.rest_band * stage.encoder.y_resolution
     turn, amplitude, knee = dither_of(design, stage)
     most = _MOST_DITHER * smc_observer.UNDER_DITHER if amplitude > 0.0 else design.largest_size
+    # Without friction it damps beyond modes, which may make it unstable: only where `freed` demands its margins.
+    goes_over = not (stage.platform.modes.present and _certain(stage))
+    quiet, free, slow = (
+        _stiffness(one if goes_over else design, 1.0, stage)
+        for one in (design, _free(design, stage), _slow(design, stage))
+    )
     gains = smc_observer.Gains(
-        free=_stiffness(_free(design, stage), 1.0, stage),
-        slow=_stiffness(_slow(design, stage), 1.0, stage),
-        quiet=_stiffness(design, 1.0, stage),
+        free=free,
+        slow=slow,
+        quiet=quiet,
         stiff=_stiffness(design, design.stiffening, stage),
         share=design.velocity_share,
         misfit=max(design.misfit * friction.coulomb, quantum) / loop.mass,
@@ -286,11 +292,15 @@ def _slow(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
     return replace(design, bandwidth=free.bandwidth, third_pole=free.third_pole)
 
 
+def _certain(stage: StageParameters) -> bool:
+    """Whether the least friction that the uncertainty allows counts."""
+    return stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * _quantum(stage)
+
+
 def freed(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
     """'smc_observer' as it finds less and less friction, ``slow`` and ``free``; empty for other laws, and for a stage
     that certainly has friction."""
-    certain = stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * _quantum(stage)
-    if control.law != "smc_observer" or certain:
+    if control.law != "smc_observer" or _certain(stage):
         return {}
     states = {"slow": _slow(control.smc_observer, stage), "free": _free(control.smc_observer, stage)}
     return {name: replace(control, smc_observer=replace(one, stiffening=1.0)) for name, one in states.items()}

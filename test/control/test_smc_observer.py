@@ -10,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.control.filters import FilterParameters, NotchParameters
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, make_law
+from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, freed, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged, step
 from straightcomp_ros.model.friction import bristle_after, friction_force
+from straightcomp_ros.model.modes import ModeParameters, modes_of
 from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -248,6 +250,21 @@ def test_between_its_gains_the_law_is_as_stable_as_with_the_worse_of_them_on_any
             for misfit in np.linspace(0.0, 4.0, 9) * gains.misfit:
                 between = _stiffness(gains, size, misfit**2)
                 assert radius(between) <= worst + 2e-3
+
+
+@pytest.mark.parametrize(("frequency", "residue"), [(140.0, -0.05), (250.0, -0.2), (350.0, -0.1)])
+def test_a_law_that_certainly_has_friction_does_not_go_over_to_gains_that_a_mode_makes_unstable(frequency, residue):
+    mode = ModeParameters(frequency, 0.01, math.sqrt(-residue), -math.sqrt(-residue))
+    control = ControlParameters(filters=FilterParameters(first=NotchParameters(frequency, 0.3, 0.05)))
+    ringing = replace(STAGE, platform=replace(STAGE.platform, modes=modes_of(mode)))
+    own, plant = make_law(control, ringing), sampled_plant(ringing, ringing.drive.delay * ringing.period)
+    for size in (1e-12, 0.6, 0.8, 1.0):
+        taken = _stiffness(own.gains, size * own.gains.counting, 0.0)
+        made = Law(own.gains._replace(quiet=taken), own.start, step, compiled=True)
+        assert spectral_radius(closed_loop(plant, linearised(made))) < 1.0
+    # Where there may be none, a design is asked for margins without it.
+    perhaps = replace(ringing, uncertainty=replace(ringing.uncertainty, friction=100.0))
+    assert not freed(control, ringing) and set(freed(control, perhaps)) == {"slow", "free"}
 
 
 def test_without_enough_friction_the_command_is_not_held():
