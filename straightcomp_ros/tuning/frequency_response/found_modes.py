@@ -150,7 +150,7 @@ def found_plant(
         missed = counted * weight * (plant - modelled(p))
         return np.concatenate([missed.real, missed.imag])
 
-    def fitted(begin: Sequence[float], counted: Array) -> Any:
+    def fitted(begin: Sequence[float] | Array, counted: Array) -> Any:
         return least_squares(misses, begin, x_scale="jac", loss="linear", max_nfev=200, args=(counted,))
 
     every = np.ones(frequencies.size)
