@@ -170,7 +170,7 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
         y = np.empty(0)
         with suppress(CommissioningError):
             y = recorded_series(bag).y
-        safe, left = _leaving_alone(work, y, error)
+        safe, left = _leaving_alone(work, _swinging(y, stage), error)
     try:
         work.machine.stroke(with_values(values, "controller", safe), bag, work.travel)
     except LeftTravel as error:
@@ -179,15 +179,14 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     return safe
 
 
-def _leaving_alone(work: Work, y: Array, left: ValueError) -> tuple[dict[str, Any], str]:
-    """Gains of a safe law for a mode at which the platform swung out of its travel, and what happened in words; ``y``
-    (n,) in m ends there.
+def _leaving_alone(work: Work, f: float, left: ValueError) -> tuple[dict[str, Any], str]:
+    """Gains of a safe law for a mode at ``f`` Hz, where the platform swung, and what happened in words.
 
     Raises:
-        ValueError: ``left``, where it did not swing.
+        ValueError: ``left``, where it did not swing: ``f`` is 0.
         LeftTravel: there is no such law.
     """
-    f, free = _swinging(y, work.stage), _undescribed(work.stage)
+    free = _undescribed(work.stage)
     if not f or not free:
         raise left
     said = f"{left}; it swung at {f:.0f} Hz then"
@@ -216,15 +215,19 @@ def _looked_at(work: Work) -> tuple[FoundPlant, str, dict[str, Any]]:
     one; nothing where it cannot be measured."""
     gains = dict[str, Any]()
     try:
+        left: ValueError = FrequencyResponseError("the platform swings by itself")
         try:
-            mechanics = _measured(work, _SEARCH_DRAWS).mechanics
+            found = _measured(work, _SEARCH_DRAWS)
+            swing, seen = found.measured.swing, True
         except ExcitationEnded as error:
-            gains, _ = _leaving_alone(work, error.reading, error)
+            left, swing, seen = error, _swinging(error.reading, work.stage), False
+        if swing or not seen:
+            gains, _ = _leaving_alone(work, swing, left)
             work = dataclasses.replace(work, values=with_values(work.values, "controller", gains))
-            mechanics = _measured(work, _SEARCH_DRAWS).mechanics
+            found = _measured(work, _SEARCH_DRAWS)
     except (FrequencyResponseError, LeftTravel) as error:
         return FoundPlant(), f"; resonances were not looked for: {error}", {}
-    return mechanics, "".join(f"; {mode.text}" for mode in mechanics.modes), gains
+    return found.mechanics, "".join(f"; {mode.text}" for mode in found.mechanics.modes), gains
 
 
 def modes_found(mechanics: FoundPlant, stage: StageParameters) -> dict[str, float]:

@@ -73,6 +73,7 @@ class MeasuredResponse:
     sensitivity_radius: Array
     speed: float  # RMS velocity of the platform at the lines, m/s
     draws: int  # of phases, which the circles are from
+    swing: float = 0.0  # Hz, not excited, at which the platform moves farther than at any line; 0 if at none
 
     @property
     def coherent(self) -> NDArray[np.bool_]:
@@ -119,7 +120,18 @@ def measured_response(excitation: Multisine, signal: Array, command: Array, read
         sensitivity_radius=sensitivity_radius,
         speed=float(np.sqrt(0.5 * np.mean(np.sum(np.abs(2.0 * np.pi * excitation.frequencies * y) ** 2, axis=1)))),
         draws=draws,
+        swing=_swing(excitation, reading),
     )
+
+
+def _swing(excitation: Multisine, reading: Array) -> float:
+    squares = np.mean(np.abs(np.fft.rfft(excitation.used(reading), axis=1)) ** 2, axis=0)
+    own = squares.copy()
+    # What is slower than the lines is where the platform stands.
+    own[[*range(int(excitation.bins[0])), *excitation.bins]] = 0.0
+    strongest = int(own.argmax())
+    spacing = float(excitation.frequencies[0] / excitation.bins[0])
+    return strongest * spacing if own[strongest] > squares[excitation.bins].max() else 0.0
 
 
 def _radius_factor(confidence: float, draws: int) -> float:

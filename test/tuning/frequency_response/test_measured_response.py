@@ -149,6 +149,19 @@ def test_a_response_that_is_not_a_number_is_not_explained():
     assert not ComparedResponse("linear", measured, flat(excitation.frequencies), 1.0, 0, 1.0).explained
 
 
+def test_a_swing_that_is_larger_than_what_any_line_moves_is_named_by_its_frequency():
+    excitation, _ = recorded(0.0)
+    d, between = excitation.currents, int(excitation.bins[20]) + 1
+    assert between not in excitation.bins
+    reading = 1e-6 * d
+    largest = np.abs(np.fft.rfft(excitation.used(reading), axis=1)).max() / (0.5 * excitation.samples)
+    swing = np.sin(2.0 * np.pi * between * np.arange(d.size) / excitation.samples)
+    # Where the platform stands is no swing.
+    reading += 1e-4
+    assert measured_response(excitation, d, d, reading + 1.5 * largest * swing).swing == pytest.approx(between)
+    assert measured_response(excitation, d, d, reading + 0.1 * largest * swing).swing == 0.0
+
+
 def test_the_speed_is_that_of_the_motion_at_the_lines():
     excitation, _ = recorded(0.0)
     spectrum = np.zeros(501, complex)
