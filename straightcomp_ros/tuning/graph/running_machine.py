@@ -132,7 +132,10 @@ class RunningMachine:
                     self._cycle(motion)
                 self._sleep(max(0.0, end - time.monotonic()))
         except LeftTravel as error:
-            raise ExcitationEnded(str(error), recorded_series(bag).y) from error
+            reading = None
+            with suppress(CommissioningError):  # nothing may have been recorded
+                reading = recorded_series(bag).y
+            raise ExcitationEnded(str(error), reading) from error
         self._rest()
         return response_from_bag(bag, excitation, nodes.control, nodes.stage)
 
