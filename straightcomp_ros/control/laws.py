@@ -185,14 +185,11 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     most = _MOST_DITHER * smc_observer.UNDER_DITHER if amplitude > 0.0 else design.largest_size
     # Without friction it damps beyond modes, which may make it unstable: only where `freed` demands its margins.
     goes_over = not (stage.platform.modes.present and _certain(stage))
-    quiet, free, slow = (
-        _stiffness(one if goes_over else design, 1.0, stage)
-        for one in (design, _free(design, stage), _slow(design, stage))
-    )
+    free, slow = (_free(design, stage), _slow(design, stage)) if goes_over else (design, design)
     gains = smc_observer.Gains(
-        free=free,
-        slow=slow,
-        quiet=quiet,
+        free=_stiffness(free, 1.0, stage),
+        slow=_stiffness(slow, 1.0, stage),
+        quiet=_stiffness(design, 1.0, stage),
         stiff=_stiffness(design, design.stiffening, stage),
         share=design.velocity_share,
         misfit=max(design.misfit * friction.coulomb, quantum) / loop.mass,

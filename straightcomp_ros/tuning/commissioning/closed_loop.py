@@ -29,8 +29,8 @@ from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
-from straightcomp_ros.tuning.commissioning import LOOP, CommissioningError, LeftTravel
-from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Work, recorded_series
+from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
+from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Work, recorded_reading
 from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
@@ -167,10 +167,7 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
         work.machine.stroke(values, bag, work.travel)
         return {}
     except LeftTravel as error:
-        y = np.empty(0)
-        with suppress(CommissioningError):
-            y = recorded_series(bag).y
-        safe, left = _leaving_alone(work, _swinging(y, stage), error)
+        safe, left = _leaving_alone(work, _swinging(recorded_reading(bag), stage), error)
     try:
         work.machine.stroke(with_values(values, "controller", safe), bag, work.travel)
     except LeftTravel as error:

@@ -203,6 +203,14 @@ def recorded_series(bag: Path) -> Series:
     return Series(stamps, x, y, current, command, latency)
 
 
+def recorded_reading(bag: Path) -> Array:
+    """y (n,) in m of ``bag``; none where it cannot be read, as where a motion ended before anything was recorded."""
+    try:
+        return recorded_series(bag).y
+    except CommissioningError:
+        return np.empty(0)
+
+
 def excited(series: Series, travel: float, rate: float) -> Series:
     """An open-loop series from its first current on, until the platform has come to rest.
 

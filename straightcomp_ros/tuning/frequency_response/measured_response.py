@@ -99,7 +99,8 @@ def measured_response(excitation: Multisine, signal: Array, command: Array, read
         command: with it, A.
         reading: y, m.
     """
-    d, u, y = (_lines(excitation, series) for series in (signal, command, reading))
+    spectra = [_spectrum(excitation, series) for series in (signal, command, reading)]
+    d, u, y = (one[:, excitation.bins] for one in spectra)
     per_u, per_y = u / d, y / d
     sensitivity, output = per_u.mean(axis=0), per_y.mean(axis=0)
     plant = output / sensitivity
@@ -120,12 +121,12 @@ def measured_response(excitation: Multisine, signal: Array, command: Array, read
         sensitivity_radius=sensitivity_radius,
         speed=float(np.sqrt(0.5 * np.mean(np.sum(np.abs(2.0 * np.pi * excitation.frequencies * y) ** 2, axis=1)))),
         draws=draws,
-        swing=_swing(excitation, reading),
+        swing=_swing(excitation, spectra[2]),
     )
 
 
-def _swing(excitation: Multisine, reading: Array) -> float:
-    squares = np.mean(np.abs(np.fft.rfft(excitation.used(reading), axis=1)) ** 2, axis=0)
+def _swing(excitation: Multisine, spectrum: Complex) -> float:
+    squares = np.mean(np.abs(spectrum) ** 2, axis=0)
     own = squares.copy()
     # What is slower than the lines is where the platform stands.
     own[[*range(int(excitation.bins[0])), *excitation.bins]] = 0.0
@@ -139,10 +140,9 @@ def _radius_factor(confidence: float, draws: int) -> float:
     return math.sqrt(float(fisher.ppf(confidence, 2, 2 * (draws - 1))) / (draws * (draws - 1)))
 
 
-def _lines(excitation: Multisine, series: Array) -> Complex:
-    """Complex amplitudes (draws, lines) at the excitation's lines."""
-    spectrum = np.fft.rfft(excitation.used(series), axis=1) / (0.5 * excitation.samples)
-    return np.asarray(spectrum[:, excitation.bins])
+def _spectrum(excitation: Multisine, series: Array) -> Complex:
+    """Complex amplitudes (draws, bins) of the used periods, at all multiples of the period's inverse."""
+    return np.asarray(np.fft.rfft(excitation.used(series), axis=1) / (0.5 * excitation.samples))
 
 
 def _coherence(one: Complex, other: Complex) -> Array:
@@ -310,19 +310,19 @@ def compared_response(
     rigid = loop_response(law, alone, measured.frequencies[lines], damping).plant
     plant, radius = measured.response.plant[lines], measured.plant_radius[lines]
     mechanics = found_plant(measured.frequencies[lines], plant, radius, rigid, damping, stage)
-    duration, left_open = excitation.currents.size / stage.rate, _left_open(law, stage, measured, damping)
+    duration = excitation.currents.size / stage.rate
+    left_open = _left_open(law, stage, measured.frequencies, damping, model.plant)
     return ComparedResponse(control.law, measured, model, damping, clipped, duration, mechanics, open=left_open)
 
 
-def _left_open(law: Law, stage: StageParameters, measured: MeasuredResponse, damping: float) -> Array:
-    """(lines,) The share of the plant by which it may differ within the uncertainty of the described modes."""
-    present, frequencies = stage.platform.modes.present, measured.frequencies
+def _left_open(law: Law, stage: StageParameters, frequencies: Array, damping: float, described: Complex) -> Array:
+    """(lines,) The share of the ``described`` plant by which it may differ within the uncertainty of its modes."""
+    present, total = stage.platform.modes.present, np.zeros(frequencies.size)
 
     def plant(*modes: ModeParameters) -> Complex:
         platform = dataclasses.replace(stage.platform, modes=modes_of(*modes))
         return loop_response(law, dataclasses.replace(stage, platform=platform), frequencies, damping).plant
 
-    described, total = plant(*present), np.zeros(frequencies.size)
     for place, mode in enumerate(present):
         for fact in np.eye(3):  # frequency, damping, participation
             ends = [plant(*present[:place], off(mode, *end), *present[place + 1 :]) for end in (fact, -fact)]

@@ -34,7 +34,7 @@ from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.timing.cpus import use_kept_free
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
-from straightcomp_ros.tuning.commissioning.machine import Series, excited, recorded_series
+from straightcomp_ros.tuning.commissioning.machine import Series, excited, recorded_reading, recorded_series
 from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse, response_from_bag
 from straightcomp_ros.tuning.graph.waiting_client import ANSWER_S, WaitingClient
 
@@ -132,10 +132,7 @@ class RunningMachine:
                     self._cycle(motion)
                 self._sleep(max(0.0, end - time.monotonic()))
         except LeftTravel as error:
-            reading = None
-            with suppress(CommissioningError):  # nothing may have been recorded
-                reading = recorded_series(bag).y
-            raise ExcitationEnded(str(error), reading) from error
+            raise ExcitationEnded(str(error), recorded_reading(bag)) from error
         self._rest()
         return response_from_bag(bag, excitation, nodes.control, nodes.stage)
 

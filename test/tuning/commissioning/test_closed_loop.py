@@ -195,7 +195,7 @@ def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_saf
     def identified(*_):
         raise IdentificationError("far enough")
 
-    monkeypatch.setattr(closed_loop, "recorded_series", lambda bag: SimpleNamespace(y=y))
+    monkeypatch.setattr(closed_loop, "recorded_reading", lambda bag: y)
     monkeypatch.setattr(closed_loop, "safe_law", safe_law)
     monkeypatch.setattr(closed_loop, "estimate_from_bag", identified)
     work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=stroke))
