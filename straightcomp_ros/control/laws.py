@@ -55,7 +55,7 @@ class ObserverDesign:
     """Observer, friction model and reaching law of 'smc_observer'."""
 
     bandwidth: float = parameter(205.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
-    third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.1, 10]")
+    third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.01, 10]")
     delay: float = parameter(0.88, "Loop delay that the observer assumes", "[0, 1] samples")
     surface: float = parameter(575.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
     reaching: float = parameter(396.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
@@ -177,15 +177,15 @@ def _law(parameters: ControlParameters, stage: StageParameters, filters: Filters
 def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filters) -> Law:
     period = stage.period
     loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
-    friction, actuator = stage.friction, stage.actuator
-    quantum, converter = _quantum(stage), stage.drive.current_step * actuator.current_stiffness
+    friction = stage.friction
+    quantum = _quantum(stage)
     coulomb = max(friction.coulomb, _SMALLEST_SIZE * quantum)
     band = design.rest_band * stage.encoder.y_resolution
     turn, amplitude, knee = dither_of(design, stage)
     most = _MOST_DITHER * smc_observer.UNDER_DITHER if amplitude > 0.0 else design.largest_size
-    # Without friction it damps beyond modes, which may make it unstable: only where `freed` demands its margins.
-    goes_over = not (stage.platform.modes.present and _certain(stage))
-    free, slow = (_free(design, stage), _slow(design, stage)) if goes_over else (design, design)
+    # Without friction it damps far beyond the loop's bandwidth, which makes nearly any mode unstable.
+    modes = stage.platform.modes.present
+    free, slow = (design, design) if modes else (_free(design, stage), _slow(design, stage))
     gains = smc_observer.Gains(
         free=_stiffness(free, 1.0, stage),
         slow=_stiffness(slow, 1.0, stage),
@@ -203,8 +203,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         smallest=_SMALLEST_SIZE if friction.coulomb > 0.0 else 1.0,
         largest=min(design.largest_size, most) if friction.coulomb > 0.0 else 1.0,
         counting=_COUNTING * quantum / coulomb,
-        # Friction holds the platform a count beside the balance, with half a step of the converter too much.
-        holding=(quantum - 0.5 * converter) / coulomb,
+        holding=_holding(stage) / coulomb,
         speed=design.rest_speed,
         still=_STILL * stage.encoder.y_resolution,
         # The mains push at rest too: a command that is held would not answer them.
@@ -259,6 +258,16 @@ def _dither_rate(stage: StageParameters) -> float:
     return 2.0 * math.pi * min(0.25 * stage.rate, _DITHER / stage.dead_time)
 
 
+def can_hold(stage: StageParameters) -> bool:
+    """Whether friction as described holds the platform at rest."""
+    return stage.friction.coulomb >= _holding(stage)
+
+
+def _holding(stage: StageParameters) -> float:
+    """Friction in N that holds the platform a count beside the balance, with half a step of the converter too much."""
+    return _quantum(stage) - 0.5 * stage.drive.current_step * stage.actuator.current_stiffness
+
+
 def _quantum(stage: StageParameters) -> float:
     """Force in N of the encoder's count against magnets and flexure, and of a step of the D/A converter."""
     pull = abs(stage.actuator.position_stiffness - stage.platform.stiffness)
@@ -294,19 +303,20 @@ def _certain(stage: StageParameters) -> bool:
     return stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * _quantum(stage)
 
 
-def freed(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
-    """'smc_observer' as it finds less and less friction, ``slow`` and ``free``; empty for other laws, and for a stage
-    that certainly has friction."""
-    if control.law != "smc_observer" or _certain(stage):
-        return {}
-    states = {"slow": _slow(control.smc_observer, stage), "free": _free(control.smc_observer, stage)}
-    return {name: replace(control, smc_observer=replace(one, stiffening=1.0)) for name, one in states.items()}
+def states_of(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
+    """The law in each state that it may take on ``stage``, by name: ``quiet``, as its gains are.
 
-
-def stiffened(control: ControlParameters) -> ControlParameters:
-    """The law as it is when its friction model explains too little: 'smc_observer' stiffest, others as they are."""
+    'smc_observer' is ``stiff`` when its friction model explains too little, and ``slow`` and then ``free`` as it finds
+    less and less friction, unless there certainly is some, or the platform has modes.
+    """
+    found = {"quiet": control}
     if control.law != "smc_observer":
-        return control
+        return found
     design = control.smc_observer
-    stiffer = {name: design.stiffening * getattr(design, name) for name in ("bandwidth", "surface", "reaching")}
-    return replace(control, smc_observer=replace(design, **stiffer, stiffening=1.0))
+    if stage.friction.coulomb > 0.0:
+        stiffer = {name: design.stiffening * getattr(design, name) for name in ("bandwidth", "surface", "reaching")}
+        found["stiff"] = replace(control, smc_observer=replace(design, **stiffer, stiffening=1.0))
+    if not stage.platform.modes.present and not _certain(stage):
+        for name, one in (("slow", _slow(design, stage)), ("free", _free(design, stage))):
+            found[name] = replace(control, smc_observer=replace(one, stiffening=1.0))
+    return found

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law, flat
-from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, freed, make_law, stiffened
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law, states_of
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.modes import modes_of, off
 from straightcomp_ros.stage.description import StageParameters
@@ -45,6 +45,13 @@ LEAST_GAINS = (0.8, 1.25)
 """Factors of the loop gain between which the law must be stable: 2 dB to each side."""
 _STIFFEST_GAINS = (0.9, 1.1)
 """The same where the law is at its stiffest, which it leaves again when it has learned the friction."""
+_STATES = {
+    "quiet": ("", LEAST_GAINS),
+    "stiff": (", at its stiffest", _STIFFEST_GAINS),
+    "slow": (", with hardly any friction", LEAST_GAINS),
+    "free": (", without friction", LEAST_GAINS),
+}
+"""By the law's state: the words of a refusal, and the factors."""
 LEAST_PHASE = 5.0
 """Degrees."""
 _FREQUENCIES = 400
@@ -330,13 +337,8 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
     """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
     plant = sampled_plant(stage, stage.drive.delay * stage.period)
-    quiet, stiff = make_law(control, stage), stiffened(control)
-    ends = [(quiet, "", LEAST_GAINS)]
-    if stiff is not control:
-        ends.append((make_law(stiff, stage), ", at its stiffest", _STIFFEST_GAINS))
-    words = {"slow": ", with hardly any friction", "free": ", without friction"}
-    ends += [(make_law(one, stage), words[name], LEAST_GAINS) for name, one in freed(control, stage).items()]
-    for law, where, gains in ends:
+    for state, one in states_of(control, stage).items():
+        law, (where, gains) = make_law(one, stage), _STATES[state]
         for measured, how in ((False, ""), (True, ", with the coils' current measured")):
             stable = partial(_stable, plant, linearised(law, with_current=measured))
             yield from _gains_missed(stable, f"{where}{how}," if where or how else "", gains)
@@ -344,7 +346,7 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
             late = sampled_plant(machine, stage.drive.delay * stage.period)
             if not _stable(late, linearised(law)):
                 yield f"is{where} unstable with the platform's modes at {modes}, within 'stage.platform.modes'"
-    linear, period = linearised(quiet), stage.period
+    linear, period = linearised(make_law(control, stage)), stage.period
     latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
 
     def stable_at(samples: float) -> bool:

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law, stiffened
+from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law, states_of
 from straightcomp_ros.control.margins import (
     LEAST_GAINS,
     StateSpace,
@@ -179,10 +179,9 @@ def test_a_refusal_names_what_is_missed_and_the_gain_the_delay_or_the_phase_at_t
 
 
 def test_a_law_with_a_friction_model_must_be_stable_at_its_stiffest_too():
-    linear, usual = ControlParameters(law="linear"), ControlParameters()
-    assert stiffened(linear) == linear
-    assert stiffened(usual).smc_observer.bandwidth == pytest.approx(1.4 * usual.smc_observer.bandwidth)
     control = ControlParameters(smc_observer=ObserverDesign(stiffening=4.0))
+    stiff = states_of(control, USUAL)["stiff"]
+    assert stiff.smc_observer.bandwidth == pytest.approx(4.0 * control.smc_observer.bandwidth)
     assert ", at its stiffest," in missing_margin(control, USUAL)
-    plant, law = sampled_plant(USUAL, USUAL.period), linearised(make_law(stiffened(control), USUAL))
+    plant, law = sampled_plant(USUAL, USUAL.period), linearised(make_law(stiff, USUAL))
     assert max(np.abs(np.linalg.eigvals(closed_loop(plant, law, gain))).max() for gain in (0.9, 1.1)) >= 1.0

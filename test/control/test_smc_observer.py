@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.filters import FilterParameters, NotchParameters
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, freed, make_law
+from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, make_law, states_of
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged, step
@@ -252,19 +252,39 @@ def test_between_its_gains_the_law_is_as_stable_as_with_the_worse_of_them_on_any
                 assert radius(between) <= worst + 2e-3
 
 
+@pytest.mark.parametrize("coulomb", [0.0, STAGE.friction.coulomb])
 @pytest.mark.parametrize(("frequency", "residue"), [(140.0, -0.05), (250.0, -0.2), (350.0, -0.1)])
-def test_a_law_that_certainly_has_friction_does_not_go_over_to_gains_that_a_mode_makes_unstable(frequency, residue):
+def test_a_law_beside_a_mode_does_not_go_over_to_gains_that_make_it_unstable(frequency, residue, coulomb):
     mode = ModeParameters(frequency, 0.01, math.sqrt(-residue), -math.sqrt(-residue))
     control = ControlParameters(filters=FilterParameters(first=NotchParameters(frequency, 0.3, 0.05)))
     ringing = replace(STAGE, platform=replace(STAGE.platform, modes=modes_of(mode)))
+    ringing = replace(
+        ringing,
+        friction=replace(ringing.friction, coulomb=coulomb, static=1.3 * coulomb),
+        uncertainty=replace(ringing.uncertainty, friction=100.0),
+    )
     own, plant = make_law(control, ringing), sampled_plant(ringing, ringing.drive.delay * ringing.period)
     for size in (1e-12, 0.6, 0.8, 1.0):
         taken = _stiffness(own.gains, size * own.gains.counting, 0.0)
         made = Law(own.gains._replace(quiet=taken), own.start, step, compiled=True)
         assert spectral_radius(closed_loop(plant, linearised(made))) < 1.0
-    # Where there may be none, a design is asked for margins without it.
-    perhaps = replace(ringing, uncertainty=replace(ringing.uncertainty, friction=100.0))
-    assert not freed(control, ringing) and set(freed(control, perhaps)) == {"slow", "free"}
+
+
+def test_margins_are_asked_of_each_state_that_the_law_may_take():
+    mode = ModeParameters(350.0, 0.01, 0.3, -0.3)
+    for rigid, friction, states in (
+        (True, STAGE.friction, {"quiet", "stiff", "slow", "free"}),
+        (False, STAGE.friction, {"quiet", "stiff"}),
+        (True, stage(**NONE).friction, {"quiet", "slow", "free"}),
+        (False, stage(**NONE).friction, {"quiet"}),
+    ):
+        platform = STAGE.platform if rigid else replace(STAGE.platform, modes=modes_of(mode))
+        uncertain = replace(STAGE.uncertainty, friction=100.0)
+        described = replace(STAGE, platform=platform, friction=friction, uncertainty=uncertain)
+        assert set(states_of(ControlParameters(), described)) == states
+    certain = replace(STAGE, uncertainty=replace(STAGE.uncertainty, friction=1.0))
+    assert set(states_of(ControlParameters(), certain)) == {"quiet", "stiff"}
+    assert set(states_of(ControlParameters(law="linear"), STAGE)) == {"quiet"}
 
 
 def test_without_enough_friction_the_command_is_not_held():

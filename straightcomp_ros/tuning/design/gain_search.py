@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.laws import can_hold, make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back, reach
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario, Stroke
@@ -58,6 +58,8 @@ _SHARE_EXTREME = 0.15
 _PP_PER_RMS = 6.0
 _WORK_WEIGHT = 2.0
 _LEAST_STEPS = 4.0
+"""Of the converter, and the current that carries friction, or without it the platform along the map: the units of work
+from which a noisier command costs more than it may gain."""
 _SILENT = 0.02
 """At rest, the RMS step of the current that is taken for silence, in units of the current that carries friction."""
 _PITCH = 1.3
@@ -192,8 +194,12 @@ class Judge:
         self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
         self._short = prepared_stroke(shortened(scenario, _SHORT))
         self._extremes = extreme_machines(scenario)
-        carried = self.stage.friction.coulomb / self.stage.actuator.current_stiffness
-        self._work_scale = max(carried, _LEAST_STEPS * self.stage.drive.current_step)
+        magnets, platform = self.stage.actuator, self.stage.platform
+        held, pull = can_hold(self.stage), abs(magnets.position_stiffness - platform.stiffness)
+        carried = self.stage.friction.coulomb if held else pull * float(np.abs(self._stroke.target).max())
+        scale = carried / magnets.current_stiffness
+        self._work_scale = max(scale, _LEAST_STEPS * self.stage.drive.current_step)
+        self._silent = _SILENT * self._work_scale if held and law == "smc_observer" else math.inf
 
     def judge(self, gains: Mapping[str, float], bar: float = math.inf) -> Judgement:
         """Judge ``gains``, by dotted name; by their first stroke alone if it costs more than ``bar``."""
@@ -229,8 +235,8 @@ class Judge:
             return Judgement(_UNSTABLE, pp, work), math.inf
         accuracy = (1.0 - _SHARE_RMS) * math.log(pp) + _SHARE_RMS * math.log(_PP_PER_RMS * rms)
         cost = accuracy + self._quiet * _WORK_WEIGHT * math.log1p(work / self._work_scale) + self._penalty(runs)
-        if self.law == "smc_observer" and rest > _SILENT * self._work_scale:
-            cost += 0.1 + math.log(rest / (_SILENT * self._work_scale))
+        if rest > self._silent:
+            cost += 0.1 + math.log(rest / self._silent)
         return Judgement(cost, pp, work), accuracy
 
     def _penalty(self, runs: list[RunFigures]) -> float:

@@ -58,10 +58,10 @@ SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
     "smc": (*_LINEAR, SearchedGain(_SMC + "boundary_layer", 0.2, 10.0, power=-1)),
     "smc_observer": (
         SearchedGain(_OBSERVER + "bandwidth", 0.1, 4.0),
-        SearchedGain(_OBSERVER + "third_pole", 0.2, 5.0, power=0),
+        SearchedGain(_OBSERVER + "third_pole", 0.03, 5.0, power=0),
         SearchedGain(_OBSERVER + "surface", 0.1, 10.0),
         SearchedGain(_OBSERVER + "reaching", 0.1, 10.0),
-        SearchedGain(_OBSERVER + "gain_allowance", 1.0, 4.0, power=0),
+        SearchedGain(_OBSERVER + "gain_allowance", 0.7, 4.0, power=0),
         SearchedGain(_OBSERVER + "velocity_share", 0.05, 1.0, power=0),
     ),
 }
@@ -97,6 +97,7 @@ _ENDS = (
     (0.47, 4.82, 0.53, 0.34, 1.59, 0.73),  # 4 kHz
     (0.53, 1.82, 2.00, 0.45, 1.40, 0.74),  # a joint in the guide
     (2.26, 0.72, 0.44, 1.07, 2.02, 0.24),  # 8 kHz, 5 nm, an amplifier of 2 kHz
+    (0.60, 4.12, 0.19, 0.083, 0.90, 0.30),  # no friction
 )
 _FACTORS = (0.5, 0.7, 1.4, 2.0)
 _FILTERED = ((0.85, 1.0), (0.7, 2.0), (0.5, 3.0))

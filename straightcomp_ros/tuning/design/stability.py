@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from straightcomp_ros.control.laws import ControlParameters, freed, make_law, stiffened
+from straightcomp_ros.control.laws import ControlParameters, make_law, states_of
 from straightcomp_ros.control.margins import (
     StateSpace,
     closed_loop,
@@ -121,7 +121,7 @@ class StabilityCheck:
 
     def _misses(self, control: ControlParameters) -> list[tuple[str, float]]:
         misses: list[tuple[str, float]] = []
-        for state, one in _states(control, self._stage).items():
+        for state, one in states_of(control, self._stage).items():
             law = make_law(one, self._stage)
             try:
                 laws = tuple(linearised(law, with_current=measured) for measured in (False, True))
@@ -206,13 +206,7 @@ def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, 
     """The limits of a law by its state: ``quiet``, for a law that stiffens ``stiff``, and where the stage may have no
     friction ``slow`` and ``free``."""
     stage = scenario.description
-    return {state: _limits(stage, one) for state, one in _states(control, stage).items()}
-
-
-def _states(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
-    stiff = stiffened(control)
-    found = {"quiet": control} if stiff is control else {"quiet": control, "stiff": stiff}
-    return {**found, **freed(control, stage)}
+    return {state: _limits(stage, one) for state, one in states_of(control, stage).items()}
 
 
 def _limits(stage: StageParameters, control: ControlParameters) -> FailingLimits:
