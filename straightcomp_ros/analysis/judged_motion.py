@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +23,6 @@ from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stro
 from straightcomp_ros.control.laws import ControlParameters, dither_of
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.model.modes import modes_of
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.stage.description import StageParameters
@@ -112,9 +111,8 @@ def destabilised(controller: Mapping[str, Any]) -> bool:
     known = _described(controller)
     if known is None or not known.stage.platform.modes.present:
         return False
-    rigid = replace(known.stage, platform=replace(known.stage.platform, modes=modes_of()))
     missing = missing_margin(known.control, known.stage)
-    return missing is not None and missing != missing_margin(known.control, rigid)
+    return missing is not None and missing != missing_margin(known.control, known.stage.with_modes())
 
 
 def is_simulated(driver: Mapping[str, Any]) -> bool:

@@ -23,7 +23,7 @@ limit is missed.
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.control.law import Law, flat
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law, states_of
 from straightcomp_ros.model.friction import LuGreParameters
-from straightcomp_ros.model.modes import modes_of, off
+from straightcomp_ros.model.modes import off
 from straightcomp_ros.stage.description import StageParameters
 
 _STEPS = (1e-9, 1e-12)
@@ -157,7 +157,7 @@ def with_modes_off(stage: StageParameters) -> dict[str, StageParameters]:
     for sides in itertools.product((-1.0, 0.0, 1.0), repeat=len(present)) if present else ():
         modes = [off(mode, side, -1.0, 1.0) for mode, side in zip(present, sides, strict=True)]
         name = ", ".join(f"{mode.frequency:.0f} Hz" for mode in modes)
-        found[name] = replace(stage, platform=replace(stage.platform, modes=modes_of(*modes)))
+        found[name] = stage.with_modes(*modes)
     return found
 
 

@@ -16,7 +16,7 @@ from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import DisturbanceParameters
 from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
-from straightcomp_ros.model.modes import TrueModesParameters, modes_of, off
+from straightcomp_ros.model.modes import ModeParameters, TrueModesParameters, modes_of, off
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
@@ -137,6 +137,10 @@ class StageParameters:
     def dead_time(self) -> float:
         """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
         return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)
+
+    def with_modes(self, *modes: ModeParameters) -> "StageParameters":
+        """The stage with these modes of its platform, at most two, in the place of its own."""
+        return dataclasses.replace(self, platform=dataclasses.replace(self.platform, modes=modes_of(*modes)))
 
     @property
     def plant(self) -> PlantParameters:

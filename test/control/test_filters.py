@@ -1,7 +1,6 @@
 """Filters in the loop: what they let through, what they take out, and what the margins make of them and of modes."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from straightcomp_ros.control.margins import (
     spectral_radius,
     with_modes_off,
 )
-from straightcomp_ros.model.modes import ModeParameters, modes_of
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
@@ -102,7 +101,7 @@ def test_an_oscillator_adapts_as_fast_as_its_width_says():
 
 
 def ringing(mode):
-    return replace(STAGE, platform=replace(STAGE.platform, modes=modes_of(mode)))
+    return STAGE.with_modes(mode)
 
 
 def test_the_sampled_plant_has_the_response_of_its_modes():

@@ -17,7 +17,7 @@ from straightcomp_ros.control.margins import closed_loop, linearised, sampled_pl
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged, step
 from straightcomp_ros.model.friction import bristle_after, friction_force
-from straightcomp_ros.model.modes import ModeParameters, modes_of
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -257,11 +257,10 @@ def test_between_its_gains_the_law_is_as_stable_as_with_the_worse_of_them_on_any
 def test_a_law_beside_a_mode_does_not_go_over_to_gains_that_make_it_unstable(frequency, residue, coulomb):
     mode = ModeParameters(frequency, 0.01, math.sqrt(-residue), -math.sqrt(-residue))
     control = ControlParameters(filters=FilterParameters(first=NotchParameters(frequency, 0.3, 0.05)))
-    ringing = replace(STAGE, platform=replace(STAGE.platform, modes=modes_of(mode)))
     ringing = replace(
-        ringing,
-        friction=replace(ringing.friction, coulomb=coulomb, static=1.3 * coulomb),
-        uncertainty=replace(ringing.uncertainty, friction=100.0),
+        STAGE.with_modes(mode),
+        friction=replace(STAGE.friction, coulomb=coulomb, static=1.3 * coulomb),
+        uncertainty=replace(STAGE.uncertainty, friction=100.0),
     )
     own, plant = make_law(control, ringing), sampled_plant(ringing, ringing.drive.delay * ringing.period)
     for size in (1e-12, 0.6, 0.8, 1.0):
@@ -278,9 +277,8 @@ def test_margins_are_asked_of_each_state_that_the_law_may_take():
         (True, stage(**NONE).friction, {"quiet", "slow", "free"}),
         (False, stage(**NONE).friction, {"quiet"}),
     ):
-        platform = STAGE.platform if rigid else replace(STAGE.platform, modes=modes_of(mode))
-        uncertain = replace(STAGE.uncertainty, friction=100.0)
-        described = replace(STAGE, platform=platform, friction=friction, uncertainty=uncertain)
+        own = STAGE if rigid else STAGE.with_modes(mode)
+        described = replace(own, friction=friction, uncertainty=replace(STAGE.uncertainty, friction=100.0))
         assert set(states_of(ControlParameters(), described)) == states
     certain = replace(STAGE, uncertainty=replace(STAGE.uncertainty, friction=1.0))
     assert set(states_of(ControlParameters(), certain)) == {"quiet", "stiff"}

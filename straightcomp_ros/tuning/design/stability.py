@@ -27,7 +27,6 @@ from straightcomp_ros.control.margins import (
     spectral_radius,
     with_modes_off,
 )
-from straightcomp_ros.model.modes import ModesParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
@@ -148,7 +147,7 @@ def _sampled(stage: StageParameters, delay: float | None = None) -> StateSpace:
 
 def _rigid(stage: StageParameters) -> StateSpace:
     """The plant without modes."""
-    return _sampled(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=ModesParameters())))
+    return _sampled(stage.with_modes())
 
 
 class Corner(NamedTuple):

@@ -39,7 +39,7 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.modes import ModeParameters, ModesParameters, modes_of, off
+from straightcomp_ros.model.modes import ModeParameters, off
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.simulation import Simulation
@@ -306,8 +306,7 @@ def compared_response(
     law = make_law(control, stage)
     model = loop_response(law, stage, measured.frequencies, damping)
     lines = measured.coherent & np.isfinite(measured.response.plant)
-    alone = dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=ModesParameters()))
-    rigid = loop_response(law, alone, measured.frequencies[lines], damping).plant
+    rigid = loop_response(law, stage.with_modes(), measured.frequencies[lines], damping).plant
     plant, radius = measured.response.plant[lines], measured.plant_radius[lines]
     mechanics = found_plant(measured.frequencies[lines], plant, radius, rigid, damping, stage)
     duration = excitation.currents.size / stage.rate
@@ -320,8 +319,7 @@ def _left_open(law: Law, stage: StageParameters, frequencies: Array, damping: fl
     present, total = stage.platform.modes.present, np.zeros(frequencies.size)
 
     def plant(*modes: ModeParameters) -> Complex:
-        platform = dataclasses.replace(stage.platform, modes=modes_of(*modes))
-        return loop_response(law, dataclasses.replace(stage, platform=platform), frequencies, damping).plant
+        return loop_response(law, stage.with_modes(*modes), frequencies, damping).plant
 
     for place, mode in enumerate(present):
         for fact in np.eye(3):  # frequency, damping, participation

@@ -1,13 +1,11 @@
 """Resonances are found in a measured plant, with intervals that hold them, and none where there is none."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import loop_response
-from straightcomp_ros.model.modes import ModeParameters, modes_of
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.parameters.declaration import from_mapping, to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, FoundPlant, Interval, found_plant
@@ -18,7 +16,7 @@ DAMPING = 800.0
 
 
 def with_modes(*modes):
-    return replace(STAGE, platform=replace(STAGE.platform, modes=modes_of(*modes)))
+    return STAGE.with_modes(*modes)
 
 
 def found(truth, described=STAGE, noise=0.01, seed=1, off=1.0):
