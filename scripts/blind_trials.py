@@ -200,7 +200,8 @@ def trial(values: Values, folder: Path, evaluations: int, machines: int) -> dict
     machine = WatchedMachine(values)
     procedure = Procedure(machine, values, folder, evaluations=evaluations, machines=machines)
     stop = node_parameters("driver", values).plant.platform.stop
-    for step in procedure.remaining():
+    while steps := procedure.remaining():
+        step = steps[0]
         outcome = procedure.run(step)
         if not outcome.passed:
             return {

@@ -39,7 +39,10 @@ from straightcomp_ros.parameters.declaration import RefusedParameter, group, par
 
 Array = NDArray[np.float64]
 
-_MODELS = ("lugre", "maxwell_slip")
+BLOCKS = "maxwell_slip"
+_MODELS = ("lugre", BLOCKS)
+DESCRIBED = "described"
+"""Names of the models; the last, of a simulated contact, is that of its description."""
 MOST_BLOCKS = 8
 """Room for blocks in the plant's constants and state."""
 NO_EXTENSION = (0.0,) * (12 + 2 * MOST_BLOCKS)
@@ -74,7 +77,7 @@ class LuGre(NamedTuple):
 
 @dataclass(frozen=True)
 class LuGreParameters:
-    """The constants of the LuGre model."""
+    """The constants of the LuGre model, and what gives way before the contact slides."""
 
     coulomb: float = parameter(0.43, "Coulomb friction F_C; 0, with F_S 0, without dry friction", "[0, 1000] N")
     static: float = parameter(0.645, "Static friction F_S, at least F_C", "[0, 1000] N")
@@ -82,6 +85,12 @@ class LuGreParameters:
     bristle_stiffness: float = parameter(1e6, "Bristle stiffness σ0", "(0, 1e+10] N/m")
     bristle_damping: float = parameter(1000.0, "Bristle damping σ1", "[0, 1e6] N·s/m")
     viscous: float = parameter(10.0, "Viscous friction σ2", "[0, 100000] N·s/m")
+    model: str = parameter(
+        "lugre",
+        "What gives way before the platform slides: bristles, or elasto-slip blocks that share σ0 and F_S out, with "
+        "presliding hysteresis; the law's own model has bristles",
+        choices=_MODELS,
+    )
 
     def __post_init__(self) -> None:
         if self.static < self.coulomb:
@@ -97,7 +106,7 @@ class LuGreParameters:
 
     def constants(self) -> LuGre:
         """The constants of the friction functions."""
-        return LuGre(*astuple(self))
+        return LuGre(*(getattr(self, name) for name in LuGre._fields))
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,9 @@ class StepParameters:
 class ContactParameters:
     """What a simulated contact does beyond the LuGre model."""
 
-    model: str = parameter("lugre", "Model of the friction: bristles, or elasto-slip blocks", choices=_MODELS)
+    model: str = parameter(
+        DESCRIBED, "Model of the friction: as described, bristles, or elasto-slip blocks", choices=(DESCRIBED, *_MODELS)
+    )
     maxwell_slip: MaxwellSlipParameters = group(MaxwellSlipParameters, "Simulated friction (Maxwell-slip)")
     bands: BandParameters = group(BandParameters, "Simulated friction along y")
     rest: RestParameters = group(RestParameters, "Simulated friction after rest")
@@ -158,7 +169,8 @@ class ContactParameters:
         something else has them for plain LuGre too.
         """
         changes = self.bands.fraction > 0.0 or self.rest.growth > 0.0 or self.step.factor != 1.0
-        if self.model == "lugre" and not changes and not extended:
+        slips = self.model == BLOCKS
+        if not slips and not changes and not extended:
             return NO_EXTENSION
         # Stiffnesses k_i and shares α_i, geometric from the first block to the last.
         blocks, slip = np.zeros((2, MOST_BLOCKS)), self.maxwell_slip
@@ -166,7 +178,7 @@ class ContactParameters:
         shares = slip.limit_spread**along
         springs = shares / slip.distance_spread**along
         blocks[:, : slip.blocks] = bristle_stiffness * springs / springs.sum(), shares / shares.sum()
-        kind = 1.0 + _MODELS.index(self.model)
+        kind = MAXWELL_SLIP if slips else CHANGING_LUGRE
         changing = (*astuple(self.bands), *astuple(self.rest), *astuple(self.step))
         return (kind, slip.attraction, float(slip.blocks), *changing, *blocks.ravel().tolist())
 

@@ -15,7 +15,7 @@ from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import DisturbanceParameters
-from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
+from straightcomp_ros.model.friction import DESCRIBED, ContactParameters, LuGreParameters
 from straightcomp_ros.model.modes import ModeParameters, TrueModesParameters, modes_of, off
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
@@ -149,6 +149,7 @@ class StageParameters:
             platform=self.platform,
             actuator=self.actuator,
             friction=self.friction,
+            contact=ContactParameters(self.friction.model),
             drive=self.drive,
             encoder=self.encoder,
         )
@@ -194,7 +195,10 @@ def true_plant(stage: StageParameters, truth: TruthParameters) -> PlantParameter
     plant = deviating(stage.plant, truth.factors)
     if truth.modes.present:
         plant = dataclasses.replace(plant, platform=dataclasses.replace(plant.platform, modes=truth.modes))
-    return dataclasses.replace(plant, contact=truth.contact, disturbances=truth.disturbances.machine())
+    contact = truth.contact
+    if contact.model == DESCRIBED:
+        contact = dataclasses.replace(contact, model=stage.friction.model)
+    return dataclasses.replace(plant, contact=contact, disturbances=truth.disturbances.machine())
 
 
 def true_guide(stage: StageParameters, truth: TruthParameters) -> StraightnessMap:

@@ -251,6 +251,7 @@ class Outcome:
     figures: Mapping[str, Any] = field(default_factory=dict)  # by name with unit; plain numbers, texts, lists, mappings
     stage: Mapping[str, Any] = field(default_factory=dict)  # facts of the description as found, by dotted name
     gains: Mapping[str, Any] = field(default_factory=dict)  # of the law from here on, by dotted name in the controller
+    before: Mapping[str, Any] = field(default_factory=dict)  # facts that a design must know: it is made once more
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(
     )
 )
 """The steps by name, in their order."""
+_FOUND = identification.__name__
+"""The step that what a later one finds of the machine is added to; those after it are done once more."""
 
 
 class Procedure:
@@ -62,6 +64,10 @@ class Procedure:
         if former is None or (former.stage, former.gains) != (outcome.stage, outcome.gains) or not outcome.passed:
             self._forget(*later)
         self.outcomes[step] = outcome
+        if outcome.before:
+            found = self.outcomes[_FOUND]
+            self.outcomes[_FOUND] = replace(found, stage={**found.stage, **outcome.before})
+            self._forget(*list(STEPS)[list(STEPS).index(_FOUND) + 1 :])
         self._write()
         return outcome
 

@@ -132,7 +132,9 @@ def _commission(
             procedure.outcomes.pop(STEP_NAMES[-1])
     done: dict[str, Any] = {}
     failed = None
-    for step in [options.only] if options.only else procedure.remaining():
+    steps = [options.only] if options.only else procedure.remaining()
+    while steps:
+        step = steps[0]
         report(step)
         with working(step) as advance:
             outcome = procedure.run(step, advance)
@@ -143,6 +145,8 @@ def _commission(
         if not outcome.passed:
             failed = step
             break
+        # A step may find what those before it must know.
+        steps = [] if options.only else procedure.remaining()
     if options.json:
         print_json({"output": str(folder), "failed": failed, "remaining": procedure.remaining(), "steps": done})
     else:

@@ -10,6 +10,7 @@ from roughly_known import check_of, other_guide, values_of, work_on
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import Stall
+from straightcomp_ros.model.friction import BLOCKS
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step
@@ -120,6 +121,23 @@ def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the
     assert plain.passed and plain.gains == {} and "learning" not in plain.sentence
     assert not (work.folder / "bags" / "learning").exists()
     assert learned.figures["encoder_rms_um"] < 0.6 * plain.figures["encoder_rms_um"]
+
+
+@pytest.mark.parametrize(
+    ("machine", "described", "found"),
+    [
+        ({}, "lugre", {}),
+        ({"contact.model": BLOCKS}, "lugre", {"friction.model": BLOCKS}),
+        ({}, BLOCKS, {}),
+        ({"friction": 1.05, "force": 1.03}, "lugre", {}),
+    ],
+)
+def test_a_stroke_shows_that_friction_gives_way_as_blocks_do(tmp_path, monkeypatch, machine, described, found):
+    monkeypatch.setattr(acceptance_step, "timing_budget", lambda values, latency, travel: TIMING)
+    truth = {f"simulated.truth.{name}": value for name, value in machine.items()}
+    values = values_of(truth, motion__stroke=0.2, friction__model=described)
+    outcome = acceptance(work_on(values, tmp_path))
+    assert outcome.passed and outcome.before == found
 
 
 def test_a_platform_that_late_commands_lose_costs_infinitely_much(monkeypatch):

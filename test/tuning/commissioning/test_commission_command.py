@@ -261,6 +261,22 @@ def test_a_step_that_finds_something_else_voids_the_later_ones_and_a_failure_lea
     assert begun(tmp_path).remaining() == list(STEPS)
 
 
+def test_what_a_stroke_shows_of_the_machine_is_known_to_another_design(done, tmp_path, monkeypatch):
+    one, slips = run(begun(tmp_path), list(STEPS)[:6]), {"friction.model": "maxwell_slip"}
+
+    def finds(work):
+        return Outcome(True, "slips", before={} if work.stage.friction.model == slips["friction.model"] else slips)
+
+    monkeypatch.setitem(procedure.STEPS, "acceptance", finds)
+    run(one, ["acceptance"])
+    assert one.remaining() == list(STEPS)[4:] and left(tmp_path).isdisjoint(STEP_FILES["frequency_response"])
+    again = begun(tmp_path)
+    assert (
+        again.work("design").stage.friction.model == "maxwell_slip" != again.work("identification").stage.friction.model
+    )
+    assert run(again, again.remaining()).remaining() == []
+
+
 def test_an_interrupt_leaves_the_record_of_plain_json_as_it_was(done, tmp_path, monkeypatch):
     one = begun(tmp_path)
     one.run("connection")
