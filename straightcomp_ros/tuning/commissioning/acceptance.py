@@ -77,6 +77,11 @@ def acceptance(work: Work) -> Outcome:
         return Outcome(False, str(error), {"disturbed_strokes": disturbed})
     figures = {**stroke.figures, "disturbed_strokes": disturbed}
     again = f" ({len(disturbed)} before it, disturbed by the host: {disturbed[0]})" if disturbed else ""
+    learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
+    found = f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder{learned}"
+    if not learning and not stroke.disturbance and (before := _presliding(work, stroke)):
+        gives_way = "its friction gives way as blocks do, not bristles, for which the law is designed once more"
+        return Outcome(True, f"{found}{again}; {gives_way}", figures, before=before)
     if not stroke.verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {stroke.verdict}{again}", figures)
     # Only here: matplotlib takes longer to import than the stroke to evaluate.
@@ -90,12 +95,7 @@ def acceptance(work: Work) -> Outcome:
         return Outcome(False, survey, figures)
     limits = {name: float(f"{_ALLOWANCE * figures[name]:.3g}") for name in _LIMITED}
     write_whole(work.folder / LIMITS, yaml.safe_dump(limits, sort_keys=False))
-    before = _presliding(work, stroke) if not learning else {}
-    learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
-    found = f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder{learned}"
-    if before:
-        found += "; its friction gives way as blocks do, not bristles, for which the law is designed once more"
-    return Outcome(True, f"{found}{again}; {survey}", {**figures, "limits": limits}, gains=learning, before=before)
+    return Outcome(True, f"{found}{again}; {survey}", {**figures, "limits": limits}, gains=learning)
 
 
 def _presliding(work: Work, stroke: "_Stroke") -> dict[str, Any]:
