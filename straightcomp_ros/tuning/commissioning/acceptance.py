@@ -100,7 +100,7 @@ def acceptance(work: Work) -> Outcome:
 
 def _presliding(work: Work, stroke: "_Stroke") -> dict[str, Any]:
     """The fact that friction gives way as blocks do, where it is described with bristles, the machine as described
-    leaves less than the ``stroke`` did from all starts, and the same machine with blocks is nearer to it.
+    leaves less than the ``stroke`` did from all starts, and blocks explain more than half of the difference.
 
     A platform that is known in sliding may resist in another way before it slides. A law that was designed for bristles
     is too slow for blocks, which push back for longer after a reversal.
@@ -110,13 +110,14 @@ def _presliding(work: Work, stroke: "_Stroke") -> dict[str, Any]:
         return {}
     blocks = {"friction.model": BLOCKS}
     late = _late(stroke.latency, round(stage.drive.delay * stage.period_ns))
-    described = _predicted(work.described(), late)
-    slipping = _predicted(with_values(work.described(), "stage", blocks), late)
-    measured = stroke.figures["encoder_rms_um"]
+    described, measured = _predicted(work.described(), late), float(stroke.figures["encoder_rms_um"])
     if not measured > _EXPLAINED * max(described):
         return {}
-    off = [abs(math.log(float(np.median(one)) / measured)) for one in (described, slipping)]
-    return blocks if off[1] < off[0] else {}
+    bristles = float(np.median(described))
+    slipping = float(np.median(_predicted(with_values(work.described(), "stage", blocks), late)))
+    # Too little of it, and too much, is another cause's.
+    least, most = math.sqrt(bristles * measured), measured**2 / bristles
+    return blocks if least < slipping < most else {}
 
 
 def _predicted(values: Values, late: NDArray[np.int64]) -> list[float]:

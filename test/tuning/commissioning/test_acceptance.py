@@ -140,6 +140,26 @@ def test_a_stroke_shows_that_friction_gives_way_as_blocks_do(tmp_path, monkeypat
     assert outcome.passed and outcome.before == found
 
 
+def test_an_error_is_the_blocks_only_where_they_explain_it(accepted, monkeypatch):
+    measured = accepted()[0].figures["encoder_rms_um"]
+    for bristles, blocks, found in (
+        (1.0, 1.5, False),
+        (0.95, 1.0, False),  # bristles explain it
+        (0.8, 1.0, True),
+        (0.5, 0.9, True),
+        (0.5, 0.6, False),  # another cause makes most of it
+        (0.5, 2.5, False),
+        (0.8, math.inf, False),
+        (math.inf, 1.0, False),
+    ):
+
+        def predicted(values, late, bristles=bristles, blocks=blocks):
+            return [measured * (blocks if values["stage"].get("friction.model") == BLOCKS else bristles)]
+
+        monkeypatch.setattr(acceptance_step, "_predicted", predicted)
+        assert bool(accepted()[0].before) is found, (bristles, blocks)
+
+
 def test_a_platform_that_late_commands_lose_costs_infinitely_much(monkeypatch):
     def lost(values, delays=None):
         if delays is not None:
