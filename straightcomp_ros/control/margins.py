@@ -337,8 +337,9 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
     """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
     plant = sampled_plant(stage, stage.drive.delay * stage.period)
-    for state, one in states_of(control, stage).items():
-        law, (where, gains) = make_law(one, stage), _STATES[state]
+    laws = {state: make_law(one, stage) for state, one in states_of(control, stage).items()}
+    for state, law in laws.items():
+        where, gains = _STATES[state]
         for measured, how in ((False, ""), (True, ", with the coils' current measured")):
             stable = partial(_stable, plant, linearised(law, with_current=measured))
             yield from _gains_missed(stable, f"{where}{how}," if where or how else "", gains)
@@ -346,7 +347,7 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
             late = sampled_plant(machine, stage.drive.delay * stage.period)
             if not _stable(late, linearised(law)):
                 yield f"is{where} unstable with the platform's modes at {modes}, within 'stage.platform.modes'"
-    linear, period = linearised(make_law(control, stage)), stage.period
+    linear, period = linearised(laws["quiet"]), stage.period
     latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
 
     def stable_at(samples: float) -> bool:

@@ -45,7 +45,7 @@ _FEW = 1.0 / 200.0
 _LAST_BITS = 1e-9
 """Relative difference from a limit that is rounding."""
 _EXPLAINED = 1.1
-"""Of an error over the predicted one, what facts may make that are known within 5 %; blocks made 1.25 to 2.1."""
+"""Of an error over the predicted one, what facts may make that are known within 5 %; blocks made 1.26 to 2.8."""
 _STALLS_MS = (1, 2, 5, 10, 20, 50, 100)
 _APART_S = 0.7
 """Time from stall to stall, in which the platform comes back; no multiple of what the guide repeats."""

@@ -29,6 +29,11 @@ _FOUND = identification.__name__
 """The step that what a later one finds of the machine is added to; those after it are done once more."""
 
 
+def _after(step: str) -> list[str]:
+    """Names of the steps after ``step``, in their order."""
+    return list(STEPS)[list(STEPS).index(step) + 1 :]
+
+
 class Procedure:
     """Commissioning of one machine in one folder.
 
@@ -54,7 +59,7 @@ class Procedure:
         Raises:
             CommissioningError: a step before it has not passed.
         """
-        later = list(STEPS)[list(STEPS).index(step) + 1 :]
+        later = _after(step)
         if (first := self.remaining()[:1]) and first[0] not in (step, *later):
             raise CommissioningError(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
         former = self.outcomes.get(step)
@@ -67,7 +72,7 @@ class Procedure:
         if outcome.before:
             found = self.outcomes[_FOUND]
             self.outcomes[_FOUND] = replace(found, stage={**found.stage, **outcome.before})
-            self._forget(*list(STEPS)[list(STEPS).index(_FOUND) + 1 :])
+            self._forget(*_after(_FOUND))
         self._write()
         return outcome
 
