@@ -200,8 +200,7 @@ def trial(values: Values, folder: Path, evaluations: int, machines: int) -> dict
     machine = WatchedMachine(values)
     procedure = Procedure(machine, values, folder, evaluations=evaluations, machines=machines)
     stop = node_parameters("driver", values).plant.platform.stop
-    while steps := procedure.remaining():
-        step = steps[0]
+    for step in procedure.steps():
         outcome = procedure.run(step)
         if not outcome.passed:
             return {

@@ -127,7 +127,7 @@ def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) ->
         continuous[q, q + 1] = 1.0
         continuous[q + 1, q : q + 2] = -omega * omega, -2.0 * mode.damping * omega
     # Forces act where the coils are: the magnets' by place and current, the damping by velocity.
-    force = (actuator.position_stiffness - stage.platform.stiffness) * at_coil
+    force = stage.negative_stiffness * at_coil
     force -= (damping + stage.platform.damping) * np.roll(at_coil, 1)
     force[2] = actuator.current_stiffness
     continuous += np.outer(driven, force) / mass

@@ -47,10 +47,9 @@ class SlidingDesign:
 
 def state_matrices(stage: StageParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A (3, 3) and B (3,) of (6), with the control current in A as the input instead of u (so K_a = 1)."""
-    actuator, mass = stage.actuator, stage.platform.mass
-    stiffness, damping = actuator.position_stiffness - stage.platform.stiffness, stage.platform.damping
-    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, stiffness / mass, -damping / mass]])
-    return a, np.array([0.0, 0.0, actuator.current_stiffness / mass])
+    mass, damping = stage.platform.mass, stage.platform.damping
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, stage.negative_stiffness / mass, -damping / mass]])
+    return a, np.array([0.0, 0.0, stage.actuator.current_stiffness / mass])
 
 
 def feedback_gains(design: SlidingDesign, stage: StageParameters) -> NDArray[np.float64]:

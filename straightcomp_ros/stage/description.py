@@ -134,6 +134,11 @@ class StageParameters:
         return min(self.actuator.current_limit, self.drive.largest_current)
 
     @property
+    def negative_stiffness(self) -> float:
+        """Of the platform, N/m: what the magnets have beyond the flexure; below 0 the flexure holds it by itself."""
+        return self.actuator.position_stiffness - self.platform.stiffness
+
+    @property
     def dead_time(self) -> float:
         """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
         return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)

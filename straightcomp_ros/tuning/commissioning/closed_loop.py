@@ -460,7 +460,7 @@ def _measured(work: Work, draws: int = MultisineParameters().draws) -> ComparedR
         excitation, described = _foreseen(work, dataclasses.replace(excitation, motion=0.5 * excitation.motion))
         found = work.machine.response(work.values, excitation)
     # Where friction or the magnets outweigh the mass, what looks like a mode is friction.
-    mass, pull = work.stage.platform.mass, abs(work.stage.actuator.position_stiffness - work.stage.platform.stiffness)
+    mass, pull = work.stage.platform.mass, abs(work.stage.negative_stiffness)
     lowest = max(found.damping / mass, math.sqrt(pull / mass)) / (2.0 * math.pi)
     own, foreseen = found.mechanics.above(lowest), described.mechanics.above(lowest)
     # What the simulated machine shows as well is friction, too.

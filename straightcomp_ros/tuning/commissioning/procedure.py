@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -94,6 +94,11 @@ class Procedure:
         """
         done = itertools.takewhile(lambda name: name in self.outcomes and self.outcomes[name].passed, STEPS)
         return list(STEPS)[len(list(done)) :]
+
+    def steps(self) -> Iterator[str]:
+        """Give out the steps that remain, one by one: a step may find what those before it must know."""
+        while steps := self.remaining():
+            yield steps[0]
 
     def work(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Work:
         """What ``step`` works on: the description with what the steps before it found."""

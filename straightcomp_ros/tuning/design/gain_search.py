@@ -194,10 +194,9 @@ class Judge:
         self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
         self._short = prepared_stroke(shortened(scenario, _SHORT))
         self._extremes = extreme_machines(scenario)
-        magnets, platform = self.stage.actuator, self.stage.platform
-        held, pull = can_hold(self.stage), abs(magnets.position_stiffness - platform.stiffness)
+        held, pull = can_hold(self.stage), abs(self.stage.negative_stiffness)
         carried = self.stage.friction.coulomb if held else pull * float(np.abs(self._stroke.target).max())
-        scale = carried / magnets.current_stiffness
+        scale = carried / self.stage.actuator.current_stiffness
         self._work_scale = max(scale, _LEAST_STEPS * self.stage.drive.current_step)
         self._silent = _SILENT * self._work_scale if held and law == "smc_observer" else math.inf
 

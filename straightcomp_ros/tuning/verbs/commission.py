@@ -132,9 +132,7 @@ def _commission(
             procedure.outcomes.pop(STEP_NAMES[-1])
     done: dict[str, Any] = {}
     failed = None
-    steps = [options.only] if options.only else procedure.remaining()
-    while steps:
-        step = steps[0]
+    for step in [options.only] if options.only else procedure.steps():
         report(step)
         with working(step) as advance:
             outcome = procedure.run(step, advance)
@@ -145,8 +143,6 @@ def _commission(
         if not outcome.passed:
             failed = step
             break
-        # A step may find what those before it must know.
-        steps = [] if options.only else procedure.remaining()
     if options.json:
         print_json({"output": str(folder), "failed": failed, "remaining": procedure.remaining(), "steps": done})
     else:
