@@ -7,13 +7,15 @@ The plant is fitted as that of a rigid platform, whose gain and damping are free
 and C_c alike with |r|: a measurement from command to encoder hardly tells φ_c from φ_e.
 
 Each new mode begins where it explains most, over a grid of frequencies, and all are then fitted together, each line by
-its confidence. A mode stays if an F test without the line that it explains best says that chance would explain as much
-in one of ten thousand measurements. Between two lines a narrow mode shows by its flanks; its damping is then known
-worst, which the intervals say.
+its confidence; once more from where they are described, since the fit of two that overlap has several minima. A mode
+stays if an F test without the line that it explains best says that chance would explain as much in one of ten thousand
+measurements. Between two lines a narrow mode shows by its flanks; its damping is then known worst, which the intervals
+say.
 """
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,34 +106,22 @@ class FoundPlant(NamedTuple):
     gain: Interval = Interval(1.0, 0.0, math.inf)
     modes: tuple[FoundMode, ...] = ()
 
-    def above(self, lowest: float) -> "FoundPlant":
-        """The mechanics beyond ``lowest`` Hz: a mode below it is a part of the gain there, by its residue."""
-        below = [mode.residue for mode in self.modes if mode.frequency.low <= lowest]
-        share = 1.0 + sum(residue.value for residue in below)
-        if not below:
-            return self
-        if share <= 0.0:
-            return FoundPlant()
-        wide = math.hypot(
-            math.log(self.gain.high / self.gain.value), *((one.high - one.value) / share for one in below)
-        )
-        value = share * self.gain.value
-        modes = [mode for mode in self.modes if mode.frequency.low > lowest]
-        return FoundPlant(
-            Interval(value, value * math.exp(-wide), value * math.exp(wide)),
-            tuple(mode._replace(residue=Interval(*(one / share for one in mode.residue))) for mode in modes),
-        )
-
 
 def found_plant(
     frequencies: Array, plant: Complex, radius: Array, rigid: Complex, damping: float, stage: StageParameters
 ) -> FoundPlant:
     """What fits ``plant`` (lines,) in m/A, each line with its ``radius`` of confidence; ``rigid`` (lines,) is that of
-    the stage without modes and with a ``damping`` in N·s/m. With few lines nothing is known."""
+    the stage without modes, whose friction is a ``damping`` in N·s/m. With few lines nothing is known.
+
+    Where friction or the magnets outweigh the mass, what looks like a mode is friction, so that lines there do not
+    count; a mode that lies there is a part of the gain.
+    """
+    mass, stiffness, damping = stage.platform.mass, stage.negative_stiffness, damping + stage.platform.damping
+    inertial = 2.0 * np.pi * frequencies > max(damping / mass, math.sqrt(abs(stiffness) / mass))
+    frequencies, plant, radius, rigid = frequencies[inertial], plant[inertial], radius[inertial], rigid[inertial]
     if frequencies.size < 8:
         return FoundPlant()
     s = 2j * np.pi * frequencies
-    mass, stiffness = stage.platform.mass, stage.actuator.position_stiffness
     weight = 1.0 / np.hypot(radius, _LEAST_RELATIVE * np.abs(plant))
     # The share of the plant that is its amplifier, its delay and its sampling, and no mechanics.
     path = rigid * (mass * s**2 + damping * s - stiffness)
@@ -151,25 +141,43 @@ def found_plant(
         return np.concatenate([missed.real, missed.imag])
 
     def fitted(begin: Sequence[float] | Array, counted: Array) -> Any:
-        return least_squares(misses, begin, x_scale="jac", loss="linear", max_nfev=200, args=(counted,))
+        return least_squares(misses, begin, x_scale="jac", max_nfev=200, args=(counted,))
+
+    lowest, highest = math.log(frequencies[0]), math.log(1.2 * frequencies[-1])
+
+    def resonates(p: Array) -> bool:
+        log_f, log_z = p[2::3], p[3::3]
+        return bool(np.all((lowest < log_f) & (log_f < highest) & (log_z < _RESONATES)))
 
     every = np.ones(frequencies.size)
+    grid = np.geomspace(frequencies[0], 1.2 * frequencies[-1], _GRID)
+    omegas = 2.0 * math.pi * grid[:, None]
+    alone = weight * path / (mass * (s**2 + 2.0 * _FIRST_DAMPING * omegas * s + omegas**2))
+    powers = np.sum(np.abs(alone) ** 2, axis=1)
+
+    def with_another(p: Array) -> Any:
+        """The fit with a mode more, from where it explains most together with another gain of the others: a strong mode
+        takes the gain of a platform without it to nothing."""
+        own = weight * modelled(np.array([0.0, *p[1:]]))
+        power, common = float(np.sum(np.abs(own) ** 2)), (alone.conj() @ own).real
+        seen, seen_alone = float(np.sum((own.conj() * weight * plant).real)), (alone.conj() @ (weight * plant)).real
+        both = power * powers - common**2
+        gains, residues = (powers * seen - common * seen_alone) / both, (power * seen_alone - common * seen) / both
+        k = int(np.where(gains > 0.0, gains * seen + residues * seen_alone, -np.inf).argmax())
+        gain = max(float(gains[k]), 1e-20)
+        return fitted([math.log(gain), *p[1:], math.log(grid[k]), math.log(_FIRST_DAMPING), residues[k] / gain], every)
+
     best = fitted([0.0, 0.0], every)
-    while best.x.size < 2 + 3 * _MOST:
-        left, share = plant - modelled(best.x), math.exp(best.x[0])
-        begins = []
-        for f in np.geomspace(frequencies[0], 1.2 * frequencies[-1], _GRID):
-            omega = 2.0 * math.pi * f
-            basis = weight * share * path / (mass * (s**2 + 2.0 * _FIRST_DAMPING * omega * s + omega**2))
-            power = float(np.sum(np.abs(basis) ** 2))
-            residue = float(np.sum((basis.conj() * weight * left).real)) / power
-            begins.append((residue * residue * power, math.log(f), residue))
-        _, log_f, residue = max(begins)
-        more = fitted([*best.x, log_f, math.log(_FIRST_DAMPING), residue], every)
-        known = more.x[-2] < _RESONATES and math.log(frequencies[0]) < more.x[-3] < math.log(1.2 * frequencies[-1])
-        if not known or 2 * frequencies.size - 2 <= more.x.size:
+    while best.x.size < 2 + 3 * _MOST and 2 * frequencies.size > best.x.size + 5:
+        more = with_another(best.x)
+        if not resonates(more.x):
             break
         best = more
+    present = stage.platform.modes.present
+    described = [(math.log(mode.frequency), math.log(mode.damping), mode.residue) for mode in present]
+    near = fitted([*best.x[:2], *chain(*described)], every)
+    if resonates(near.x) and near.cost < best.cost:
+        best = near
 
     def by_chance(fewer: Array, more: Any) -> bool:
         """Whether chance explains as much as a mode does: three numbers explain any one line, the others must speak."""

@@ -84,7 +84,7 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     found = known._replace(frequency=Interval(180.0, 179.0, 181.0), residue=Interval(-1.0, -1.1, -0.9), described="")
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
     response = SimpleNamespace(mechanics=FoundPlant(modes=(found, known)), measured=SimpleNamespace(swing=0.0))
-    monkeypatch.setattr(closed_loop, "_measured", lambda work, draws: response)
+    monkeypatch.setattr(closed_loop, "_measured", lambda work, **excited: response)
     mechanics, words, gains = closed_loop._looked_at(work)
     assert gains == {}
     facts = modes_found(mechanics, work.stage)
@@ -93,7 +93,7 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     values_of_both = {**work.values, "stage": {**work.values["stage"], **facts}}
     assert node_parameters("controller", values_of_both).stage.platform.modes.second.residue == -1.0
 
-    def fails(work, draws):
+    def fails(work, **excited):
         raise ExcitationEnded("the excitation was ended early: too far")
 
     monkeypatch.setattr(closed_loop, "_measured", fails)
@@ -213,7 +213,7 @@ def test_a_platform_that_swings_while_modes_are_looked_for_is_looked_at_under_a_
     mode = FoundMode(Interval(72.3, 72.1, 72.5), *2 * (Interval(0.01, 0.008, 0.013),), "")
     again = True
 
-    def measured(work, draws):
+    def measured(work, **excited):
         if leaves and (again or not work.values["controller"].get(notch)):
             raise swings
         swing = 0.0 if work.values["controller"].get(notch) else 72.0

@@ -1,5 +1,7 @@
 """Resonances are found in a measured plant, with intervals that hold them, and none where there is none."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from straightcomp_ros.control.margins import loop_response
 from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.parameters.declaration import from_mapping, to_mapping
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.frequency_response.found_modes import FoundMode, FoundPlant, Interval, found_plant
+from straightcomp_ros.tuning.frequency_response.found_modes import Interval, found_plant
 
 STAGE = StageParameters()
 FREQUENCIES = np.geomspace(2.0, 500.0, 40)
@@ -19,15 +21,16 @@ def with_modes(*modes):
     return STAGE.with_modes(*modes)
 
 
-def found(truth, described=STAGE, noise=0.01, seed=1, off=1.0):
+def found(truth, described=STAGE, noise=0.01, seed=1, off=1.0, lines=FREQUENCIES, damping=DAMPING):
     """The mechanics of the plant of ``truth``, 3 % stronger and 20 % more damped than described, with relative noise,
     and with one line ``off`` times as strong."""
     law, random = make_law(ControlParameters(), STAGE), np.random.default_rng(seed)
-    plant = 1.03 * loop_response(law, truth, FREQUENCIES, 1.2 * DAMPING).plant
-    noisy = plant * (1.0 + noise * (random.standard_normal(40) + 1j * random.standard_normal(40)) / np.sqrt(2.0))
+    plant = 1.03 * loop_response(law, truth, lines, 1.2 * damping).plant
+    real, imaginary = random.standard_normal((2, lines.size))
+    noisy = plant * (1.0 + noise * (real + 1j * imaginary) / np.sqrt(2.0))
     noisy[12] *= off
-    rigid = loop_response(law, STAGE, FREQUENCIES, DAMPING).plant
-    return found_plant(FREQUENCIES, noisy, 2.0 * noise * np.abs(plant), rigid, DAMPING, described)
+    rigid = loop_response(law, described.with_modes(), lines, damping).plant
+    return found_plant(lines, noisy, 2.0 * noise * np.abs(plant), rigid, damping, described)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -79,16 +82,40 @@ def test_a_found_mode_is_named_as_described_and_becomes_facts_of_a_description()
     assert stage.platform.modes.second.residue == pytest.approx(-1.0, rel=0.2)
 
 
-def test_beyond_a_frequency_a_mode_below_it_is_a_part_of_the_gain_and_the_others_are_relative_to_that():
-    low, high = (FoundMode(Interval(f, f - 1.0, f + 1.0), *2 * (Interval(0.2, 0.1, 0.3),), "") for f in (7.0, 300.0))
-    plant = FoundPlant(Interval(1.0, 1.0 / 1.02, 1.02), (low, high))
-    assert plant.above(5.0) is plant
-    beyond = plant.above(20.0)
-    assert beyond.gain.value == pytest.approx(1.2) and beyond.gain.high > 1.2 * 1.08
-    assert [mode.frequency for mode in beyond.modes] == [high.frequency]
-    assert beyond.modes[0].residue == pytest.approx((0.2 / 1.2, 0.1 / 1.2, 0.3 / 1.2))
-    # All of the mass hidden behind a mode: nothing is known.
-    assert FoundPlant(plant.gain, (low._replace(residue=Interval(-1.0, -1.1, -0.9)),)).above(20.0) == FoundPlant()
+def test_where_friction_outweighs_the_mass_no_mode_is_looked_for_and_one_that_lies_there_is_a_part_of_the_gain():
+    # 800 N·s/m outweigh 5 kg below 25 Hz.
+    low, high = ModeParameters(8.0, 0.1, 0.5, 0.5), ModeParameters(300.0, 0.01, 0.4, -0.4)
+    plant = found(with_modes(low, high))
+    (one,) = plant.modes
+    assert one.frequency.value == pytest.approx(300.0, rel=0.02)
+    assert plant.gain.value == pytest.approx(1.03 * 1.25, rel=0.03)
+    assert one.residue.value == pytest.approx(-0.16 / 1.25, rel=0.25)
+
+
+OVERLAPPING = ModeParameters(92.9, 0.009, 0.191, 0.191), ModeParameters(104.1, 0.0227, 0.32, 0.32)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_modes_within_an_eighth_of_their_frequency_are_found_with_lines_that_lie_closer(seed):
+    fine = np.unique(np.round(4.0 * np.geomspace(2.0, 500.0, 200))) / 4.0
+    plant = found(with_modes(*OVERLAPPING), noise=0.02, seed=seed, lines=fine)
+    for one, mode in zip(plant.modes, OVERLAPPING, strict=True):
+        assert one.frequency.value == pytest.approx(mode.frequency, rel=0.01)
+        assert one.residue.value == pytest.approx(mode.residue, rel=0.3)
+
+
+def test_two_modes_that_few_lines_take_for_one_are_found_where_they_are_described():
+    unknown, known = (found(with_modes(*OVERLAPPING), described=with_modes(*modes)) for modes in ((), OVERLAPPING))
+    assert [one.described for one in unknown.modes] == [""] * len(unknown.modes)
+    assert [one.frequency.value for one in known.modes] == pytest.approx([92.9, 104.1], rel=0.01)
+    assert all(one.described for one in known.modes)
+
+
+def test_a_flexure_is_no_mode_and_takes_nothing_from_one():
+    guided = dataclasses.replace(STAGE, platform=dataclasses.replace(STAGE.platform, stiffness=3e5, damping=50.0))
+    mode = ModeParameters(150.0, 0.01, 0.3, -0.3)
+    (one,) = found(guided.with_modes(mode), described=guided, damping=0.0).modes
+    assert one.frequency.value == pytest.approx(150.0, rel=0.01) and one.residue.value == pytest.approx(-0.09, rel=0.1)
 
 
 def test_the_ratio_of_two_values_is_as_wide_as_both_together():
