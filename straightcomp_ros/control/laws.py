@@ -270,8 +270,8 @@ def _holding(stage: StageParameters) -> float:
 
 def _quantum(stage: StageParameters) -> float:
     """Force in N of the encoder's count against magnets and flexure, and of a step of the D/A converter."""
-    pull = abs(stage.negative_stiffness) * stage.encoder.y_resolution
-    return pull + stage.drive.current_step * stage.actuator.current_stiffness
+    count = abs(stage.negative_stiffness) * stage.encoder.y_resolution
+    return count + stage.drive.current_step * stage.actuator.current_stiffness
 
 
 def _stiffness(design: ObserverDesign, factor: float, stage: StageParameters) -> smc_observer.Stiffness:

@@ -81,9 +81,8 @@ class Consequences:
         apart = handover(straightness.hysteresis, motion.acceleration, straightness.reversal)
         self.current_stiffness = actuator.current_stiffness  # K̄_i, N/A, from (3)
         self.position_stiffness = actuator.position_stiffness  # K̄_y, N/m, from (3)
-        self.unstable_pole = math.sqrt(
-            max(0.0, stage.negative_stiffness) / mass
-        )  # of the platform in magnets and flexure, 1/s
+        pull = stage.negative_stiffness
+        self.unstable_pole = math.sqrt(max(0.0, pull) / mass)  # of the platform in magnets and flexure, 1/s
         self.dead_time = stage.dead_time  # T_d of the loop
         self.difficulty = self.unstable_pole * self.dead_time  # gains with margins exist below some 0.5, from 0.65 none
         self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
@@ -95,7 +94,7 @@ class Consequences:
         # Largest |r̈|: at cruise, at the ends of the ramps, and where tables are handed over.
         self.reference_acceleration = curvature * motion.speed**2 + slope * motion.acceleration + apart[1]
         friction_force = friction.static + friction.viscous * slope * motion.speed
-        force = friction_force + abs(stage.negative_stiffness) * r + mass * self.reference_acceleration
+        force = friction_force + abs(pull) * r + mass * self.reference_acceleration
         # For friction, the magnets' pull at the largest correction, and its acceleration.
         self.holding_current = force / actuator.current_stiffness
         self.encoder_floor = FLOOR_COUNTS * stage.encoder.y_resolution  # p-p error that its count leaves at best

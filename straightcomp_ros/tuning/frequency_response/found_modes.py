@@ -148,6 +148,7 @@ def found_plant(
     lowest, highest = math.log(frequencies[0]), math.log(1.2 * frequencies[-1])
 
     def resonates(p: Array) -> bool:
+        """Whether all modes have a peak, within the lines or not far above."""
         log_f, log_z = p[2::3], p[3::3]
         return bool(np.all((lowest < log_f) & (log_f < highest) & (log_z < _RESONATES)))
 
@@ -166,7 +167,7 @@ def found_plant(
         both = power * powers - common**2
         gains, residues = (powers * seen - common * seen_alone) / both, (power * seen_alone - common * seen) / both
         k = int(np.where(gains > 0.0, gains * seen + residues * seen_alone, -np.inf).argmax())
-        gain = max(float(gains[k]), 1e-20)
+        gain = max(float(gains[k]), 1e-20)  # Where none explains anything, the begin stays a number.
         return fitted([math.log(gain), *p[1:], math.log(grid[k]), math.log(_FIRST_DAMPING), residues[k] / gain], every)
 
     best = fitted([0.0, 0.0], every)
