@@ -24,7 +24,7 @@ from straightcomp_ros.control.margins import (
     spectral_radius,
     with_modes_off,
 )
-from straightcomp_ros.model.modes import ModeParameters
+from straightcomp_ros.model.modes import ModeParameters, off
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
@@ -139,3 +139,9 @@ def test_modes_are_off_to_all_sides_of_their_uncertainty():
     assert {one.platform.modes.first.damping for one in machines.values()} == {0.01}
     assert {one.platform.modes.first.residue for one in machines.values()} == {1.5}
     assert not with_modes_off(STAGE)
+
+
+def test_a_mode_that_may_be_damped_more_than_swings_swings_still():
+    mode = ModeParameters(200.0, 0.6, damping_factor=2.0)
+    for share in (1.0, 0.9):
+        assert np.isfinite(off(mode, 0.0, share, 0.0).constants()).all()

@@ -1,6 +1,6 @@
 """The platform's resonances in a measured plant, with intervals.
 
-The plant is fitted as that of a rigid platform, whose gain and damping are free, with one mode after another:
+The plant is fitted as that of a rigid platform of any gain, damping and stiffness with one mode after another:
 
     P ~ g C_e/(1 − (K̄_y − d s) C_c),   C_e = 1/(M s²) + (1/M) Σ r/(s² + 2ζωs + ω²),   r = φ_c φ_e
 
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _CHANCE = 1e-4
+_RIGID = 3
+"""Numbers of the rigid platform in a fit: logarithms of gain and damping, and what its stiffness has more."""
 _MOST = 2
 """Modes that a description has room for."""
 _GRID = 400
@@ -119,7 +121,8 @@ def found_plant(
     count; a mode that lies there is a part of the gain.
     """
     mass, stiffness, damping = stage.platform.mass, stage.negative_stiffness, damping + stage.platform.damping
-    inertial = 2.0 * np.pi * frequencies > max(damping / mass, math.sqrt(abs(stiffness) / mass))
+    slowest = max(damping / mass, math.sqrt(abs(stiffness) / mass))
+    inertial = 2.0 * np.pi * frequencies > slowest
     frequencies, plant, radius, rigid = frequencies[inertial], plant[inertial], radius[inertial], rigid[inertial]
     if frequencies.size < 8:
         return FoundPlant()
@@ -131,11 +134,12 @@ def found_plant(
     def modelled(p: Array) -> Complex:
         p = np.clip(p, -50.0, 50.0)  # A fit that runs away stays a number.
         at_coil = at_encoder = 1.0 / (mass * s**2)
-        for k in range(2, p.size, 3):
+        for k in range(_RIGID, p.size, 3):
             omega = 2.0 * math.pi * math.exp(p[k])
             mode = 1.0 / (mass * (s**2 + 2.0 * math.exp(p[k + 1]) * omega * s + omega**2))
             at_coil, at_encoder = at_coil + abs(p[k + 2]) * mode, at_encoder + p[k + 2] * mode
-        own = at_encoder / (1.0 - (stiffness - math.exp(p[1]) * damping * s) * at_coil)
+        pull = stiffness + p[2] * mass * slowest**2
+        own = at_encoder / (1.0 - (pull - math.exp(p[1]) * damping * s) * at_coil)
         return np.asarray(math.exp(p[0]) * path * own)
 
     def misses(p: Array, counted: Array) -> Array:
@@ -149,7 +153,7 @@ def found_plant(
 
     def resonates(p: Array) -> bool:
         """Whether all modes have a peak, within the lines or not far above."""
-        log_f, log_z = p[2::3], p[3::3]
+        log_f, log_z = p[_RIGID::3], p[_RIGID + 1 :: 3]
         return bool(np.all((lowest < log_f) & (log_f < highest) & (log_z < _RESONATES)))
 
     every = np.ones(frequencies.size)
@@ -158,27 +162,29 @@ def found_plant(
     alone = weight * path / (mass * (s**2 + 2.0 * _FIRST_DAMPING * omegas * s + omegas**2))
     powers = np.sum(np.abs(alone) ** 2, axis=1)
 
-    def with_another(p: Array) -> Any:
-        """The fit with a mode more, from where it explains most together with another gain of the others: a strong mode
-        takes the gain of a platform without it to nothing."""
-        own = weight * modelled(np.array([0.0, *p[1:]]))
+    def with_another(modes: Array) -> Any:
+        """The fit with a mode more, from where it explains most together with some gain of the others on the platform
+        as described: a strong mode takes the gain of a rigid platform to nothing."""
+        own = weight * modelled(np.array([*rigidly, *modes]))
         power, common = float(np.sum(np.abs(own) ** 2)), (alone.conj() @ own).real
         seen, seen_alone = float(np.sum((own.conj() * weight * plant).real)), (alone.conj() @ (weight * plant)).real
         both = power * powers - common**2
         gains, residues = (powers * seen - common * seen_alone) / both, (power * seen_alone - common * seen) / both
         k = int(np.where(gains > 0.0, gains * seen + residues * seen_alone, -np.inf).argmax())
         gain = max(float(gains[k]), 1e-20)  # Where none explains anything, the begin stays a number.
-        return fitted([math.log(gain), *p[1:], math.log(grid[k]), math.log(_FIRST_DAMPING), residues[k] / gain], every)
+        another = math.log(grid[k]), math.log(_FIRST_DAMPING), residues[k] / gain
+        return fitted([math.log(gain), *rigidly[1:], *modes, *another], every)
 
-    best = fitted([0.0, 0.0], every)
-    while best.x.size < 2 + 3 * _MOST and 2 * frequencies.size > best.x.size + 5:
-        more = with_another(best.x)
+    rigidly = (0.0,) * _RIGID
+    best = fitted(rigidly, every)
+    while best.x.size < _RIGID + 3 * _MOST and 2 * frequencies.size > best.x.size + 5:
+        more = with_another(best.x[_RIGID:])
         if not resonates(more.x):
             break
         best = more
     present = stage.platform.modes.present
     described = [(math.log(mode.frequency), math.log(mode.damping), mode.residue) for mode in present]
-    near = fitted([*best.x[:2], *chain(*described)], every)
+    near = fitted([*best.x[:_RIGID], *chain(*described)], every)
     if resonates(near.x) and near.cost < best.cost:
         best = near
 
@@ -193,8 +199,8 @@ def found_plant(
         return not (before - cost) / 3.0 / left >= fisher.ppf(1.0 - _CHANCE, 3, freedom)
 
     # Two modes are looked for before either is judged: what is left of the one would hide the other.
-    while best.x.size > 2:
-        without = [fitted(np.delete(best.x, range(k, k + 3)), every) for k in range(2, best.x.size, 3)]
+    while best.x.size > _RIGID:
+        without = [fitted(np.delete(best.x, range(k, k + 3)), every) for k in range(_RIGID, best.x.size, 3)]
         fewer = min(without, key=lambda one: one.cost)
         if not by_chance(fewer.x, best):
             break
@@ -206,7 +212,7 @@ def found_plant(
     log_g, dg = best.x[0], spread[0]
     gain = Interval(*(math.exp(x) for x in (log_g, log_g - dg, log_g + dg)))
     found = []
-    for k in range(2, best.x.size, 3):
+    for k in range(_RIGID, best.x.size, 3):
         (log_f, log_z, r), (df, dz, dr) = best.x[k : k + 3], spread[k : k + 3]
         df, dz = math.hypot(df, _FOLDED), math.hypot(dz, _FOLDED_DAMPING)
         frequency = Interval(*(math.exp(x) for x in (log_f, log_f - df, log_f + df)))
