@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 
 _MODE = 43
 _FIELDS = 7
-_MOST_DAMPING = 0.99
-"""Of a mode that swings at all."""
+LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.99
+"""Damping ratios that a description may have: of a mode that swings, and whose swing ends."""
 MODE_STATE = 18
 """Index of the first mode's q in the plant's state; its rate follows, then the other mode's."""
 
@@ -34,7 +34,7 @@ class ModeParameters:
     """One resonance, and how well it is known."""
 
     frequency: float = parameter(0.0, "Frequency; 0: there is no such mode", "[0, 100000] Hz")
-    damping: float = parameter(0.01, "Damping ratio", f"[0.0001, {_MOST_DAMPING}]")
+    damping: float = parameter(0.01, "Damping ratio", f"[{LEAST_DAMPING}, {MOST_DAMPING}]")
     coil: float = parameter(
         1.0, "Participation φ_c at the coils, relative to the motion of the whole mass", "[-100, 100]"
     )
@@ -103,7 +103,7 @@ def off(mode: ModeParameters, frequency: float, damping: float, participation: f
     return replace(
         mode,
         frequency=mode.frequency * (1.0 + frequency * mode.frequency_error),
-        damping=min(_MOST_DAMPING, mode.damping * mode.damping_factor**damping),
+        damping=min(MOST_DAMPING, mode.damping * mode.damping_factor**damping),
         coil=mode.coil * (1.0 + participation * mode.participation_error),
     )
 

@@ -461,7 +461,7 @@ def _measured(work: Work, **excited: Any) -> ComparedResponse:
         excitation, described = _foreseen(work, dataclasses.replace(excitation, motion=0.5 * excitation.motion))
         found = work.machine.response(work.values, excitation)
     own, foreseen = found.mechanics, described.mechanics
-    # What the simulated machine shows as well is friction, too.
+    # What the simulated machine shows as well is friction.
     modes = tuple(
         one
         for one in own.modes

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 
+from straightcomp_ros.model.modes import LEAST_DAMPING, MOST_DAMPING
 from straightcomp_ros.stage.description import StageParameters
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ class FoundMode(NamedTuple):
         seen = math.sqrt(abs(r.value))
         found = {
             "frequency": f.value,
-            "damping": min(0.99, max(1e-4, z.value)),
+            "damping": min(MOST_DAMPING, max(LEAST_DAMPING, z.value)),
             "coil": seen,
             "encoder": math.copysign(seen, r.value),
             "frequency_error": min(0.5, max(0.01, (f.high - f.low) / (2.0 * f.value))),
@@ -157,8 +158,8 @@ def found_plant(
         return bool(np.all((lowest < log_f) & (log_f < highest) & (log_z < _RESONATES)))
 
     every = np.ones(frequencies.size)
-    grid = np.geomspace(frequencies[0], 1.2 * frequencies[-1], _GRID)
-    omegas = 2.0 * math.pi * grid[:, None]
+    grid = np.linspace(lowest, highest, _GRID)
+    omegas = 2.0 * math.pi * np.exp(grid)[:, None]
     alone = weight * path / (mass * (s**2 + 2.0 * _FIRST_DAMPING * omegas * s + omegas**2))
     powers = np.sum(np.abs(alone) ** 2, axis=1)
 
@@ -172,7 +173,7 @@ def found_plant(
         gains, residues = (powers * seen - common * seen_alone) / both, (power * seen_alone - common * seen) / both
         k = int(np.where(gains > 0.0, gains * seen + residues * seen_alone, -np.inf).argmax())
         gain = max(float(gains[k]), 1e-20)  # Where none explains anything, the begin stays a number.
-        another = math.log(grid[k]), math.log(_FIRST_DAMPING), residues[k] / gain
+        another = grid[k], math.log(_FIRST_DAMPING), residues[k] / gain
         return fitted([math.log(gain), *rigidly[1:], *modes, *another], every)
 
     rigidly = (0.0,) * _RIGID
@@ -182,11 +183,11 @@ def found_plant(
         if not resonates(more.x):
             break
         best = more
-    present = stage.platform.modes.present
-    described = [(math.log(mode.frequency), math.log(mode.damping), mode.residue) for mode in present]
-    near = fitted([*best.x[:_RIGID], *chain(*described)], every)
-    if resonates(near.x) and near.cost < best.cost:
-        best = near
+    if present := stage.platform.modes.present:
+        described = [(math.log(mode.frequency), math.log(mode.damping), mode.residue) for mode in present]
+        near = fitted([*best.x[:_RIGID], *chain(*described)], every)
+        if resonates(near.x) and near.cost < best.cost:
+            best = near
 
     def by_chance(fewer: Array, more: Any) -> bool:
         """Whether chance explains as much as a mode does: three numbers explain any one line, the others must speak."""
