@@ -105,7 +105,8 @@ class Law:
             self._state, command = self.function(self.gains, self._state, y, r, r_dot, r_ddot, current)
             return command
         self._run(self._gains, self._state, self._answer, y, r, r_dot, r_ddot, current)
-        return Command(*self._answer.tolist())
+        # Past the constructor that NamedTuple writes in Python: a tenth of the step.
+        return tuple.__new__(Command, self._answer.tolist())
 
     def answer_from(self, state: Sequence[float], y: float, current: float = math.nan) -> tuple[list[float], Command]:
         """The next state and the command for one sample with the reference at rest at zero.
