@@ -178,6 +178,8 @@ _LINES_BEFORE = 100
 """Lines in which the header is looked for: instruments write some tens of lines about the measurement before it."""
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 """A number whose mark may separate thousands."""
+_SPACED = re.compile(r"(?<=\d)['\u2019\s](?=\d{3}(?!\d))")
+"""What can only separate thousands: a space, of any width, as in France, or an apostrophe, as in Switzerland."""
 OTHER_KINDS = {
     "aerotech": r":START2?D?\b",
     "crosscomp": r"kw\.crosscomp\.",
@@ -226,8 +228,12 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
     for where, _, row in rows:
         if len(row) != len(header):
             raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
+    numbers = [at for at, name in enumerate(header) if name in (x, deviation, "time_s")]
+    for _, _, row in rows:
+        for column in numbers:
+            row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")
     if delimiter != ",":
-        _use_points(rows, [at for at, name in enumerate(header) if name in (x, deviation, "time_s")])
+        _use_points(rows, numbers)
     found = []
     for where, line, row in rows:
         cells = dict(zip(header, map(str.strip, row), strict=True))

@@ -202,6 +202,13 @@ READ = {
     ),
     "thousands in x": csv("x_um;deviation_um", lambda v: german(v), x=lambda v: german(v * 1e3, 0)),
     "English thousands": csv("x_mm\tdeviation_nm", lambda v: f"{v * 1e3:,.0f}", "\t", lambda v: f"{v:.1f}"),
+    "French thousands": csv(
+        "x_um;deviation_um", lambda v: german(v), x=lambda v: f"{v * 1e3:,.1f}".replace(",", "\u202f").replace(".", ",")
+    ),
+    "Swiss thousands": csv(
+        "x_um,deviation_nm", lambda v: f"{v * 1e3:,.0f}".replace(",", "'"), ",", lambda v: f"{v * 1e3}"
+    ),
+    "typographic minus": csv("x_mm,deviation_um", lambda v: f"{v}".replace("-", "\u2212"), ","),
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
 }
 
