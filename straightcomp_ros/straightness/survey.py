@@ -19,7 +19,7 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
@@ -208,10 +208,9 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
     for quantity, name in (names or {}).items():
         unit = _OWN_UNIT.fullmatch(_plain(name))
         own[_plain(name)] = f"{quantity}_{unit[1]}" if unit else _plain(name)
-    start, delimiter = _header(lines, own)
-    header = _cells(lines[start][1], delimiter, own)
+    first, delimiter, header = _header(lines, own)
     try:
-        x, deviation = (_column(f"survey {path}, line {lines[start][0]}", header, one) for one in (X, DEVIATION))
+        x, deviation = (_column(f"survey {path}, line {lines[first - 1][0]}", header, one) for one in (X, DEVIATION))
     except SurveyError as error:
         text = "\n".join(text for _, text in lines)
         kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
@@ -223,7 +222,7 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
         ) from error
     rows = [
         (f"survey {path}, line {line}", line, next(csv.reader([text], delimiter=delimiter)))
-        for line, text in lines[start + 1 :]
+        for line, text in lines[first:]
     ]
     for where, _, row in rows:
         if len(row) != len(header):
@@ -244,27 +243,31 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
     return Table(header, (x, deviation), found, {name: text.strip() for name, colon, text in comments if colon})
 
 
-def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str]:
-    """Index and delimiter of the first line with both columns; of the first line but Excel's own if none has them."""
+def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str, list[str]]:
+    """Index of the line after the first header with both columns, its delimiter and cells; units may have a line of
+    their own below the names. If none has them, of the first line but Excel's own."""
     named = _SEPARATOR_LINE.fullmatch(lines[0][1].strip())
     first = 1 if named and len(lines) > 1 else 0
     delimiters = named[1] if named else _DELIMITERS
-    for at in range(first, min(len(lines), _LINES_BEFORE)):
+    for at in range(first, min(len(lines) - 1, _LINES_BEFORE)):
         for delimiter in delimiters:
-            header = _cells(lines[at][1], delimiter, own)
-            if all(any(name in header for name in quantity.columns) for quantity in (X, DEVIATION)):
-                return at, delimiter
-    return first, next((mark for mark in delimiters if mark in lines[first][1]), ",")
+            names, below = (next(csv.reader([text], delimiter=delimiter)) for _, text in (lines[at], lines[at + 1]))
+            for size, cells in enumerate((names, map(" ".join, zip(names, below, strict=False))), 1):
+                header = _cells(cells, own)
+                if all(any(name in header for name in quantity.columns) for quantity in (X, DEVIATION)):
+                    return at + size, delimiter, header
+    delimiter = next((mark for mark in delimiters if mark in lines[first][1]), ",")
+    return first + 1, delimiter, _cells(next(csv.reader([lines[first][1]], delimiter=delimiter)), own)
 
 
-def _cells(text: str, delimiter: str, own: Mapping[str, str]) -> list[str]:
+def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     """The cells of a header as they are compared: ``x_mm`` for ``X [mm]``, ``position (mm)``, or a name of ``own``.
 
     Where the column of a quantity is chosen by its own name, no other is meant.
     """
     chosen = {name.partition("_")[0] for name in own.values()}
     found = []
-    for name in map(_plain, next(csv.reader([text], delimiter=delimiter))):
+    for name in map(_plain, names):
         parts = _NAME_AND_UNIT.fullmatch(name)
         # Without a sign between them "xm" would be x in m; such a name is left as it is.
         if parts and parts.end(1) != parts.start(2) and _SYNONYMS.get(parts[1], parts[1]) not in chosen:

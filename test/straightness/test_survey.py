@@ -196,6 +196,8 @@ READ = {
     "Excel's first line": "sep=;\n" + MM_UM,
     "Excel's first line with a comma": "sep=,\n" + csv("x_mm,deviation_um", lambda v: f"{v}", ","),
     "lines before the header": "Operator;Müller, A.\nDate, 2026\n\nRun 3\n" + MM_UM,
+    "units in a line of their own": MM_UM.replace("x_mm;deviation_um", "Position;Straightness\nmm;µm"),
+    "units in brackets below": "Date;26.11.2026\n" + MM_UM.replace("x_mm;deviation_um", "X;Deviation\n[mm];[µm]"),
     "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
     "decimal commas between tabs": csv(
         "Position [mm]\tStraightness [um]", lambda v: german(v), "\t", lambda v: german(v, 1)
