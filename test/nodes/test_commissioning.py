@@ -1,6 +1,7 @@
 """A running graph is commissioned by services and from the command line, and no cycle runs meanwhile."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -120,7 +121,8 @@ def left_as_found(asker, output):
 def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_next_one_leaves_all_as_found(
     loop, asker, number, tmp_path
 ):
-    client = subprocess.Popen(verb_command(*MEASURE))
+    # What it measures in is left behind by a client that is killed.
+    client = subprocess.Popen(verb_command(*MEASURE), env={**os.environ, "TMPDIR": str(tmp_path)})
     try:
         asker.until(asker.amplifier_on)
         client.send_signal(number)

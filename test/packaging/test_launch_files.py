@@ -7,6 +7,7 @@ fails here. What launch does with the actions is not tested.
 import re
 import runpy
 import sys
+import tempfile
 import types
 from pathlib import Path
 
@@ -49,7 +50,9 @@ class Recorded:
 
 
 @pytest.fixture(autouse=True)
-def launch(monkeypatch):
+def launch(monkeypatch, tmp_path):
+    # A file of parameters is removed when its node ends; here none starts.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     for name, attributes in KNOWN.items():
         module = types.ModuleType(name)
         for attribute in attributes.split():
