@@ -197,7 +197,7 @@ class ServoDriver(Driver):
         values["controller"].update(closed_form(make_scenario(values, [law]), law))
         controller = node_parameters("controller", values)
         own = controller.stage
-        self._servo = Servo(make_law(controller.control, own))
+        self._servo = Servo(make_law(controller.control, own).prepare())
         self.map = load_map(own.guide)
         self._feedforward = Feedforward(self.map, FeedforwardParameters(), own.motion.highest_speed)
         # Last, for it begins to receive, and what was not read for a second is a fault.
