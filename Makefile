@@ -33,7 +33,7 @@ help:
 	make test              what CI runs: some nine minutes on two cores
 	make test ARGS="..."   some of the tests, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
-	make nightly           all tests, with coverage, as on other processors, some mutants: an hour; CONTRIBUTING.md says more
+	make nightly           all tests, with coverage, as on other processors, some mutants: two hours; CONTRIBUTING.md says more
 	make trials ARGS="..." faults, long runs and benches of development, e.g. ARGS="faults --only foreign"
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make mutants           200 random changes of the core: tests of the changed folder must notice 92 % of them
@@ -82,7 +82,7 @@ nightly: $(NIGHTLY)
 	echo "Branch coverage of all:"
 	.venv/bin/python -m coverage report --fail-under=85 || code=1
 	echo "Some tests as on other processors:"
-	.venv/bin/python scripts/processors.py -n logical $(PROCESSOR_DEPENDENT:%=test/%) || code=1
+	.venv/bin/python scripts/processors.py -n logical --dist worksteal $(PROCESSOR_DEPENDENT:%=test/%) || code=1
 	echo "Do the tests notice changes of the core?"
 	$(MAKE) --no-print-directory mutants ARGS="--number 40 --seed $$(date +%j)" || code=1
 	[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
@@ -97,7 +97,7 @@ trials: setup
 	@exec .venv/bin/python -m trials $(ARGS)
 
 processors: setup
-	@exec .venv/bin/python scripts/processors.py -n logical $(ARGS)
+	@exec .venv/bin/python scripts/processors.py -n logical --dist worksteal $(ARGS)
 
 # Ends with an error if the tests of the core's folders notice less than 92 % of the changes.
 mutants: $(NIGHTLY)
