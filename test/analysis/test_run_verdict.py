@@ -82,7 +82,7 @@ NEARLY = 0.02 * R
 CASES = {
     "a small error is in order": [("in_order", "0.1 µm p-p.*20 µm", motion())],
     "an error made in a stall is the host's, and without the stall it is the law's": [
-        ("starved", "70.0 ms.*2.02 µm|2.02 µm.*70.0 ms", stalled(SMALL + bump(4.0, 2e-6))),
+        ("starved", r"\b70.0 ms.*2.02 µm|2.02 µm.*\b70.0 ms", stalled(SMALL + bump(4.0, 2e-6))),
         ("in_order", "", motion(SMALL + bump(4.0, 2e-6))),
         ("in_order", "", motion(SMALL + bump(4.0, 2e-6), stalls=(Stall(6.0, 6.07),))),
     ],

@@ -326,10 +326,11 @@ def test_the_bidirectional_figure_is_that_of_the_worse_direction_or_of_both_and_
 
 
 def test_what_was_not_driven_twice_or_not_both_ways_has_no_figure():
-    one = found_of([[1, 2, 3, 4]], []).to_display()
-    assert set(one.values()) == {None}
+    one = found_of([[1, 2, 3, 4]], [])
+    assert set(one.to_display().values()) == {None} and "deviation at most" not in str(one)
     both = found_of([[1, 1, 1, 1], [1, 1, 1, 1]], [[0, 0, 0, 0]])
     assert both.bidirectional is None and both.backward.s is None and both.forward.repeatability == 0.0
+    assert "deviation at most 0.000 µm, hysteresis 1.000 µm" in str(both)
     assert both.to_display()["reversal_mean_um"] == pytest.approx(1.0)
     assert found_of([], [[1, 1, 1, 1]]).forward is None
 

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis import current_path as recording
 from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
 from straightcomp_ros.bags.simulated_run import SimulatedRun
@@ -383,3 +384,10 @@ def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(
     recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=(0,))
     solution = fitting.fit(recording, None, unknowns, 1e-7).solution
     assert solution.vector == [found] and solution.missed == (fitting.MISSED[levels - 1] if levels else 3e-5)
+
+
+def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
+    with pytest.raises(IdentificationError, match=r"platform.mass or actuator.turns .* common factor"):
+        unknowns(StageParameters(), ["friction.coulomb"])
+    with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
+        unknowns(StageParameters(), ["weight"])

@@ -12,8 +12,6 @@ from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.identification.unknowns import unknowns
 
 DRIVE = DriveParameters()
 PERIOD, RATE = 5e-4, 2.0 * math.pi * 500.0
@@ -119,10 +117,3 @@ def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
     assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)
     np.testing.assert_allclose(recording.y, MOVING[1011:])
-
-
-def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
-    with pytest.raises(IdentificationError, match=r"platform.mass or actuator.turns .* common factor"):
-        unknowns(StageParameters(), ["friction.coulomb"])
-    with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
-        unknowns(StageParameters(), ["weight"])
