@@ -381,7 +381,7 @@ def _split(groups: Groups) -> Groups:
         whole = max(x for _, x, _ in points) - min(x for _, x, _ in points)
         if min(abs(part[-1][1] - part[0][1]) for part in parts) <= whole / 2.0:
             found[name, direction] = points
-            continue
+            continue  # It is refused as a run that turns back.
         for part in parts:
             of_part: Direction = direction or ("forward" if part[-1][1] > part[0][1] else "backward")
             numbers[of_part] += 1

@@ -6,6 +6,7 @@ highest, and bit 0 of each byte is the byte's lowest.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import math
 import os
@@ -309,15 +310,16 @@ def _found(file: str) -> Path:
 
 def _text(path: Path) -> str:
     try:
-        return decoded(bounded_bytes(path).replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
+        return decoded(bounded_bytes(path)).replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise DbcError(f"'{path}': {error.strerror}") from None
 
 
 def decoded(content: bytes) -> str:
-    """Text in UTF-8, or as Vector's tools write it in Europe."""
+    """Text in UTF-8, in UTF-16 with its mark, or as Vector's tools write it in Europe."""
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("cp1252", errors="replace")
 

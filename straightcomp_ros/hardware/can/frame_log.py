@@ -27,6 +27,7 @@ _QUEUE_LIMIT = 20_000
 _WRITE_EVERY_S, _SAVE_EVERY_S = 0.02, 1.0
 _AT_ONCE = 8
 _SEND_TIMEOUT_S = 1.0
+_NO_FRAME = "its first frame cannot be read; allowed: a whole log of the kind that its ending says"
 _SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
 """A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
@@ -46,6 +47,7 @@ _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (rb"Time Stamp,ID,Extended", "", "a log of SavvyCAN in GVRET's format; save it as a candump log"),
     (rb"\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\n\r\r\n", "", "a capture of Wireshark; record with candump -L or -l"),
     (rb"\x89MCAP", "", "an MCAP bag; straightcomp replay reads those"),
+    (rb"\xff\xfe|\xfe\xff", "", "text in UTF-16; save it as UTF-8"),
 )
 """By how a line of its first ones, or the file, begins: the ending of a kind of log, and what it is."""
 
@@ -154,7 +156,7 @@ class RecordedBus:
                     if self._channel in (None, str(message.channel)):
                         yield message
         except (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError):
-            self.damage = f"damaged after frame {number}"
+            self.damage = f"damaged after frame {number}" if number else _NO_FRAME
 
     def _reader(self) -> Any:
         try:

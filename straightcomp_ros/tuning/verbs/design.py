@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
             progress=lambda part, fraction: bar.update(task, description=part, completed=fraction),
         )
     if output is not None:
-        write_whole(output, _with_gains(source.read_text(encoding="utf-8"), design))
+        write_whole(output, _with_gains(source.read_text(encoding="utf-8-sig"), design))
     if options.json:
         name = scenario.description.name
         print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})

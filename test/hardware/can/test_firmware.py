@@ -2,12 +2,14 @@
 
 import contextlib
 import json
+import math
 import random
 import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from can_boards import BARE_FILE, FOREIGN_FILE, GUIDE, SPLIT_FILE, STAGE, START, board_of
 from drawn_dbc import drawn_board
@@ -25,7 +27,7 @@ from straightcomp_ros.hardware.can.dbc_file import DbcError
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, Command
-from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
+from straightcomp_ros.hardware.can.frames_in_c import _real, frames_in_c
 from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedParameters
@@ -356,3 +358,9 @@ def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_p
     (tmp_path / "file").touch()
     assert main(["can", "firmware", stage, "-o", str(tmp_path / "file")]) == 2
     assert f"'{tmp_path / 'file'}': File exists" in capsys.readouterr().err
+
+
+def test_a_limit_beyond_the_boards_numbers_is_the_largest_of_them():
+    largest = float(np.finfo(np.float32).max)
+    for limit in (math.inf, -1e300, 1e38):
+        assert float(_real(limit).removeprefix("(board_real)")) == max(-largest, min(limit, largest))

@@ -207,6 +207,8 @@ def test_relative_times_of_an_asc_log_count_from_the_line_before(tmp_path):
         ("a.csv", b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,181,false,Rx,0,1,11,\n", {}, ["GVRET"]),
         ("a.log", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode(), {}, [".asc"]),
         ("a.asc", lines_of(HALF_MS).encode(), {}, ["candump", ".log"]),
+        ("a.asc", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode("utf-16"), {}, ["UTF-16", "as UTF-8"]),
+        ("a.log", b"# of the first run\n" + lines_of(HALF_MS).encode(), {}, ["first frame", "ending"]),
         ("a.log", lines_of(HALF_MS).encode(), {"fd": True}, ["classic", "0x181", "can.fd is true"]),
         ("a.log", b"(12.0) can0 381##1" + b"11" * 16 + b"\n", {}, ["CAN FD", "0x381", "can.fd is false"]),
         ("a.log", lines_of(HALF_MS, ["can0", "can1"]).encode(), {}, ["can0 and can1", "--channel"]),

@@ -148,7 +148,7 @@ def test_a_signal_without_a_role_may_overlap_lie_outside_or_have_no_scale(board,
     compiled(can)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_a_file_is_read_in_each_encoding_that_tools_write(board, encoding, line_end):
     text = with_line('"um"', '"µm"').replace("\n", line_end).encode(encoding)
