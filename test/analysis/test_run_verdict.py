@@ -10,7 +10,7 @@ from straightcomp_ros.analysis.causes import of_map
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, bounds_of, encoder_count
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
-from straightcomp_ros.analysis.run_verdict import late_commands, verdict_of
+from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -331,6 +331,15 @@ def test_a_verdict_says_that_commands_came_later_than_the_stage_describes():
     for error, word in ((SMALL, "in_order"), (R, "inaccurate")):
         found = verdict_of(motion(error, late=words))
         assert found.verdict == word and found.reason.endswith(words)
+
+
+def test_a_sensor_shows_the_guide_from_five_readings_on_at_each_of_200_places(make_record, cosine_map):
+    record = make_record(truth=False)
+    moving, sensor = record.motion.samples(), cosine_map.deviations(record.x)
+    for readings, said in ((1000, True), (999, False), (0, False)):
+        sensor[np.delete(moving, np.linspace(0, moving.size - 1, readings).astype(int))] = np.nan
+        assert (judged_motion(record, cosine_map, {}, sensor=sensor).fit is not None) == said
+    assert judged_motion(record, cosine_map, {}).fit is None
 
 
 def guide_map(deviation, step: float) -> StraightnessMap:

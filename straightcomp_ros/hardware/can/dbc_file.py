@@ -316,12 +316,13 @@ def _text(path: Path) -> str:
 
 
 def decoded(content: bytes) -> str:
-    """Text in UTF-8, in UTF-16 with its mark, or as Vector's tools write it in Europe."""
+    """Text in UTF-8, in UTF-16 with its mark, or as Vector's tools write it in Europe; of other languages the ASCII."""
     marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         return content.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace")
+        # In Shift-JIS and GBK a backslash is the second byte of some characters: it does not escape what follows.
+        return re.sub(rb"(?<=[\x81-\xfe])\\", b"?", content).decode("cp1252", errors="replace")
 
 
 def _statements(text: str, path: Path) -> Iterator[tuple[str, str]]:

@@ -155,6 +155,14 @@ def test_a_file_is_read_in_each_encoding_that_tools_write(board, encoding, line_
     assert board(text).make_wire().sample.unpack(bytes([0, 0, 0, 0, 40, 0, 0, 0])).y == pytest.approx(2e-6)
 
 
+@pytest.mark.parametrize("encoding, words", [("shift_jis", "位置の機能"), ("gbk", "位置乗"), ("euc_kr", "위치")])
+def test_a_comment_in_any_language_ends_at_its_quote(board, encoding, words):
+    text = f'{BOARD}\nCM_ BO_ 288 "{words}";\nCM_ SG_ 288 POS_Y "{words}";\n'
+    assert board(text.encode(encoding)).make_wire().sample.unpack(bytes([0, 0, 0, 0, 40, 0, 0, 0])).y == pytest.approx(
+        2e-6
+    )
+
+
 def test_a_unit_that_the_file_spells_its_own_way_is_said_in_the_mapping(board):
     text = with_line('"A"', '"current:A"').replace('"um"', '"micron"')
     with pytest.raises(RefusedParameter, match=r"wire.y.signal.*'micron'.*wire.y.unit"):
