@@ -326,13 +326,14 @@ def test_the_numbers_do_not_depend_on_who_was_faster():
     assert len(together) == 50 and together == answered(references + samples) == answered(samples + references)
 
 
-def test_in_lockstep_a_sample_waits_for_its_reference():
+def test_in_lockstep_a_sample_waits_for_its_reference_and_one_that_is_repeated_changes_nothing():
     pairing = Pairing(2 * PERIOD, wait=True)
     for k in range(4):
         pairing.add_sample(at(k), (k,))
     assert not list(pairing.take())
-    pairing.add_reference(at(0), (1.0, 0.0, 0.0))
-    assert [stamp for stamp, *_ in pairing.take()] == [at(0), at(1), at(2)]
+    for position in (1.0, 2.0):
+        pairing.add_reference(at(0), (position, 0.0, 0.0))
+    assert [(stamp, found[0]) for stamp, _, found, _ in pairing.take()] == [(at(k), 1.0) for k in range(3)]
 
 
 def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
