@@ -6,6 +6,7 @@ dates. A leading 0 is octal, as for rcl, which reads the same files for nodes.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import re
 from collections.abc import Mapping
@@ -88,6 +89,12 @@ def bounded_bytes(path: Path, most_mb: int = 256) -> bytes:
     if len(content) > most_mb << 20:
         raise OSError(errno.EFBIG, f"is larger than {most_mb} MB")
     return content
+
+
+def marked_encoding(content: bytes) -> str | None:
+    """The encoding by the byte order mark that spreadsheets and Windows put in front; None without one."""
+    marks = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+    return next((encoding for mark, encoding in marks.items() if content.startswith(mark)), None)
 
 
 def bounded_lines(path: Path, where: str) -> list[str]:

@@ -13,7 +13,6 @@ same run and direction belong to one run, so that a cycle may count forward and 
 ignored.
 """
 
-import codecs
 import csv
 import itertools
 import math
@@ -28,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.yaml_text import marked_encoding
 
 Direction = Literal["forward", "backward"]
 MARK = "encoder reference"
@@ -56,10 +56,8 @@ def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str
         content = path.read_bytes()
     except OSError as error:
         raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
-    # Spreadsheets put a byte order mark in front.
-    marked = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-    encodings = [name for mark, name in marked.items() if content.startswith(mark)] or _ENCODINGS
-    for encoding in encodings:
+    marked = marked_encoding(content)
+    for encoding in (marked,) if marked else _ENCODINGS:
         try:
             text = content.decode(encoding)
             break

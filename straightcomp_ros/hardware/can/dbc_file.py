@@ -6,7 +6,6 @@ highest, and bit 0 of each byte is the byte's lowest.
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import math
 import os
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 from straightcomp_ros.parameters.declaration import instead
 from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.parameters.yaml_text import bounded_bytes
+from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -317,9 +316,8 @@ def _text(path: Path) -> str:
 
 def decoded(content: bytes) -> str:
     """Text in UTF-8, in UTF-16 with its mark, or as Vector's tools write it in Europe; of other languages the ASCII."""
-    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return content.decode("utf-16" if marked else "utf-8-sig")
+        return content.decode(marked_encoding(content) or "utf-8")
     except UnicodeDecodeError:
         # In Shift-JIS and GBK a backslash is the second byte of some characters: it does not escape what follows.
         return re.sub(rb"(?<=[\x81-\xfe])\\", b"?", content).decode("cp1252", errors="replace")
