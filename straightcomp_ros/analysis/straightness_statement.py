@@ -38,7 +38,13 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import LINES, residual_of_stroke
 from straightcomp_ros.analysis.record import Array, group_means
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.residual import end_point_residual, minimum_zone, peak_to_peak
+from straightcomp_ros.straightness.residual import (
+    end_point_residual,
+    minimum_zone,
+    minimum_zones,
+    peak_to_peak,
+    zone_along,
+)
 from straightcomp_ros.straightness.survey import Direction
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 
@@ -51,8 +57,8 @@ _DRAWS, _CURVES = 200, 1000
 """Of what is not in the curve, and of what is: the standard deviation of a contribution is then known to 5 and 2 %."""
 _ALLOWED = 0.95
 """Share of drawn errors that the curve without them may differ by."""
-_THIRDS = 20
-"""Of the slopes between which a minimum zone is sought, each time: to 1e-3 of the first width."""
+_IN_CACHE = 50_000
+"""Numbers that are computed at a time, half a megabyte: three times as fast as with all draws at once."""
 _MOST = 32
 """Samples of a piece that are drawn: more move its extremes by a hundredth of an error's range."""
 _CERTAIN = 3.0
@@ -310,22 +316,13 @@ def _extremes(middle: Array, samples: Array, count: NDArray[np.bool_]) -> tuple[
 def _straightness(x: Array, high: Array, low: Array, ends: Array) -> Array:
     """(draws, lines) of curves between ``low`` and ``high`` (draws, n) over ``x`` (n,), which begin and end at ``ends``
     (draws, 2); all in m."""
-    arm = x - x.mean()
-
-    def width(slopes: Array) -> Array:
-        lines = np.outer(slopes, arm)
-        return np.asarray((high - lines).max(axis=1) - (low - lines).min(axis=1))
-
-    least_squares = (high + low) @ arm / (2.0 * arm @ arm)
-    about = width(least_squares), width(np.diff(ends).ravel() / np.ptp(x))
-    # The width is convex in the slope: its minimum is not where it is wider than about another line.
-    reach = 2.0 * about[0] / np.ptp(x)
-    lowest, highest = least_squares - reach, least_squares + reach
-    for _ in range(_THIRDS):
-        third = (highest - lowest) / 3.0
-        falls = width(lowest + third) > width(highest - third)
-        lowest, highest = np.where(falls, lowest + third, lowest), np.where(falls, highest, highest - third)
-    return np.column_stack([*about, width((lowest + highest) / 2.0)])
+    arm, rows, found = x - x.mean(), max(1, _IN_CACHE // x.size), list[Array]()
+    for begin in range(0, len(high), rows):
+        above, below, between = (values[begin : begin + rows] for values in (high, low, ends))
+        slopes = (above + below) @ arm / (2.0 * arm @ arm), np.diff(between).ravel() / np.ptp(x)
+        about = (zone_along(one, x, above, below)[0] for one in slopes)
+        found.append(np.column_stack([*about, minimum_zones(x, above, below)]))
+    return np.concatenate(found)
 
 
 def _without(points: Array, errors: Array, x: Array, mean: Array) -> Array:

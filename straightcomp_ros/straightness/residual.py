@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+_TANGENTS, _ROUNDING = 64, 1e-12
+"""At most so many: each halves what is left, also of a width that is smooth. Relative to the zone about the least
+squares line, what is no difference."""
 
 
 def least_squares_residual(x: Array, deviation: Array, weights: Array | None = None) -> Array:
@@ -36,33 +39,43 @@ def end_point_residual(x: Array, deviation: Array) -> Array:
 
 def minimum_zone(x: Array, deviation: Array) -> float:
     """Smallest distance in m, along the deviation, of two parallel lines that contain all points; x, not all the same,
-    and deviation (n,) in m.
+    and deviation (n,) in m."""
+    return float(minimum_zones(x, deviation[None], deviation[None])[0])
 
-    Exact, in O(n log n): as a function of its slope the width of the zone is convex and piecewise linear, so that it is
-    smallest at the slope of an edge of the points' convex hull (M. E. Houle and G. T. Toussaint, IEEE Trans. Pattern
-    Anal. Mach. Intell. 10, 1988).
+
+def minimum_zones(x: Array, high: Array, low: Array) -> Array:
+    """The minimum zones (m,) in m of m sets of points, each with points at ``low`` and ``high`` (m, n) in m over x (n,)
+    in m, not all the same.
+
+    The width of a zone is convex and piecewise linear in its slope: none is narrower than where the tangents of two
+    others meet. The narrowest is there, or its tangent takes the place of one of these (J. E. Kelley, J. SIAM 8, 1960).
+    Exact but for rounding, with some six tangents.
     """
-    from scipy.spatial import ConvexHull
+    arm = x - x.mean()
+    middle = (high + low) @ arm / (2.0 * arm @ arm)
+    first = narrowest = zone_along(middle, x, high, low)[0]
+    # A zone whose slope differs by more is wider than that one.
+    reach = 2.0 * first / np.ptp(x)
+    left, right = (np.array([at, *zone_along(at, x, high, low)]) for at in (middle - reach, middle + reach))
+    for _ in range(_TANGENTS):
+        (begin, width, falls), (end, other, rises) = left, right
+        bend = rises - falls
+        step = np.divide(width - other + rises * (end - begin), bend, out=np.zeros_like(bend), where=bend > 0.0)
+        found = np.array([begin + step, *zone_along(begin + step, x, high, low)])
+        narrowest = np.minimum(narrowest, found[1])
+        if (found[1] - (width + falls * step) <= _ROUNDING * first).all():
+            break
+        left, right = np.where(found[2] < 0.0, found, left), np.where(found[2] < 0.0, right, found)
+    return narrowest
 
-    level = least_squares_residual(x, deviation)
-    scale = peak_to_peak(level)
-    # Of points on a line only rounding is left, and no hull of it may be found.
-    if scale <= 1e-12 * peak_to_peak(deviation):
-        return scale
-    points = np.column_stack([(x - x[0]) / np.ptp(x), level / scale])
-    corners = points[ConvexHull(points).vertices]
-    along, across = corners[np.lexsort(corners.T[::-1])].T
-    beyond = across - np.interp(along, along[[0, -1]], across[[0, -1]])
-    beyond[[0, -1]] = 0.0
-    lower, upper = beyond <= 0.0, beyond >= 0.0
-    with np.errstate(divide="ignore"):
-        # An edge is vertical where two points share the first or the last x.
-        falling, rising = (np.diff(across[side]) / np.diff(along[side]) for side in (upper, lower))
-    slopes = np.concatenate([falling, rising])
-    slopes = slopes[np.isfinite(slopes)]
-    above, below = np.searchsorted(-falling, -slopes), np.searchsorted(rising, slopes)
-    width = across[upper][above] - across[lower][below] - slopes * (along[upper][above] - along[lower][below])
-    return float(width.min()) * scale
+
+def zone_along(slopes: Array, x: Array, high: Array, low: Array) -> tuple[Array, Array]:
+    """Width (m,) in m of the zones along lines of these ``slopes`` (m,), see :func:`minimum_zones`, and its derivative
+    with respect to the slope (m,) in m."""
+    lines, rows = np.multiply.outer(slopes, x), np.arange(slopes.size)
+    top, bottom = (high - lines).argmax(axis=1), np.subtract(low, lines, out=lines).argmin(axis=1)
+    between = x[bottom] - x[top]
+    return high[rows, top] - low[rows, bottom] + slopes * between, between
 
 
 def peak_to_peak(values: ArrayLike) -> float:
