@@ -12,7 +12,7 @@ import difflib
 import math
 import re
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache, partial
 from typing import Any, TypeVar
 
@@ -134,18 +134,21 @@ def _field_types(parameter_set: type) -> dict[str, Any]:
     return typing.get_type_hints(parameter_set)
 
 
-def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iterator[Declaration]:
+@cache
+def declarations(parameter_set: type, prefix: str = "", about: str = "") -> tuple[Declaration, ...]:
     """All parameters of a set and its groups, in the order of declaration; ``about`` describes the set's own group."""
+    found = list[Declaration]()
     for field in dataclasses.fields(parameter_set):
         kind = _field_types(parameter_set)[field.name]
         if dataclasses.is_dataclass(kind):
             start = f"{prefix}{field.name}."
             for declaration in declarations(typing.cast(type, kind), start, field.metadata["about"] or about):
                 default = field.metadata["defaults"].get(declaration.name[len(start) :], declaration.default)
-                yield dataclasses.replace(declaration, default=default)
+                found.append(dataclasses.replace(declaration, default=default))
         else:
             one = Declaration(name=prefix + field.name, kind=kind, default=field.default, **field.metadata)
-            yield dataclasses.replace(one, description=f"{about}: {one.description}") if about else one
+            found.append(dataclasses.replace(one, description=f"{about}: {one.description}") if about else one)
+    return tuple(found)
 
 
 _MANY = 20
@@ -167,7 +170,7 @@ def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
     Raises:
         ParameterError: a name is unknown (the nearest known one is suggested), or a value is refused.
     """
-    known = {declaration.name: declaration for declaration in declarations(parameter_set)}
+    known = {declaration.name: declaration for declaration in declarations(typing.cast(type, parameter_set))}
     for name in values:
         if name not in known:
             raise ParameterError(f"parameter '{name}' is unknown{instead(name, known)}")
