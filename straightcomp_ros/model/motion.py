@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from straightcomp_ros.contract import STROKE
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
 from straightcomp_ros.parameters.yaml_text import bounded_lines
 
+T = TypeVar("T", float, NDArray[np.float64])
 _NS = 1e9
 _SHORTEST_NS = 10_000
 """Of a phase: of a shorter one, times rounded to 1 ns say little of the acceleration."""
@@ -251,14 +252,16 @@ class Trajectory:
             return self._points[0][1]
         if after == len(self._points):
             return self._points[-1][1]
-        t0, p0, v0 = self._points[after - 1]
-        t1, p1, v1 = self._points[after]
-        span = (t1 - t0) / _NS
-        s = (time_ns - t0) / (t1 - t0)
-        rest = 1.0 - s
-        return (
-            (1.0 + 2.0 * s) * rest * rest * p0 + s * s * (3.0 - 2.0 * s) * p1 + s * rest * span * (rest * v0 - s * v1)
-        )
+        return _between(self._points[after - 1], self._points[after], time_ns)
+
+    def at(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
+        """:meth:`position` at ``times`` (n,) in ns, the same to the last bit."""
+        if self.times.size == 1:
+            return np.full(times.shape, self.positions[0])
+        after = np.searchsorted(self.times, times, side="right").clip(1, self.times.size - 1)
+        columns = self.times, self.positions, self.velocities
+        first, then = ([column[at] for column in columns] for at in (after - 1, after))
+        return _between(first, then, times.clip(self.times[0], self.times[-1]))
 
     def rates(self, time_ns: float) -> tuple[float, float]:
         """Velocity in m/s and acceleration in m/s² at ``time_ns``; after a corner, those of what follows it."""
@@ -330,3 +333,14 @@ class StageLimits:
                     f"stage trajectory, on the way to point {numbers[first]}: {values[first]:g} {unit}; "
                     f"allowed for this stage: {low:g} to {high:g} {unit}"
                 )
+
+
+def _between(first: Sequence[Any], then: Sequence[Any], time_ns: T) -> T:
+    """Position in m between two waypoints; the same operations, and so the same bits, for numbers and for arrays."""
+    (t0, p0, v0), (t1, p1, v1) = first, then
+    span = (t1 - t0) / _NS
+    s = (time_ns - t0) / (t1 - t0)
+    rest = 1.0 - s
+    bend = s * rest * span * (rest * v0 - s * v1)
+    position: T = (1.0 + 2.0 * s) * rest * rest * p0 + s * s * (3.0 - 2.0 * s) * p1 + bend
+    return position

@@ -48,8 +48,8 @@ from straightcomp_ros.parameters.node_parameters import (
 )
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, along, continues, rates, restarted, updated
-from straightcomp_ros.straightness.guide_map import StraightnessMap, find_survey
-from straightcomp_ros.straightness.survey import Survey, read_survey
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_survey, map_of
+from straightcomp_ros.straightness.survey import Survey
 
 _SHIPPED_HOLD = SimulatedParameters().hold(StageParameters())
 _AT_REST = plant_state()
@@ -175,8 +175,7 @@ class NodeSet(NamedTuple):
 
     def survey(self) -> Survey:
         """The measurement for the feedforward's map; SurveyError if it is refused."""
-        guide = self.feedforward.stage.guide
-        return read_survey(find_survey(guide.file), min_points=guide.min_points, max_gap=guide.max_gap)
+        return load_survey(self.feedforward.stage.guide)
 
     def check_rates(self) -> None:
         """Raise ParameterError if controller and machine disagree about the rate."""
@@ -268,14 +267,14 @@ class Scenario:
 
     def positions(self, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
         """True x (n,) in m at ``stamps`` (n,) in ns."""
-        return np.array([self.trajectory.position(stamp) for stamp in stamps.tolist()])
+        return self.trajectory.at(stamps)
 
     def stroke(self, stamps: NDArray[np.int64] | None = None, survey: Survey | None = None) -> Stroke:
         """A cycle with samples at ``stamps`` in ns, by default on the grid, and a map by ``survey``, by default by its
         own; SurveyError if the survey gives no map within the platform's travel."""
         if stamps is None:
             stamps = np.arange(self.samples, dtype=np.int64) * self.period_ns
-        straightness = StraightnessMap(survey or self.survey, self.followed.guide)
+        straightness = map_of(survey or self.survey, self.followed.guide)
         true_x = self.positions(stamps)
         x = readings(self.driver.stage.encoder.x_resolution, true_x)
         found = references(straightness, self.feedforward, self.followed.motion.highest_speed, stamps, x)

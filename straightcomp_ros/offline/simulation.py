@@ -23,7 +23,7 @@ from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.feedforward import Feedforward
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import load_map
 
 _PROGRESS_EVERY = 2000
 _COLUMNS = ("x", "y", "r", "current", "true_x", "true_y", "guide")
@@ -57,7 +57,7 @@ class Simulation:
         parameters.check_rates()
         driver, feedforward, controller, _ = parameters
         stage, control = controller.stage, controller.control
-        self.map = StraightnessMap(parameters.survey(), feedforward.stage.guide)
+        self.map = load_map(feedforward.stage.guide)
         self.delay = driver.stage.drive.delay
         self.law = control.law
         self._trajectory, self._start_ns = motion or (parameters.trajectory, 0)

@@ -4,6 +4,7 @@ import os
 from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,7 +15,7 @@ from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
-from straightcomp_ros.straightness.survey import Direction, Survey, SurveyError, read_survey
+from straightcomp_ros.straightness.survey import Direction, Survey, SurveyError, content_of, read_survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
 
 if TYPE_CHECKING:
@@ -225,9 +226,26 @@ class _Curve:
 
 
 def load_map(parameters: MapParameters = MapParameters()) -> StraightnessMap:
-    """Read the survey that ``parameters`` name and build its map; SurveyError if it is not found or refused."""
-    survey = read_survey(find_survey(parameters.file), min_points=parameters.min_points, max_gap=parameters.max_gap)
+    """The map of the survey that ``parameters`` name; SurveyError if it is not found or refused."""
+    return map_of(load_survey(parameters), parameters)
+
+
+# Strokes of one stage ask for one map again and again, which takes as long as to compute the stroke.
+@lru_cache(maxsize=8)
+def map_of(survey: Survey, parameters: MapParameters) -> StraightnessMap:
+    """The map of a survey, made once; SurveyError as of :class:`StraightnessMap`."""
     return StraightnessMap(survey, parameters)
+
+
+def load_survey(parameters: MapParameters) -> Survey:
+    """The survey that ``parameters`` name, the same while its file is; SurveyError if it is not found or refused."""
+    path = find_survey(parameters.file)
+    return _survey_of(path, content_of(path), parameters.min_points, parameters.max_gap)
+
+
+@lru_cache(maxsize=8)
+def _survey_of(path: Path, _: bytes, min_points: int, max_gap: float) -> Survey:
+    return read_survey(path, min_points=min_points, max_gap=max_gap)
 
 
 def find_survey(name: str) -> Path:

@@ -44,18 +44,23 @@ _ENCODINGS = ("utf-8", "cp1252")
 """The second is that of spreadsheets and instruments in Western Europe and America; names and units have its µ."""
 
 
+def content_of(path: Path) -> bytes:
+    """What the file holds; SurveyError if it cannot be read."""
+    try:
+        if path.exists() and not path.is_file():
+            raise SurveyError(f"survey {path}: is no file; name a text file")
+        return path.read_bytes()
+    except OSError as error:
+        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
+
+
 def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str]]:
     """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
     the lines that are then blank; SurveyError if it cannot be read, or has another encoding.
 
     The first of :data:`_ENCODINGS` that fits is taken, or what a byte order mark says.
     """
-    try:
-        if path.exists() and not path.is_file():
-            raise SurveyError(f"survey {path}: is no file; name a text file")
-        content = path.read_bytes()
-    except OSError as error:
-        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
+    content = content_of(path)
     marked = marked_encoding(content)
     for encoding in (marked,) if marked else _ENCODINGS:
         try:

@@ -20,7 +20,7 @@ from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import map_of
 from straightcomp_ros.tuning.design.gain_search import PreparedStroke, prepared_stroke
 from straightcomp_ros.tuning.design.gains import rule, scaled, scaled_facts, with_gains
 from straightcomp_ros.tuning.sweep.trial import mismeasured, sample_times, streams
@@ -110,7 +110,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
     jitter = stage.uncertainty.jitter * stage.period
     stamps = sample_times(jitter, scenario.period_ns, scenario.samples, streams(seed, 0).clock)
 
-    noise = StraightnessMap(scenario.survey, scenario.followed.guide).noise
+    noise = map_of(scenario.survey, scenario.followed.guide).noise
     again = mismeasured(scenario.survey, noise.point * math.sqrt(noise.runs), streams(seed, 0).survey)
 
     def faster(fact: str, factor: float) -> tuple[StageParameters, ControlParameters]:

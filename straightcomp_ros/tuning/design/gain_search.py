@@ -37,7 +37,7 @@ from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.straightness.feedforward import along
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import map_of
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.tuning.design.gains import SEARCHED, SHAPES, Values, with_gains
@@ -160,7 +160,7 @@ def shortened(scenario: Scenario, duration: float) -> Scenario:
     low, high = reach(full)
     if length >= high - low or scenario.trajectory.end_ns * 1e-9 <= duration:
         return scenario
-    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
+    straightness = map_of(scenario.survey, scenario.description.guide)
     x = np.linspace(low, high, 2000)
     slope, curvature = straightness.evaluate(x)[1:]
     # Reversals of r make friction turn over, slopes make it large: where there is most of both.

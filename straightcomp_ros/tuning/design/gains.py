@@ -23,7 +23,7 @@ from straightcomp_ros.control.sliding_mode import reaching_bound
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import from_mapping, to_mapping
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import map_of
 
 T = TypeVar("T")
 Values = Mapping[str, float]
@@ -199,7 +199,7 @@ def _between_reversals(scenario: Scenario) -> float:
     times = np.linspace(0.0, scenario.trajectory.end_ns, _POINTS)
     x = scenario.positions(times.astype(np.int64))
     moving = np.flatnonzero(np.diff(x) != 0.0)
-    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
+    straightness = map_of(scenario.survey, scenario.description.guide)
     direction = np.sign(np.diff(straightness.evaluate(x)[0])[moving])
     reversals = int(np.count_nonzero(np.diff(direction[direction != 0.0])))
     return float(moving.size * (times[1] - times[0]) * 1e-9 / max(1, reversals))

@@ -11,7 +11,7 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import StraightnessMap, map_of
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.tuning.paper.figure import Claim, PaperFigure, label, legend_above, sheet
 from straightcomp_ros.tuning.paper.machine import Machine
@@ -36,7 +36,7 @@ def surveyed_guide(machine: Machine) -> PaperFigure:
     """
     nodes = node_set(machine.values)
     survey = nodes.survey()
-    straightness = StraightnessMap(survey, nodes.feedforward.stage.guide)
+    straightness = map_of(survey, nodes.feedforward.stage.guide)
     x = np.linspace(*straightness.span, _POINTS)
     deviation = straightness.deviations(x)
     straight_um = peak_to_peak(least_squares_residual(x, deviation)) * 1e6
