@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from straightcomp_ros.contract import STREAMS
 
@@ -18,7 +18,7 @@ def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) 
     folder.mkdir()
     (path,) = source.glob("*.mcap")
     with path.open("rb") as file, (folder / f"{folder.name}_0.mcap").open("wb") as target:
-        reader, writer = make_reader(file), Writer(target)
+        reader, writer = make_reader(file), Writer(target, compression=CompressionType.NONE)
         writer.start("ros2")
         for one in reader.iter_attachments():
             if (data := edit(one.name, one.data)) is not None:
@@ -27,7 +27,7 @@ def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) 
             writer.add_metadata(one.name, one.metadata)
         channels: dict[int, int] = {}
         begin = None
-        for schema, channel, message in reader.iter_messages():
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
             if channel.id not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.id] = writer.register_channel(channel.topic, "cdr", number, channel.metadata)
