@@ -1,5 +1,6 @@
 """Bags made from a recorded one by a change of its messages."""
 
+from functools import lru_cache
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -9,6 +10,13 @@ from straightcomp_ros.contract import STREAMS
 
 SMC = Path(__file__).parents[1] / "bags" / "smc"
 _STREAMS = {f"/{stream.topic}": stream for stream in STREAMS}
+
+
+# One bag is the source of many: to read it takes as long as all the rest.
+@lru_cache(maxsize=2)
+def _messages(path: Path) -> list[tuple]:
+    with path.open("rb") as file:
+        return list(make_reader(file).iter_messages())
 
 
 def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) -> Path:
@@ -27,7 +35,7 @@ def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) 
             writer.add_metadata(one.name, one.metadata)
         channels: dict[int, int] = {}
         begin = None
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
+        for schema, channel, message in _messages(path):
             if channel.id not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.id] = writer.register_channel(channel.topic, "cdr", number, channel.metadata)

@@ -39,6 +39,7 @@ from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, le
 from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import PITCH, runs_of_starts, spread
 from straightcomp_ros.parameters.node_parameters import Values
@@ -56,6 +57,7 @@ _FIRST_DAY = int(START.timestamp()) // 86_400
 DAYS, BEGIN = 365, 120
 """Days of a stage-year, and the day on which wear begins."""
 _STARTS = 8
+_LAW = "smc_observer"
 _AXES = {
     "friction": (0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8),
     "amplifier": (1.0, 0.85, 0.7, 0.55, 0.4),
@@ -121,7 +123,7 @@ def stroke_pool(starts: int) -> Pool:
         truth = {} if axis == "scale" else {f"simulated.truth.{axis}": value}
         for start in range(starts):
             values = {"driver": {**truth, "simulated.initial_y": start * PITCH}}
-            rows[axis, value] += simulated_rows(values, wiring=partial(_scaled, value if axis == "scale" else 1.0))
+            rows[axis, value] += simulated_rows(values, scale=value if axis == "scale" else 1.0)
     return rows
 
 
@@ -133,7 +135,7 @@ def _scaled(factor: float, hardware: SimulatedHardware) -> SimulatedHardware:
 
 
 def simulated_rows(
-    values: Values, checksum: str = "first", readings: Callable[[Array], Array] | None = None, wiring: Any = None
+    values: Values, checksum: str = "first", readings: Callable[[Array], Array] | None = None, scale: float = 1.0
 ) -> list[StrokeRow]:
     """The rows of a simulated cycle, one forward and one backward, without the truth.
 
@@ -141,11 +143,18 @@ def simulated_rows(
         values: parameters by node and dotted name.
         checksum: of the map.
         readings: of a displacement sensor on the slider in m, at true x (n,) in m; None without one.
-        wiring: between machine and driver.
+        scale: of the encoder of y; the compiled loop has none.
     """
-    coils: list[float] = []
-    simulation = Simulation(values, wiring=wiring)
-    record = simulation.run(observe=lambda sample, *_: coils.append(sample.current))
+    if scale == 1.0:
+        scenario = make_scenario(values, [_LAW])
+        stroke = scenario.stroke()
+        cycle = scenario.cycle(laws_of(scenario)[_LAW], stroke)
+        straightness, coils = stroke.map, cycle.coil_current
+        record = stroke.record(stroke.stamps * 1e-9, cycle, np.zeros_like(stroke.x), _LAW)
+    else:
+        simulation, measured = Simulation(values, wiring=partial(_scaled, scale)), list[float]()
+        record = simulation.run(observe=lambda sample, *_: measured.append(sample.current))
+        straightness, coils = simulation.map, np.array(measured)
     assert record.true_x is not None
     stamps = np.round(record.time * 1e9).astype(np.int64)
     evaluation = BagEvaluation(
@@ -158,8 +167,8 @@ def simulated_rows(
         stamps=stamps,
         amplifier_on=np.ones(stamps.size, np.bool_),
         parameters={},
-        map=simulation.map,
-        coil_current=np.round(np.array(coils) / _ADC_STEP) * _ADC_STEP,
+        map=straightness,
+        coil_current=np.round(coils / _ADC_STEP) * _ADC_STEP,
         guide=None if readings is None else readings(record.true_x),
     )
     return rows_of(evaluation, {"map_checksum": checksum})

@@ -58,7 +58,7 @@ _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
 
 
 class Cycle(NamedTuple):
-    """True y and the encoder's y in m, and the commanded control current in A, (samples,) each.
+    """True y and the encoder's y in m, the commanded control current in A and the coils' in A, (samples,) each.
 
     Shorter than its conditions if a current of the law or the platform's position was not finite.
     """
@@ -66,6 +66,7 @@ class Cycle(NamedTuple):
     true_y: NDArray[np.float64]
     y: NDArray[np.float64]
     current: NDArray[np.float64]
+    coil_current: NDArray[np.float64]
 
 
 def run_cycle(
@@ -97,12 +98,12 @@ def run_cycle(
         hold: how the board holds the platform when the next command is late.
     """
     count = stamps.size
-    true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
+    found = np.empty((len(Cycle._fields), count))
     machine = commanded_plant(plant, hold, initial)
     machine.state[BIAS] = plant.actuator.bias_current
     noise, x = (np.zeros(count) if one is None else one for one in (noise, x))
     # At the first sample nothing has moved yet: this reading is the one that the loop takes again.
-    advance_to_sample(*machine, stamps[:0], current[:0], 0, 0, noise[0], x[0])
+    advance_to_sample(*machine, stamps[:0], noise[:0], 0, 0, noise[0], x[0])
     first = float(machine.state[READING])
     done = kernel(law.function)(
         *machine,
@@ -113,11 +114,9 @@ def run_cycle(
         x,
         law.gains,
         law.start(first),
-        true_y,
-        y,
-        current,
+        *found,
     )
-    return Cycle(true_y[:done], y[:done], current[:done])
+    return Cycle(*found[:, :done])
 
 
 def kernel(step: Callable[..., Any]) -> Callable[..., int]:
@@ -132,7 +131,7 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
 
 def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
     def loop(  # type: ignore[no-untyped-def]
-        constants, state, times, stamps, effective, references, noise, x, gains, law_state, true_y, y, current
+        constants, state, times, stamps, effective, references, noise, x, gains, law_state, true_y, y, current, coil
     ):
         """Samples done."""
         taken = 0
@@ -141,9 +140,9 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
             taken += advance_to_sample(constants, state, times, waiting, asked, k - taken, stamps[k], noise[k], x[k])
             if not math.isfinite(state[0]):
                 return k
-            true_y[k], y[k] = state[PLACE], state[READING]
+            true_y[k], y[k], coil[k] = state[PLACE], state[READING], state[3]
             law_state, answer = step(
-                gains, law_state, y[k], references[k, 0], references[k, 1], references[k, 2], state[3]
+                gains, law_state, y[k], references[k, 0], references[k, 1], references[k, 2], coil[k]
             )
             if not math.isfinite(answer.current):
                 return k

@@ -63,6 +63,15 @@ def test_the_motion_passes_each_waypoint_with_its_speed():
         assert (after - before) / 2e-6 == pytest.approx(point.velocity, rel=1e-5)
 
 
+def test_positions_at_many_times_are_those_of_each_to_the_last_bit():
+    for motion in (MotionParameters(), MotionParameters(jerk=20.0), MotionParameters(settle=0.0, pause=0.0)):
+        trajectory = Trajectory(forward_and_back(motion))
+        times = np.random.default_rng(0).integers(-(10**9), trajectory.end_ns + 10**9, 5000)
+        times = np.concatenate([times, trajectory.times, trajectory.times - 1])
+        np.testing.assert_array_equal(trajectory.at(times), [trajectory.position(time) for time in times.tolist()])
+    assert Trajectory([Waypoint(0, 0.3, 0.0)]).at(np.array([-1, 0, 5])).tolist() == [0.3, 0.3, 0.3]
+
+
 def test_a_move_too_short_to_cruise_has_one_corner_and_a_longer_one_two():
     # With 0.3 m/s and 0.2 m/s² the ramps take 0.45 m.
     start, near = Waypoint(5, 1.0, 0.0), partial(pytest.approx, rel=1e-12)

@@ -1,6 +1,7 @@
 """The map: exact for a cubic guide, smooth everywhere; within the travel."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,17 @@ def test_a_steep_end_that_runs_out_beyond_the_travel_is_refused():
     # ±99 µm inside; the slope of 112 µm/m adds half of it times 0.5 m beyond.
     with pytest.raises(SurveyError, match="reaches 127"):
         _map(np.linspace(-9.9e-5, 9.9e-5, X.size), runout=0.5)
+
+
+def test_a_map_is_made_once_for_a_file_and_anew_when_the_file_has_changed(tmp_path):
+    parameters = MapParameters(file=str(tmp_path / "survey.csv"), smooth="none")
+    maps = []
+    for height in (1e-6, 1e-6, 2e-6):
+        deviation = height * np.sin(7.0 * X)
+        write_survey(parameters.file, Survey((Run("1", "forward", X, deviation),)))
+        maps.append(load_map(parameters))
+    assert maps[0] is maps[1] and maps[2].deviation(0.2) == pytest.approx(2.0 * maps[0].deviation(0.2), abs=2e-9)
+    assert load_map(replace(parameters, smooth="auto")) is not maps[2]
 
 
 def test_a_relative_name_is_looked_up_in_the_working_directory_first(tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ from straightcomp_ros.straightness.residual import (
     end_point_residual,
     least_squares_residual,
     minimum_zone,
+    minimum_zones,
     peak_to_peak,
 )
 from straightcomp_ros.straightness.survey import read_survey
@@ -105,6 +106,15 @@ def test_the_minimum_zone_is_the_narrowest_of_the_zones_with_an_edge_through_two
         slopes = rise[run != 0.0] / run[run != 0.0]
         width = np.ptp(y - slopes[:, None] * x, axis=1).min()
         assert minimum_zone(x, y + 1e-3 * x) == pytest.approx(width, rel=1e-6)
+
+
+def test_the_minimum_zones_of_many_sets_are_those_of_each_with_its_highest_and_its_lowest_points():
+    rng = np.random.default_rng(0)
+    x, middle = np.linspace(0.3, 1.7, 60), rng.normal(0.0, 1e-6, (200, 60)).cumsum(axis=1)
+    apart = np.abs(rng.normal(0.0, 1e-6, middle.shape))
+    found = minimum_zones(x, middle + apart, middle - apart)
+    for one, curve, half in zip(found, middle, apart, strict=True):
+        assert one == pytest.approx(minimum_zone(np.tile(x, 2), np.concatenate([curve + half, curve - half])), rel=1e-9)
 
 
 def test_the_minimum_zone_of_a_bow_is_its_height_of_a_line_nothing_and_never_wider_than_about_another_line():

@@ -69,7 +69,7 @@ def test_a_whole_excitation_gives_what_is_measured_at_once_and_late_commands_are
     assert found.late_share == 1.0 and found.lateness.startswith("100% of the commands came late")
 
 
-@pytest.mark.parametrize("share", [0.5, 0.85, 0.96])
+@pytest.mark.parametrize("share", [0.96, *nightly([0.5, 0.85])])
 def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path, share):
     _, control, stage = recorded(tmp_path / "bag", share)
     with pytest.raises(ExcitationEnded, match="ended early"):
@@ -87,7 +87,8 @@ def measured(*options, exit_code=0):
     return json.loads(said.getvalue())
 
 
-SLOW = {
+NIGHTLY = {
+    "linear": ("--law", "linear"),
     "smc": ("--law", "smc"),
     "heavy_platform": ("--stage", str(STAGES / "heavy_platform.yaml")),
     "rate_1_khz": ("--stage", str(STAGES / "rate_1_khz.yaml")),
@@ -100,9 +101,8 @@ SLOW = {
     ("options", "from_hz"),
     [
         pytest.param((), 15.0, id="shipped"),
-        pytest.param(("--law", "linear"), 15.0, id="linear"),
         pytest.param(("--moving",), 10.0, id="moving"),
-        *(pytest.param(one, 15.0, id=name, marks=pytest.mark.nightly) for name, one in SLOW.items()),
+        *(pytest.param(one, 15.0, id=name, marks=pytest.mark.nightly) for name, one in NIGHTLY.items()),
     ],
 )
 def test_the_plant_is_within_1_db_and_5_degrees_of_its_closed_form_wherever_it_is_coherent(options, from_hz):
