@@ -93,7 +93,7 @@ def can_run(values: Values) -> bool:
 def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple[StrokeRecord, StraightnessMap]:
     """The first cycle under ``values``, for which :func:`can_run` must hold, and the map.
 
-    The result is that of `Simulation`, to the last bit, in a fifth of the time.
+    The result is that of `Simulation`, to the last bit, in an eighth of the time.
 
     ``delays`` are those of the first commands in ns, in place of ``stage.drive.delay``, which the others have.
 
