@@ -39,9 +39,8 @@ from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, le
 from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import PITCH, runs_of_starts, spread
+from straightcomp_ros.offline.starts import PITCH, compiled_cycle, runs_of_starts, spread
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
@@ -57,7 +56,6 @@ _FIRST_DAY = int(START.timestamp()) // 86_400
 DAYS, BEGIN = 365, 120
 """Days of a stage-year, and the day on which wear begins."""
 _STARTS = 8
-_LAW = "smc_observer"
 _AXES = {
     "friction": (0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8),
     "amplifier": (1.0, 0.85, 0.7, 0.55, 0.4),
@@ -146,11 +144,9 @@ def simulated_rows(
         scale: of the encoder of y; the compiled loop has none.
     """
     if scale == 1.0:
-        scenario = make_scenario(values, [_LAW])
-        stroke = scenario.stroke()
-        cycle = scenario.cycle(laws_of(scenario)[_LAW], stroke)
-        straightness, coils = stroke.map, cycle.coil_current
-        record = stroke.record(stroke.stamps * 1e-9, cycle, np.zeros_like(stroke.x), _LAW)
+        scenario, stroke, cycle = compiled_cycle(values)
+        straightness, coils, (law,) = stroke.map, cycle.coil_current, scenario.controls
+        record = stroke.record(stroke.stamps * 1e-9, cycle, np.zeros_like(stroke.x), law)
     else:
         simulation, measured = Simulation(values, wiring=partial(_scaled, scale)), list[float]()
         record = simulation.run(observe=lambda sample, *_: measured.append(sample.current))

@@ -321,7 +321,7 @@ def _straightness(x: Array, high: Array, low: Array, ends: Array) -> Array:
         above, below, between = (values[begin : begin + rows] for values in (high, low, ends))
         slopes = (above + below) @ arm / (2.0 * arm @ arm), np.diff(between).ravel() / np.ptp(x)
         about = (zone_along(one, x, above, below)[0] for one in slopes)
-        found.append(np.column_stack([*about, minimum_zones(x, above, below)]))
+        found.append(np.column_stack([*about, minimum_zones(slopes[0], x, above, below)]))
     return np.concatenate(found)
 
 

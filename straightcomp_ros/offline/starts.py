@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.offline.scenario import LOWEST_RATE, laws_of, make_scenario, node_set
+from straightcomp_ros.offline.scenario import LOWEST_RATE, Cycle, Scenario, Stroke, laws_of, make_scenario, node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.feedforward import along
@@ -93,7 +93,7 @@ def can_run(values: Values) -> bool:
 def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple[StrokeRecord, StraightnessMap]:
     """The first cycle under ``values``, for which :func:`can_run` must hold, and the map.
 
-    The result is that of `Simulation`, to the last bit, in an eighth of the time.
+    The result is that of `Simulation`, to the last bit, in a seventh of the time.
 
     ``delays`` are those of the first commands in ns, in place of ``stage.drive.delay``, which the others have.
 
@@ -101,16 +101,21 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
         ParameterError, SurveyError: the parameters are refused.
         ValueError: the platform's position, or the current, was not finite.
     """
+    scenario, stroke, cycle = compiled_cycle(values, delays)
+    (law,), guide = scenario.controls, scenario.driver.guide()
+    time = np.arange(stroke.stamps.size) * (scenario.period_ns * 1e-9)
+    return stroke.record(time, cycle, guide.offset - along(guide, stroke.true_x)[0], law), stroke.map
+
+
+def compiled_cycle(values: Values, delays: NDArray[np.int64] | None = None) -> tuple[Scenario, Stroke, Cycle]:
+    """What :func:`run_stroke` makes its record of; ``delays`` and errors as there."""
     law = node_set(values).controller.control.law
     scenario = make_scenario(values, [law])
     stroke = scenario.stroke()
     cycle = scenario.cycle(laws_of(scenario)[law], stroke, delays)
-    count = stroke.stamps.size
-    if cycle.y.size < count:
+    if cycle.y.size < stroke.stamps.size:
         raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
-    guide = scenario.driver.guide()
-    time = np.arange(count) * (scenario.period_ns * 1e-9)
-    return stroke.record(time, cycle, guide.offset - along(guide, stroke.true_x)[0], law), stroke.map
+    return scenario, stroke, cycle
 
 
 def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:

@@ -15,7 +15,7 @@ from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
-from straightcomp_ros.straightness.survey import Direction, Survey, SurveyError, content_of, read_survey
+from straightcomp_ros.straightness.survey import Direction, Survey, SurveyError, read_survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
 
 if TYPE_CHECKING:
@@ -238,14 +238,8 @@ def map_of(survey: Survey, parameters: MapParameters) -> StraightnessMap:
 
 
 def load_survey(parameters: MapParameters) -> Survey:
-    """The survey that ``parameters`` name, the same while its file is; SurveyError if it is not found or refused."""
-    path = find_survey(parameters.file)
-    return _survey_of(path, content_of(path), parameters.min_points, parameters.max_gap)
-
-
-@lru_cache(maxsize=8)
-def _survey_of(path: Path, _: bytes, min_points: int, max_gap: float) -> Survey:
-    return read_survey(path, min_points=min_points, max_gap=max_gap)
+    """The survey that ``parameters`` name; SurveyError if it is not found or refused."""
+    return read_survey(find_survey(parameters.file), min_points=parameters.min_points, max_gap=parameters.max_gap)
 
 
 def find_survey(name: str) -> Path:

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 _TANGENTS, _ROUNDING = 64, 1e-12
-"""At most so many: each halves what is left, also of a width that is smooth. Relative to the zone about the least
-squares line, what is no difference."""
+"""At most so many: each halves what is left, also of a width that is smooth. Relative to the zone
+that it began with, what is no difference."""
 
 
 def least_squares_residual(x: Array, deviation: Array, weights: Array | None = None) -> Array:
@@ -40,23 +40,22 @@ def end_point_residual(x: Array, deviation: Array) -> Array:
 def minimum_zone(x: Array, deviation: Array) -> float:
     """Smallest distance in m, along the deviation, of two parallel lines that contain all points; x, not all the same,
     and deviation (n,) in m."""
-    return float(minimum_zones(x, deviation[None], deviation[None])[0])
+    level = least_squares_residual(x, deviation)[None]
+    return float(minimum_zones(np.zeros(1), x, level, level)[0])
 
 
-def minimum_zones(x: Array, high: Array, low: Array) -> Array:
+def minimum_zones(slopes: Array, x: Array, high: Array, low: Array) -> Array:
     """The minimum zones (m,) in m of m sets of points, each with points at ``low`` and ``high`` (m, n) in m over x (n,)
-    in m, not all the same.
+    in m, not all the same; ``slopes`` (m,) are those of any lines to begin with.
 
     The width of a zone is convex and piecewise linear in its slope: none is narrower than where the tangents of two
     others meet. The narrowest is there, or its tangent takes the place of one of these (J. E. Kelley, J. SIAM 8, 1960).
     Exact but for rounding, with some six tangents.
     """
-    arm = x - x.mean()
-    middle = (high + low) @ arm / (2.0 * arm @ arm)
-    first = narrowest = zone_along(middle, x, high, low)[0]
+    first = narrowest = zone_along(slopes, x, high, low)[0]
     # A zone whose slope differs by more is wider than that one.
     reach = 2.0 * first / np.ptp(x)
-    left, right = (np.array([at, *zone_along(at, x, high, low)]) for at in (middle - reach, middle + reach))
+    left, right = (np.array([at, *zone_along(at, x, high, low)]) for at in (slopes - reach, slopes + reach))
     for _ in range(_TANGENTS):
         (begin, width, falls), (end, other, rises) = left, right
         bend = rises - falls

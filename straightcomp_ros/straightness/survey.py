@@ -20,6 +20,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
 
@@ -44,23 +45,18 @@ _ENCODINGS = ("utf-8", "cp1252")
 """The second is that of spreadsheets and instruments in Western Europe and America; names and units have its µ."""
 
 
-def content_of(path: Path) -> bytes:
-    """What the file holds; SurveyError if it cannot be read."""
-    try:
-        if path.exists() and not path.is_file():
-            raise SurveyError(f"survey {path}: is no file; name a text file")
-        return path.read_bytes()
-    except OSError as error:
-        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
-
-
 def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str]]:
     """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
     the lines that are then blank; SurveyError if it cannot be read, or has another encoding.
 
     The first of :data:`_ENCODINGS` that fits is taken, or what a byte order mark says.
     """
-    content = content_of(path)
+    try:
+        if path.exists() and not path.is_file():
+            raise SurveyError(f"survey {path}: is no file; name a text file")
+        content = path.read_bytes()
+    except OSError as error:
+        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
     marked = marked_encoding(content)
     for encoding in (marked,) if marked else _ENCODINGS:
         try:
@@ -194,16 +190,15 @@ OTHER_KINDS = {
 """What the text of a file has that `straightcomp map convert` makes a survey of, by the name of its format."""
 
 
-def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
-    """Read the header and the rows of a CSV file.
+def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, str] | None = None) -> Table:
+    """The header and the rows of a CSV file with these :func:`numbered_lines`.
 
     ``names`` has the file's own name, with its unit at the end, for the column of ``x`` or of ``deviation``.
 
     Raises:
-        SurveyError: the file cannot be read or is empty, lacks a column or has it twice, has a row of another length,
+        SurveyError: the file is empty, lacks a column or has it twice, has a row of another length,
             a cell that is no finite number, or numbers with points and commas in one another's place.
     """
-    every = list(numbered_lines(path))
     lines = [(line, text) for line, text in every if not text.lstrip().startswith("#")]
     if not lines:
         raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
@@ -333,14 +328,21 @@ def read_survey(
     path: str | Path, *, min_points: int = 20, max_gap: float = 0.05, names: Mapping[str, str] | None = None
 ) -> Survey:
     """Read and check a survey: at least ``min_points`` in a run, at most ``max_gap`` in m between neighbouring points.
-    ``names`` as :func:`read_table` takes it.
+    ``names`` as :func:`table_of` takes it. A file that has not changed gives the same survey again.
 
     Raises:
         SurveyError: the file is missing or empty, lacks a column, has a cell that is no finite number, too few points,
             an x that turns back or repeats, a gap, or values that no guide in these units has.
     """
     path = Path(path)
-    table = read_table(path, names)
+    return _survey_of(path, tuple(numbered_lines(path)), min_points, max_gap, tuple((names or {}).items()))
+
+
+@lru_cache(maxsize=8)
+def _survey_of(
+    path: Path, lines: tuple[tuple[int, str], ...], min_points: int, max_gap: float, names: tuple[tuple[str, str], ...]
+) -> Survey:
+    table = table_of(path, lines, dict(names))
     groups: Groups = {}
     for line, cells, x, deviation in table.rows:
         direction = cells["direction"].lower() if "direction" in cells else None

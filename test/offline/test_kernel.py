@@ -14,9 +14,9 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.scenario import kernel, laws_of, make_scenario, references, run_cycle
+from straightcomp_ros.offline.scenario import kernel, references, run_cycle
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import can_run, run_stroke
+from straightcomp_ros.offline.starts import can_run, compiled_cycle, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
@@ -88,9 +88,7 @@ def test_a_compiled_cycle_is_the_simulation_in_every_column(name):
     expected = simulation.run(observe=lambda sample, *_: coils.append(sample.current))
     for field in fields(expected):
         np.testing.assert_array_equal(getattr(record, field.name), getattr(expected, field.name), field.name)
-    scenario = make_scenario(values, [record.law])
-    cycle = scenario.cycle(laws_of(scenario)[record.law], scenario.stroke())
-    np.testing.assert_array_equal(cycle.coil_current, coils)
+    np.testing.assert_array_equal(compiled_cycle(values)[2].coil_current, coils)
 
 
 def test_what_the_compiled_cycle_does_not_model_is_left_to_the_simulation():

@@ -112,7 +112,7 @@ def test_the_minimum_zones_of_many_sets_are_those_of_each_with_its_highest_and_i
     rng = np.random.default_rng(0)
     x, middle = np.linspace(0.3, 1.7, 60), rng.normal(0.0, 1e-6, (200, 60)).cumsum(axis=1)
     apart = np.abs(rng.normal(0.0, 1e-6, middle.shape))
-    found = minimum_zones(x, middle + apart, middle - apart)
+    found = minimum_zones(rng.normal(0.0, 1e-6, 200), x, middle + apart, middle - apart)
     for one, curve, half in zip(found, middle, apart, strict=True):
         assert one == pytest.approx(minimum_zone(np.tile(x, 2), np.concatenate([curve + half, curve - half])), rel=1e-9)
 

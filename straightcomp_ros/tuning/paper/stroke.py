@@ -11,7 +11,7 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values
-from straightcomp_ros.straightness.guide_map import StraightnessMap, map_of
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.tuning.paper.figure import Claim, PaperFigure, label, legend_above, sheet
 from straightcomp_ros.tuning.paper.machine import Machine
@@ -34,9 +34,7 @@ def surveyed_guide(machine: Machine) -> PaperFigure:
     All points of the survey with the map through their mean; below, the scatter of the runs about it. SurveyError if
     the survey is refused.
     """
-    nodes = node_set(machine.values)
-    survey = nodes.survey()
-    straightness = map_of(survey, nodes.feedforward.stage.guide)
+    straightness = load_map(node_set(machine.values).feedforward.stage.guide)
     x = np.linspace(*straightness.span, _POINTS)
     deviation = straightness.deviations(x)
     straight_um = peak_to_peak(least_squares_residual(x, deviation)) * 1e6
@@ -46,7 +44,7 @@ def surveyed_guide(machine: Machine) -> PaperFigure:
     above.plot(x * 1e3, deviation * 1e6, color=BLACK, linewidth=1.0, zorder=3, label=text)
     for direction, colour, marker in (("forward", BLUE, "^"), ("backward", VERMILION, "v")):
         name = f"{direction} runs"
-        for number, run in enumerate(survey.runs):
+        for number, run in enumerate(straightness.survey.runs):
             if run.direction != direction:
                 continue
             points = {"color": colour, "markersize": 2.5, "label": name}

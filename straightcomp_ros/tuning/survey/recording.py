@@ -18,7 +18,16 @@ from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMa
 from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
-from straightcomp_ros.straightness.survey import DEVIATION, Run, Survey, SurveyError, check_run, number, read_table
+from straightcomp_ros.straightness.survey import (
+    DEVIATION,
+    Run,
+    Survey,
+    SurveyError,
+    check_run,
+    number,
+    numbered_lines,
+    table_of,
+)
 
 TIME_COLUMN = "time_s"
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
@@ -104,7 +113,7 @@ def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series 
 
     SurveyError if x or deviation is missing, a cell is no number, or time does not rise.
     """
-    table = read_table(path, names)
+    table = table_of(path, list(numbered_lines(path)), names)
     if TIME_COLUMN not in table.header:
         return None
     samples: list[tuple[float, float, float]] = []
