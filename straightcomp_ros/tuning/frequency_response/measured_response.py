@@ -233,12 +233,7 @@ class ComparedResponse:
     @property
     def lateness(self) -> str:
         """How the host disturbed the measurement, in a sentence; empty if it did not."""
-        if self.late_share <= _FEW_LATE:
-            return ""
-        return (
-            f"{self.late_share:.0%} of the commands came late, which delays the loop on the mean and is no fault of "
-            "the machine; straightcomp doctor says what delays this computer"
-        )
+        return _lateness(self.late_share)
 
     @property
     def margins(self) -> tuple[ResponseMargins, ResponseMargins]:
@@ -418,6 +413,11 @@ def response_from_bag(
     if missing:
         raise FrequencyResponseError(f"bag {bag}: has no messages on {', '.join(missing)}")
     common = functools.reduce(np.intersect1d, (streams[stream.topic].stamp for stream in wanted))
+    latency = values_at(streams.get(DRIVER_STATE.topic), "command_latency", common)
+    # A sample without a latency is one before which no command arrived: it came after it, together with the next one.
+    late = ~(latency <= _IN_TIME * stage.drive.delay * stage.period) & (DRIVER_STATE.topic in streams)
+    lateness = _lateness(float(np.mean(late))) if late.size else ""
+    because = f"; {lateness}" if lateness else ""
     state = streams[CONTROLLER_STATE.topic]
     commands = values_at(streams[COMMAND.topic], "control_current", common)
     asked = values_at(state, "equivalent_current", common) + values_at(state, "switching_current", common)
@@ -428,25 +428,30 @@ def response_from_bag(
     part = slice(first, first + excitation.currents.size)
     if alike < _ALIKE or len(commands[part]) < excitation.currents.size:
         raise ExcitationEnded(
-            f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
-            "early, or made with other parameters?"
+            f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}): it ended "
+            f"early, or was made with other parameters{because}"
         )
     # With its fades, of which a short period has much.
     whole = np.array([injection.step(0.0, 0.0) for _ in range(excitation.currents.size)])
     lacking = _missing_draws(excitation, added[part], whole)
     if lacking:
         raise ExcitationEnded(
-            f"bag {bag}: the excitation lacks {lacking} of its {excitation.draws} draws of phases; was it ended early?"
+            f"bag {bag}: the excitation lacks {lacking} of its {excitation.draws} draws of phases: it ended early"
+            f"{because}"
         )
     reading = values_at(streams[ENCODER.topic], "y", common)
     clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
     found = compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
-    if DRIVER_STATE.topic not in streams:
-        return found
-    latency = values_at(streams[DRIVER_STATE.topic], "command_latency", common[part])
-    # A sample without a latency is one before which no command arrived: it came after it, together with the next one.
-    late = ~(latency <= _IN_TIME * stage.drive.delay * stage.period)
-    return dataclasses.replace(found, late_share=float(np.mean(late)))
+    return dataclasses.replace(found, late_share=float(np.mean(late[part])))
+
+
+def _lateness(share: float) -> str:
+    if share <= _FEW_LATE:
+        return ""
+    return (
+        f"{share:.0%} of the commands came late, which delays the loop on the mean and is no fault of the machine; "
+        "straightcomp doctor says what delays this computer"
+    )
 
 
 def _missing_draws(excitation: Multisine, added: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:

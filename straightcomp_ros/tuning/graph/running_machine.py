@@ -256,7 +256,8 @@ class RunningMachine:
         client.wait(lambda: time.monotonic() > end or off(), seconds + _LATE_S, "time stood still")
         if off():
             reason = client.safety.fault or "another client switched it off"
-            if client.safety.code == Fault.FOLLOWING_ERROR.code:
+            # The driver's own limit, if the controller's came too late.
+            if client.safety.code in (Fault.FOLLOWING_ERROR.code, Fault.Y_OUT_OF_RANGE.code):
                 raise LeftTravel(
                     f"{reason}; commands came late (straightcomp doctor says what delays this computer), or the "
                     "machine is not as described: look at the count of the encoder of y, at the platform, and at the "

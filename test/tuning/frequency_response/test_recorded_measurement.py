@@ -56,6 +56,11 @@ def whole(tmp_path_factory):
     return bag, *recorded(bag)
 
 
+def hurried(stage):
+    """Its commands are due sooner than they came."""
+    return dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
+
+
 def test_a_whole_excitation_gives_what_is_measured_at_once_and_late_commands_are_reported(whole):
     bag, values, control, stage = whole
     found = response_from_bag(bag, EXCITATION, control, stage)
@@ -63,17 +68,18 @@ def test_a_whole_excitation_gives_what_is_measured_at_once_and_late_commands_are
     ratio = found.measured.response.plant / at_once.measured.response.plant
     assert np.abs(ratio[found.measured.coherent] - 1.0).max() < 0.05 and found.explained
     assert found.late_share < 1e-3 and found.lateness == ""
-    # Of a host whose commands are due sooner than they came.
-    soon = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
-    found = response_from_bag(bag, EXCITATION, control, soon)
+    found = response_from_bag(bag, EXCITATION, control, hurried(stage))
     assert found.late_share == 1.0 and found.lateness.startswith("100% of the commands came late")
 
 
 @pytest.mark.parametrize("share", [0.96, *nightly([0.5, 0.85])])
 def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path, share):
     _, control, stage = recorded(tmp_path / "bag", share)
-    with pytest.raises(ExcitationEnded, match="ended early"):
+    with pytest.raises(ExcitationEnded, match="ended early") as raised:
         response_from_bag(tmp_path / "bag", EXCITATION, control, stage)
+    assert "late" not in str(raised.value)
+    with pytest.raises(ExcitationEnded, match="100% of the commands came late"):
+        response_from_bag(tmp_path / "bag", EXCITATION, control, hurried(stage))
 
 
 STAGES = Path(__file__).resolve().parents[2] / "stages"
