@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from parameters_of_tests import LOOP, of_node, short_parameters
 from participant import Participant
 
-from straightcomp_ros.cell.launcher import RECORDED, verb_command
+from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, verb_command
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, COMMISSIONING_STATE
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.safety.faults import Fault
@@ -144,3 +144,13 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
     assert found["law"] == "smc_observer" and 15.0 < found["margins"]["phase_deg"] < 60.0
     # Though the logger was started in another folder.
     assert (tmp_path / "loop.png").exists() and (tmp_path / "loop_graph" / "bags" / "frequency_response").is_dir()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("graph", ["start", "start-emulated"])
+def test_nodes_that_are_started_for_a_measurement_are_one_process_and_a_logger(graph, tmp_path):
+    words = verb_command(*MEASURE[:2], graph, *MEASURE[3:], "-o", "loop.png")
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0 or "commands came late" in done.stderr, done.stderr
+    board = ["board"] if graph == "start-emulated" else []
+    assert sorted(path.stem for path in tmp_path.rglob("*.log")) == [*board, "logger", COMPOSED]

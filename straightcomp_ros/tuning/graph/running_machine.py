@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.analysis.judged_motion import is_simulated
 from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
-from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
@@ -309,9 +309,10 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
             with Graph(folder / "logs") as graph:
                 for name, command in machine.items():
                     graph.start_program(name, command)
-                for name in RECORDED:
+                # One process: between them a busy computer delays every command.
+                for name in (COMPOSED, "logger"):
                     graph.start(name, {"autostart": False}, parameter_file)
-                with running_graph(folder, check=lambda: graph.check((*machine, *RECORDED))) as access:
+                with running_graph(folder, check=lambda: graph.check((*machine, COMPOSED, "logger"))) as access:
                     yield access
         except LaunchError as error:
             raise CommissioningError(f"{error} (logs in {folder / 'logs'})") from error
