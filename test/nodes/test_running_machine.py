@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from straightcomp_ros.cell.observation import Observation
@@ -18,6 +19,7 @@ from straightcomp_ros.runtime.safety_panel import SafetyState
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition
 from straightcomp_ros.tuning.commissioning import CommissioningError
+from straightcomp_ros.tuning.commissioning import machine as commissioning_machine
 from straightcomp_ros.tuning.graph import running_machine
 from straightcomp_ros.tuning.graph.running_machine import Access, FirstParameters, RunningMachine
 
@@ -31,6 +33,7 @@ class Client:
     """Nodes that do what they are asked at once; ``interrupt`` names what raises `KeyboardInterrupt` instead."""
 
     stage_listens = True
+    excitation = "running"
 
     def __init__(self, interrupt: str = "", safety: SafetyState = OFF, moved: SafetyState = ON) -> None:
         self.interrupt, self.safety, self.moved = interrupt, safety, moved
@@ -38,6 +41,9 @@ class Client:
         self.states: dict[str, str] = {}
         self.asked: list[tuple[str, object]] = []
         self.moves: list[object] = []
+
+    def reports(self):
+        return {"controller": {"excitation": self.excitation}}
 
     def observation(self):
         return Observation(x=0.0, fresh=True)
@@ -72,7 +78,7 @@ class Client:
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
-    for name in ("_CREEP_S", "_SETTLE_S", "_AFTER_S"):
+    for name in ("_CREEP_S", "_SETTLE_S", "_AFTER_S", "_REPORTED_S"):
         monkeypatch.setattr(running_machine, name, 0.0)
 
 
@@ -125,6 +131,35 @@ def test_a_platform_that_strays_in_a_frequency_response_ended_the_excitation(tmp
     with pytest.raises(ExcitationEnded, match="following_error"):
         machine(client, tmp_path).response(SHIPPED, MultisineParameters(draws=3), moving=True)
     assert off_at_the_end(client)
+
+
+def test_an_excitation_that_ended_early_is_not_waited_for_and_ended_for_the_controllers_reason(tmp_path, monkeypatch):
+    client, swing = Client(), 4e-4 * np.sin(np.arange(400) * 0.1) * np.linspace(0.0, 1.0, 400)
+    client.excitation = "y − r changed by 302 µm; allowed: 300 µm"
+    held = np.zeros(200)
+
+    def lacking(bag, *_):
+        raise ExcitationEnded("not the whole excitation")
+
+    def recorded(bag):
+        off = np.full(50, 3e-3)
+        y = np.concatenate([off, held, swing, held, off])
+        command = np.where(y == 3e-3, np.nan, 0.0)
+        return SimpleNamespace(y=y, command=command)
+
+    monkeypatch.setattr(running_machine, "response_from_bag", lacking)
+    monkeypatch.setattr(commissioning_machine, "recorded_series", recorded)
+    # A stroke of each cycle would be waited for.
+    with pytest.raises(ExcitationEnded, match=r"not the whole excitation.*302 µm") as raised:
+        machine(client, tmp_path).response(SHIPPED, MultisineParameters(), moving=True)
+    assert not client.moves[1:] and off_at_the_end(client)
+    # What swung then is looked at, and neither how it was held afterwards nor where it lay before.
+    reading = raised.value.reading
+    assert reading.size and abs(reading[-1]) > 3e-4 and np.abs(reading).max() < 4.1e-4
+    # The whole one finished, and lost samples.
+    client.excitation = "finished"
+    with pytest.raises(ExcitationEnded, match=r"not the whole excitation$"):
+        machine(client, tmp_path).response(SHIPPED, MultisineParameters(draws=3))
 
 
 def test_a_machine_in_use_is_left_as_it_is(tmp_path):

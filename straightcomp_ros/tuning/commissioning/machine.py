@@ -5,6 +5,7 @@ Each call of a machine leaves the amplifier off, whatever happens in it, and rai
 fails.
 """
 
+import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -203,12 +204,16 @@ def recorded_series(bag: Path) -> Series:
     return Series(stamps, x, y, current, command, latency)
 
 
-def recorded_reading(bag: Path) -> Array:
-    """y (n,) in m of ``bag``; none where it cannot be read, as where a motion ended before anything was recorded."""
+def recorded_reading(bag: Path, travel: float = math.inf) -> Array:
+    """y (n,) in m of ``bag``; none where it cannot be read, as where a motion ended before anything was recorded. Of a
+    platform that was held again after it had left ``travel`` (m): until then."""
     try:
-        return recorded_series(bag).y
+        series = recorded_series(bag)
     except CommissioningError:
         return np.empty(0)
+    held = series.y[np.isfinite(series.command)]
+    left = np.flatnonzero(np.abs(held - held[-1:]) > travel)
+    return held[: left[-1] + 1] if left.size else series.y
 
 
 def excited(series: Series, travel: float, rate: float) -> Series:

@@ -33,6 +33,7 @@ from straightcomp_ros.parameters.share import make_private, private_folder
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.timing.cpus import use_kept_free
+from straightcomp_ros.timing.node_timing import EXCITATION, EXCITING, FINISHED
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Series, excited, recorded_reading, recorded_series
 from straightcomp_ros.tuning.frequency_response.measured_response import ComparedResponse, response_from_bag
@@ -52,6 +53,8 @@ _SETTLE_S = 0.5
 _AFTER_S = 0.3
 """s that a recording goes on after the amplifier went off: batches are on their way."""
 _LATE_S = 5.0
+_REPORTED_S = 5.0
+"""s after a request in which a report may still be of before it: nodes report once a second."""
 _ARRIVED = 1e-5
 
 
@@ -127,14 +130,25 @@ class RunningMachine:
             with self._recorded(bag), self._switched_on():
                 self._sleep(2.0 * _SETTLE_S)
                 self._client.require("controller/excite", SetBool.Request(data=True))
-                end = time.monotonic() + duration
-                while moving and time.monotonic() < end:
+                begin = time.monotonic()
+                while moving and time.monotonic() < begin + duration and not self._ended_early(begin):
                     self._cycle(motion)
-                self._sleep(max(0.0, end - time.monotonic()))
+                self._sleep(max(0.0, begin + duration - time.monotonic()), lambda: bool(self._ended_early(begin)))
+                why = self._ended_early(begin)
         except LeftTravel as error:
             raise ExcitationEnded(str(error), recorded_reading(bag)) from error
         self._rest()
-        return response_from_bag(bag, excitation, nodes.control, nodes.stage)
+        try:
+            return response_from_bag(bag, excitation, nodes.control, nodes.stage)
+        except ExcitationEnded as error:
+            text = f"{error}; the controller: {why}" if why else str(error)
+            raise ExcitationEnded(text, recorded_reading(bag, excitation.travel)) from error
+
+    def _ended_early(self, begin: float) -> str:
+        """Why the excitation ended that began at ``begin``; empty while it goes on, and if it finished."""
+        state = self._client.reports().get("controller", {}).get(EXCITATION, EXCITING)
+        reported = time.monotonic() > begin + _REPORTED_S
+        return state if reported and state not in (EXCITING, FINISHED) else ""
 
     def release(self) -> None:
         """Leave the loop inactive and the logger unconfigured, all with the parameters with which they were found."""
@@ -240,8 +254,8 @@ class RunningMachine:
         finally:
             client.require("driver/enable", SetBool.Request(data=False))
 
-    def _sleep(self, seconds: float) -> None:
-        """Wait; the amplifier must not go off meanwhile if it is on.
+    def _sleep(self, seconds: float, over: Callable[[], bool] = lambda: False) -> None:
+        """Wait, not longer than until it is ``over``; the amplifier must not go off meanwhile if it is on.
 
         Raises:
             LeftTravel: the platform left its reference.
@@ -253,7 +267,7 @@ class RunningMachine:
         def off() -> bool:
             return bool(client.safety.fault) or (on and not client.safety.amplifier_on)
 
-        client.wait(lambda: time.monotonic() > end or off(), seconds + _LATE_S, "time stood still")
+        client.wait(lambda: time.monotonic() > end or off() or over(), seconds + _LATE_S, "time stood still")
         if off():
             reason = client.safety.fault or "another client switched it off"
             # The driver's own limit, if the controller's came too late.
