@@ -22,6 +22,9 @@ pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 NODE = [sys.executable, "-m", "straightcomp_ros.tuning.graph.commissioning_node"]
 MEASURE = ("frequency-response", "--graph", "running", "--json", "--draws", "4", "--highest", "200")
 
+COUNTED_LATE = "% of the commands came late"
+"""Measured in the record; a platform that was lost is said to be of late commands, or of another machine."""
+
 
 @pytest.fixture(scope="module")
 def values():
@@ -113,9 +116,10 @@ def left_as_found(asker, output):
     assert [asker.state(node) for node in (*LOOP, "logger")] == [*["inactive"] * len(LOOP), "unconfigured"]
     assert asker.parameter("controller", "error_limit") == 0.1
     assert asker.parameter("logger", "output") == str(output)
-    # Its client switched the amplifier off before it left; a busy computer may have lost the platform before.
+    # Its client left with the amplifier off; a busy computer may have lost the platform before.
     assert not asker.amplifier_on()
-    assert Fault.CLIENT_GONE.label not in asker.trigger("driver/reset_fault").message
+    lost = "|".join(fault.label for fault in (Fault.FOLLOWING_ERROR, Fault.Y_OUT_OF_RANGE))
+    assert re.match(f"there was no fault$|cleared: ({lost})", asker.trigger("driver/reset_fault").message)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.nightly)])
@@ -137,7 +141,7 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
     words = verb_command(*MEASURE, "-o", "loop.png")
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, cwd=tmp_path)
     left_as_found(asker, loop)
-    if done.returncode == 1 and "commands came late" in done.stderr:
+    if done.returncode == 1 and COUNTED_LATE in done.stderr:
         return  # No figure of the loop can be had of a computer that is too busy, and it says so.
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -151,6 +155,6 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
 def test_nodes_that_are_started_for_a_measurement_are_one_process_and_a_logger(graph, tmp_path):
     words = verb_command(*MEASURE[:2], graph, *MEASURE[3:], "-o", "loop.png")
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, cwd=tmp_path)
-    assert done.returncode == 0 or "commands came late" in done.stderr, done.stderr
+    assert done.returncode == 0 or COUNTED_LATE in done.stderr, done.stderr
     board = ["board"] if graph == "start-emulated" else []
     assert sorted(path.stem for path in tmp_path.rglob("*.log")) == [*board, "logger", COMPOSED]

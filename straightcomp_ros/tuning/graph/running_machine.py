@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,11 +131,12 @@ class RunningMachine:
             with self._recorded(bag), self._switched_on():
                 self._sleep(2.0 * _SETTLE_S)
                 self._client.require("controller/excite", SetBool.Request(data=True))
-                begin = time.monotonic()
-                while moving and time.monotonic() < begin + duration and not self._ended_early(begin):
+                why_ended = partial(self._why_ended, time.monotonic())
+                end = time.monotonic() + duration
+                while moving and time.monotonic() < end and not why_ended():
                     self._cycle(motion)
-                self._sleep(max(0.0, begin + duration - time.monotonic()), lambda: bool(self._ended_early(begin)))
-                why = self._ended_early(begin)
+                self._sleep(max(0.0, end - time.monotonic()), why_ended)
+                why = why_ended()
         except LeftTravel as error:
             raise ExcitationEnded(str(error), recorded_reading(bag)) from error
         self._rest()
@@ -144,8 +146,8 @@ class RunningMachine:
             text = f"{error}; the controller: {why}" if why else str(error)
             raise ExcitationEnded(text, recorded_reading(bag, excitation.travel)) from error
 
-    def _ended_early(self, begin: float) -> str:
-        """Why the excitation ended that began at ``begin``; empty while it goes on, and if it finished."""
+    def _why_ended(self, begin: float) -> str:
+        """Why the excitation ended early that began at ``begin``; empty while it goes on, and if it finished."""
         state = self._client.reports().get("controller", {}).get(EXCITATION, EXCITING)
         reported = time.monotonic() > begin + _REPORTED_S
         return state if reported and state not in (EXCITING, FINISHED) else ""
@@ -254,7 +256,7 @@ class RunningMachine:
         finally:
             client.require("driver/enable", SetBool.Request(data=False))
 
-    def _sleep(self, seconds: float, over: Callable[[], bool] = lambda: False) -> None:
+    def _sleep(self, seconds: float, over: Callable[[], object] = lambda: False) -> None:
         """Wait, not longer than until it is ``over``; the amplifier must not go off meanwhile if it is on.
 
         Raises:
@@ -267,7 +269,7 @@ class RunningMachine:
         def off() -> bool:
             return bool(client.safety.fault) or (on and not client.safety.amplifier_on)
 
-        client.wait(lambda: time.monotonic() > end or off() or over(), seconds + _LATE_S, "time stood still")
+        client.wait(lambda: time.monotonic() > end or off() or bool(over()), seconds + _LATE_S, "time stood still")
         if off():
             reason = client.safety.fault or "another client switched it off"
             # The driver's own limit, if the controller's came too late.
@@ -319,14 +321,15 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
         parameter_file = folder / "parameters.yaml"
         write_whole(parameter_file, as_parameter_file(values))
         machine = emulated_machine(values, parameter_file)
+        # Between processes a busy computer delays every command.
+        nodes = (COMPOSED, "logger")
         try:
             with Graph(folder / "logs") as graph:
                 for name, command in machine.items():
                     graph.start_program(name, command)
-                # One process: between them a busy computer delays every command.
-                for name in (COMPOSED, "logger"):
+                for name in nodes:
                     graph.start(name, {"autostart": False}, parameter_file)
-                with running_graph(folder, check=lambda: graph.check((*machine, COMPOSED, "logger"))) as access:
+                with running_graph(folder, check=lambda: graph.check((*machine, *nodes))) as access:
                     yield access
         except LaunchError as error:
             raise CommissioningError(f"{error} (logs in {folder / 'logs'})") from error
