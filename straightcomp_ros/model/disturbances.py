@@ -220,6 +220,8 @@ def aim(k: Array, state: Array, mass: float, x: float, duration: float) -> None:
 @compilable
 def disturbing_force(k: Array, state: Array) -> float:
     """The force in N at the state's own time."""
+    if k[_FIRST] == k[_SECOND] == k[_THIRD] == 0.0:
+        return float(state[FORCE])
     angle = 2.0 * math.pi * k[_FREQUENCY] * state[TIME]
     mains = k[_FIRST] * math.sin(angle) + k[_SECOND] * math.sin(2.0 * angle) + k[_THIRD] * math.sin(3.0 * angle)
     return float(state[FORCE] + mains)

@@ -266,6 +266,12 @@ def block_after(
 
 
 @compilable
+def changes(k: Array) -> bool:
+    """Whether LuGre's constants change with place, age or time; ``k`` are the plant's."""
+    return bool(k[_FRACTION] > 0.0 or k[_GROWTH] > 0.0 or k[_FACTOR] != 1.0)
+
+
+@compilable
 def lugre_now(k: Array, lugre: LuGre, state: Array, y: float) -> LuGre:
     """LuGre's constants with the level of this place, age and time; ``k`` and ``state`` are the plant's."""
     factor = 1.0
@@ -303,7 +309,8 @@ def step_friction(k: Array, lugre: LuGre, state: Array, velocity: float, duratio
     """Advance time, age and bristles or blocks in ``state`` by ``duration`` s at constant velocity, with ``lugre``
     from :func:`lugre_now`."""
     state[TIME] += duration
-    state[AGE] = age_after(state[AGE], velocity, duration, k[_RENEWAL])
+    if k[_GROWTH] > 0.0:
+        state[AGE] = age_after(state[AGE], velocity, duration, k[_RENEWAL])
     if k[KIND] == CHANGING_LUGRE:
         state[_BRISTLE] = bristle_after(lugre, state[_BRISTLE], velocity, duration)
         return

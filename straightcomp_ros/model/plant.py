@@ -39,6 +39,7 @@ from straightcomp_ros.model.friction import (
     LuGre,
     LuGreParameters,
     bristle_after,
+    changes,
     extended_force,
     friction_force,
     lugre_now,
@@ -64,7 +65,7 @@ def plant_state(y: float = 0.0, velocity: float = 0.0, control: float = 0.0, bia
     """A state (29,): position m, velocity m/s, bristle deflection m, control and bias current A, friction and magnetic
     force N.
 
-    Only friction beyond plain LuGre, modes and disturbances use the others: time s, age of the contact s, the blocks
+    Only friction beyond plain LuGre, modes and disturbances use the others: time s, age s of one that ages, the blocks
     that slip (bit i of an integer is block i), and the forces of the Maxwell-slip blocks in N; two modes, q in m and
     its rate in m/s (`modes.py`); and what disturbs, in the order of `disturbances.py`.
     """
@@ -171,9 +172,10 @@ def _hold(plant: Plant, state: Array, command: float, bias_command: float, durat
 @compilable
 def _kick(k: Array, plant: Plant, lugre: LuGre, state: Array, duration: float) -> None:
     """Let all forces act for ``duration`` s on the platform where the coils are."""
-    force = magnetic_force(plant.actuator, at_coil(k, state, 0), state[4], state[3] + state[OFFSET])
-    force -= extended_force(k, lugre, state, at_coil(k, state, 1))
-    force -= plant.stiffness * at_coil(k, state, 0) + plant.damping * at_coil(k, state, 1)
+    place, speed = at_coil(k, state, 0), at_coil(k, state, 1)
+    force = magnetic_force(plant.actuator, place, state[4], state[3] + state[OFFSET])
+    force -= extended_force(k, lugre, state, speed)
+    force -= plant.stiffness * place + plant.damping * speed
     push(k, state, duration * (force + disturbing_force(k, state)) / plant.mass)
 
 
@@ -184,14 +186,15 @@ def _hold_extended(k: Array, plant: Plant, state: Array, command: float, bias_co
     h = duration_ns * 1e-9 / substeps
     settle = 1.0 - math.exp(-h * plant.amplifier_rate)
     first, second = turn(k, 0, h), turn(k, 1, h)
-    lugre = lugre_now(k, plant.lugre, state, at_coil(k, state, 0))
+    lugre, changing = lugre_now(k, plant.lugre, state, at_coil(k, state, 0)), changes(k)
     for _ in range(substeps):
         _kick(k, plant, lugre, state, 0.5 * h)
         state[0] += h * state[1]
         swing(state, 0, first)
         swing(state, 1, second)
         state[FORCE] += h * state[FORCE_RATE]
-        lugre = lugre_now(k, plant.lugre, state, at_coil(k, state, 0))
+        if changing:
+            lugre = lugre_now(k, plant.lugre, state, at_coil(k, state, 0))
         step_friction(k, lugre, state, at_coil(k, state, 1), h)
         state[3] += settle * (command - state[3])
         state[4] += settle * (bias_command - state[4])
