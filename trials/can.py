@@ -26,7 +26,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
+from straightcomp_ros.hardware.can.frames import BoardFault, Command, Report
 from straightcomp_ros.hardware.can.hub import ERROR, FD, FLOOD, KINDS, NO_DATA, Faults, Frame, LinkCut, addressed
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK, together
@@ -45,7 +45,7 @@ _TOGETHER, _CUT = 0.002, 0.0002
 """Rates of all kinds together, for a closed loop that stays on most of the time."""
 COUNTED = tuple(kind for kind in KINDS if kind != "cut")
 """Kinds that damage one frame. A cut affects the link, and is tested on a real one."""
-_REPORT = Report(4, 4, 1.2345678, -67.8e-6, -0.09, Amplifier.ON, 0, True, True)
+_REPORT = Report(4, 4, 1.2345678, -67.8e-6, -0.09, State.ON, 0, True, True)
 _COMMAND = Command(3, True, False, -0.05, 4)
 _COUNT, _CURRENT = 1e-7, 0.01
 """m of a count of the positions here, and A."""
@@ -167,7 +167,7 @@ def _frames(wire: Wire, index: int, stamp_ns: int) -> Iterator[Frame]:
     for frames in wire.reports.values():
         if index % frames.every == 0:
             alive = index // frames.every % frames.alive_modulus
-            report = Report(alive, counter, x, y, _CURRENT, Amplifier.ON, fault, True, True)
+            report = Report(alive, counter, x, y, _CURRENT, State.ON, fault, True, True)
             yield addressed(frames.identifier, frames.pack(report, index), fd=frames.fd, stamp_ns=stamp_ns)
 
 
@@ -301,7 +301,7 @@ class ServoTrial:
             self._fault_ns = self._now
             self.latched[re.sub(" (for|within) .*", "", host.fault)] += 1
         age_ns = self._now - self._fault_ns
-        self.unsafe += age_ns > self._unsafe_after_ns and self._board.amplifier is Amplifier.ON
+        self.unsafe += age_ns > self._unsafe_after_ns and self._board.amplifier is State.ON
         if age_ns > _REST_NS:
             host.reset_fault()
 
@@ -309,6 +309,8 @@ class ServoTrial:
 _TICK, _RECEIVE, _FRAME = struct.Struct("=cq"), struct.Struct("=cqI"), struct.Struct("=cBI")
 _DONE = struct.Struct("=cBBBIII")
 """Packets as firmware/posix/machine.h names them."""
+_STATES = dict(enumerate(State, 1))
+"""By the numbers of firmware/core/wire.h."""
 
 
 class FirmwareBoard:
@@ -350,7 +352,7 @@ class FirmwareBoard:
                 self._board.answer(answer)
         _, amplifier, fault, commanded, alive, self.counter, self.refused_commands = _DONE.unpack(answer)
         self.command_alive = alive if commanded else None
-        self.amplifier, self.fault = Amplifier(amplifier), BoardFault(fault)
+        self.amplifier, self.fault = _STATES[amplifier], BoardFault(fault)
 
     def close(self) -> None:
         """End the program."""

@@ -38,7 +38,7 @@ class Truth(NamedTuple):
 
 
 class State(enum.Enum):
-    """State of the amplifier as the hardware reports it."""
+    """State of the amplifier: as the machine reports it, or as the driver's safety state machine has it."""
 
     OFF = "off"
     ON = "on"

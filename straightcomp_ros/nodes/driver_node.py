@@ -41,7 +41,7 @@ from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.runtime.trajectory_action import TrajectoryAction
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
+from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch, ZeroWatch
 from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, SAMPLES, UNREFERENCED
 
@@ -202,7 +202,7 @@ class DriverComponent:
 
     def _look_at_reference(self, samples: list[Sample]) -> None:
         unreferenced = self._hardware.unreferenced
-        if unreferenced and self._safety.condition is Condition.ON:
+        if unreferenced and self._safety.condition is State.ON:
             self._trip(Fault.NOT_REFERENCED, f"x is not referenced: {unreferenced}")
         if not samples:
             return  # what another reference makes of x is seen in the next one
@@ -270,7 +270,7 @@ class DriverComponent:
     def _watch_slowly(self) -> None:
         """Check what need not be checked in each cycle."""
         self._clock_watch.follow()
-        if self._safety.condition is Condition.ON:
+        if self._safety.condition is State.ON:
             self._sample_watch.hold()
         if self._lockstep and self._newest is not None:
             # Its samples end with the motion, and who follows the stage must see the end.
@@ -284,7 +284,7 @@ class DriverComponent:
             self._follow_goal(self._action.goal, self._newest)
 
     def _look_for_others(self) -> None:
-        if self._others_command() and self._safety.condition is Condition.ON:
+        if self._others_command() and self._safety.condition is State.ON:
             self._trip(Fault.TWO_CONTROLLERS, _ANOTHER_PUBLISHES)
 
     def _report_stage(self) -> None:

@@ -18,11 +18,12 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, SAFETY_STATE, TRIP
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.runtime.guarded_node import Refused, ThrottledWarning
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault, one_line
-from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
+from straightcomp_ros.safety.state_machine import Latched, SafetyMachine
 from straightcomp_ros.timing.node_timing import count
 
 GONE_AFTER_S = 1.0
@@ -93,7 +94,7 @@ class SafetyState(NamedTuple):
         code: number of the fault; 0 without one.
     """
 
-    condition: Condition = Condition.OFF
+    condition: State = State.OFF
     fault: str = ""
     code: int = 0
 
@@ -101,17 +102,17 @@ class SafetyState(NamedTuple):
     def of(cls, message: DiagnosticStatus) -> SafetyState:
         """Read a message. One without a known condition counts as a fault."""
         values = {value.key: value.value for value in message.values}
-        condition = {known.value: known for known in Condition}.get(values.get(_CONDITION, ""), Condition.FAULT)
+        condition = {known.value: known for known in State}.get(values.get(_CONDITION, ""), State.FAULT)
         fault = one_line(f"{message.name}: {message.message}") if message.name else ""
         return cls(condition, fault, count(values, _CODE))
 
     @property
     def amplifier_on(self) -> bool:
         """Whether the amplifier is on."""
-        return self.condition is Condition.ON
+        return self.condition is State.ON
 
 
-def safety_status(condition: Condition, fault: Latched | None, hardware_id: str) -> DiagnosticStatus:
+def safety_status(condition: State, fault: Latched | None, hardware_id: str) -> DiagnosticStatus:
     """A message for `safety_state`."""
     values = {
         _CONDITION: condition.value,
@@ -147,7 +148,7 @@ class SafetyPanel:
         self._node, self._safety = node, safety
         self._refusal, self._anew, self._referenced = refusal, anew, referenced
         self._publisher = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
-        self._reported: tuple[Condition, str] | None = None
+        self._reported: tuple[State, str] | None = None
         node.offer(SetBool, "~/enable", self._on_enable)
         node.offer(Trigger, "~/reset_fault", self._on_reset_fault)
         node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
@@ -198,7 +199,7 @@ class SafetyPanel:
 
     def _on_client_gone(self) -> None:
         # A client that was refused since another client uses the machine leaves it as it is.
-        if self._safety.condition is Condition.ON and self._on_for_client:
+        if self._safety.condition is State.ON and self._on_for_client:
             self._safety.trip(Fault.CLIENT_GONE, "the client that commissioned the machine is gone", now_ns())
             self.report()
 

@@ -5,17 +5,10 @@ OFF ──enable──▶ ON ──disable──▶ OFF         OFF, ON ──tr
 Every other event leaves the condition as it is; enabling does not clear a fault, and a reset does not switch off.
 """
 
-import enum
 from typing import NamedTuple
 
-from straightcomp_ros.hardware.interface import Hardware, HardwareError
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, State
 from straightcomp_ros.safety.faults import Fault
-
-
-class Condition(enum.Enum):
-    OFF = "off"
-    ON = "on"
-    FAULT = "fault"
 
 
 class Latched(NamedTuple):
@@ -38,10 +31,10 @@ class SafetyMachine:
         """Number of all faults, with those after the first."""
 
     @property
-    def condition(self) -> Condition:
+    def condition(self) -> State:
         if self.fault is not None:
-            return Condition.FAULT
-        return Condition.ON if self._on else Condition.OFF
+            return State.FAULT
+        return State.ON if self._on else State.OFF
 
     def enable(self) -> str:
         """Switch the amplifier on; returns the reason of a refusal, or an empty text."""

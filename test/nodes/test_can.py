@@ -18,8 +18,9 @@ from straightcomp_ros.cell.launcher import COMPOSED, verb_command
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import RecordedBus
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
+from straightcomp_ros.hardware.can.frames import BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
@@ -145,9 +146,9 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
         watch = Watch(bus, wire)
         # On, and commanded, before the kill: what follows is an answer to it.
-        watch.until(Amplifier.ON)
+        watch.until(State.ON)
         processes[driving].send_signal(signal.SIGKILL)
-        frame = watch.until(Amplifier.FAULT)
+        frame = watch.until(State.FAULT)
     assert frame.fault == wire.fault_codes[BoardFault.COMMAND_TIMEOUT]
     # By the board's own count, so that a busy computer takes no part. No command acts before the sample it answers.
     assert (frame.counter - watch.answered) / RATE >= values["driver"]["simulated.command_timeout"]

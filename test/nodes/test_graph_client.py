@@ -20,13 +20,14 @@ from std_srvs.srv import SetBool
 from waiting import comes_true
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningSign, SafetyState, safety_status
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import LONGEST_REASON, Fault
-from straightcomp_ros.safety.state_machine import Condition, Latched
+from straightcomp_ros.safety.state_machine import Latched
 from straightcomp_ros.timing.node_timing import SAMPLES
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.graph.waiting_client import WaitingClient
@@ -43,14 +44,14 @@ class Driver:
         self._safety = self.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
         self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         # Latched: the watch comes later.
-        self.say(Condition.ON)
+        self.say(State.ON)
 
     def say(self, condition, fault=None):
         self.condition = condition
         self._safety.publish(safety_status(condition, fault, "driver"))
 
     def sample(self):
-        self._state(time.time_ns(), 0.0, 0.0, 0.0, float(self.condition is not Condition.ON))
+        self._state(time.time_ns(), 0.0, 0.0, 0.0, float(self.condition is not State.ON))
 
     def report(self, name, error, **values):
         level = DiagnosticStatus.ERROR if error else DiagnosticStatus.OK
@@ -89,9 +90,9 @@ def seen():
 def test_the_amplifier_is_what_the_safety_state_says_and_unknown_without_samples(seen):
     driver, until = seen
     until(lambda seen: seen.fresh and seen.amplifier_on)
-    driver.say(Condition.OFF)
+    driver.say(State.OFF)
     until(lambda seen: seen.fresh and not seen.amplifier_on)
-    driver.say(Condition.ON)
+    driver.say(State.ON)
     until(lambda seen: seen.fresh and seen.amplifier_on)
     driver.sample = lambda: None
     assert not until(lambda seen: not seen.fresh).amplifier_on
@@ -99,7 +100,7 @@ def test_the_amplifier_is_what_the_safety_state_says_and_unknown_without_samples
 
 def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_from_their_diagnostics(seen):
     driver, until = seen
-    driver.say(Condition.FAULT, Latched(Fault.TRIPPED, "the door is open", 1))
+    driver.say(State.FAULT, Latched(Fault.TRIPPED, "the door is open", 1))
     observation = until(lambda seen: seen.faults)
     assert observation.faults == {"driver": "tripped: the door is open"} and not observation.amplifier_on
     assert observation.fault_code == Fault.TRIPPED.code
@@ -110,13 +111,13 @@ def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_fr
         gone = until(lambda seen: True, {**STATES, "driver": state})
         assert "driver" not in gone.faults and gone.fault_code == 0
     driver.report("controller", "")
-    driver.say(Condition.OFF)
+    driver.say(State.OFF)
     assert until(lambda seen: not seen.faults).fault_code == 0
 
 
 def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_graph_nor_kept(seen):
     driver, until = seen
-    driver.say(Condition.OFF)
+    driver.say(State.OFF)
     for name in ("line_4/controller", "line_4/camera: frames", "camera_1", "camera_2"):
         driver.report(name, "no samples")
     driver.report("logger", "disk\x1b[2J\nfull" * 1000, samples="\r9")
@@ -144,12 +145,12 @@ def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(parti
             participant.until(lambda: client.poll() is not None)
             return client.returncode, client.stderr.read().strip().splitlines()[-1], list(asked)
 
-    driver.say(Condition.ON)
+    driver.say(State.ON)
     code, said, seen = ended(["0"])
     assert code == 1 and seen == [] and "1 to 1000" in said
     assert ended(["3"], lambda client: client.send_signal(signal.SIGINT)) == (1, "interrupted", [True, False])
     fault = Latched(Fault.Y_FROZEN, "y stands", 0)
-    code, said, seen = ended(["3"], lambda client: driver.say(Condition.FAULT, fault))
+    code, said, seen = ended(["3"], lambda client: driver.say(State.FAULT, fault))
     assert (code, seen) == (1, [True, False]) and said.startswith("amplifier off: y_frozen")
     driver.node.destroy_node()
 

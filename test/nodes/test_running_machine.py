@@ -13,11 +13,11 @@ import pytest
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.state_machine import Condition
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.commissioning import machine as commissioning_machine
 from straightcomp_ros.tuning.graph import running_machine
@@ -25,8 +25,8 @@ from straightcomp_ros.tuning.graph.running_machine import Access, FirstParameter
 
 SHIPPED = shipped_parameters()
 LOGGER = {"output": "", "record_at_start": False, "compression": "zstd"}
-OFF, ON = SafetyState(), SafetyState(Condition.ON)
-STRAYED = SafetyState(Condition.FAULT, "following_error: 0.7 mm", Fault.FOLLOWING_ERROR.code)
+OFF, ON = SafetyState(), SafetyState(State.ON)
+STRAYED = SafetyState(State.FAULT, "following_error: 0.7 mm", Fault.FOLLOWING_ERROR.code)
 
 
 class Client:

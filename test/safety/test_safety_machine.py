@@ -8,7 +8,7 @@ import pytest
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.safety.faults import LABELLED, Fault
-from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
+from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
@@ -23,7 +23,7 @@ def hardware():
     return hardware
 
 
-OFF, ON, FAULT = Condition
+OFF, ON, FAULT = State
 TRANSITIONS = {
     "enable": {OFF: ON, ON: ON, FAULT: FAULT},
     "disable": {OFF: OFF, ON: OFF, FAULT: FAULT},

@@ -7,7 +7,7 @@ from copy import copy
 from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, Command
+from straightcomp_ros.hardware.can.frames import Command
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
@@ -204,7 +204,7 @@ class CanHardware(Hardware):
             "overloads": link.overloads,
             **receiver.counts,
         }
-        if receiver.amplifier is Amplifier.FAULT and receiver.board_fault is not None:
+        if receiver.amplifier is State.FAULT and receiver.board_fault is not None:
             counters["board_fault"] = self._wire.fault_words(receiver.board_fault)
         if log:
             counters |= {"logged": log.written, "log_dropped": log.dropped}
@@ -225,11 +225,11 @@ class CanHardware(Hardware):
     def _watch(self, now_ns: int) -> None:
         reported = self._receiver.amplifier
         if self._resetting:
-            if reported is Amplifier.FAULT and now_ns <= self._deadline_ns:
+            if reported is State.FAULT and now_ns <= self._deadline_ns:
                 self._send(self._newest_number)
                 return
             self._resetting = False
-        if reported is Amplifier.FAULT and self.fault in ("", _UNNAMED):
+        if reported is State.FAULT and self.fault in ("", _UNNAMED):
             # At once; its code may come in a later frame.
             code = self._receiver.board_fault
             named = code is not None and code != self._wire.meaning.fault.none_value
@@ -238,11 +238,11 @@ class CanHardware(Hardware):
             found = self._finding(now_ns, reported)
             if found is not None:
                 self._latch(*found)
-        elif reported is Amplifier.ON:
+        elif reported is State.ON:
             # The frame that said "off" may be lost.
             self._send(self._newest_number)
 
-    def _finding(self, now_ns: int, reported: Amplifier | None) -> Finding | None:
+    def _finding(self, now_ns: int, reported: State | None) -> Finding | None:
         """The fault of a board that is to be on."""
         for words, count in self._upsets().items():
             if count != self._seen[words]:
@@ -250,7 +250,7 @@ class CanHardware(Hardware):
         silence = self._silence(now_ns)
         if silence is not None:
             return silence
-        if reported is Amplifier.ON:
+        if reported is State.ON:
             self._was_on = True
         elif self._was_on:
             return Fault.BOARD, "the board switched the amplifier off"

@@ -33,7 +33,6 @@ from straightcomp_ros.hardware.can.dbc_file import (
 )
 from straightcomp_ros.hardware.can.frames import (
     UNITS,
-    Amplifier,
     BoardFault,
     Command,
     Crc,
@@ -42,6 +41,7 @@ from straightcomp_ros.hardware.can.frames import (
     alive_modulus,
     data_ids,
 )
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import RefusedParameter, to_mapping
 
 if TYPE_CHECKING:
@@ -348,7 +348,7 @@ class Wire:
     def _values(self) -> dict[str, Mapping[Any, int]]:
         """For each role that says something the raw value of each meaning."""
         switches, amplifier = {role: getattr(self.meaning, role) for role in _SWITCHES}, self.meaning.amplifier
-        states = zip(Amplifier, (amplifier.off_value, amplifier.on_value, amplifier.fault_value), strict=True)
+        states = zip(State, (amplifier.off_value, amplifier.on_value, amplifier.fault_value), strict=True)
         return {"amplifier": dict(states)} | {
             role: {False: named.no_value, True: named.yes_value} for role, named in switches.items()
         }

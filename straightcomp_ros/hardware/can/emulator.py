@@ -19,7 +19,7 @@ from fractions import Fraction
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Frames, Report
+from straightcomp_ros.hardware.can.frames import BoardFault, Command, FrameError, Frames, Report
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.sample_numbers import FrameSets
 from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
@@ -32,7 +32,6 @@ _COUNTED = 2**32
 """Modulus of what the emulator counts: the count in a frame is its remainder."""
 _SHARE_OF_ECHO = 0.8
 """Of what an echo can distinguish: beyond that an old sample may as well be a future one."""
-_AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
 
 _LONGEST = 256
 _SAMPLE, _DRIVE, _STAGE = (struct.Struct(layout) for layout in ("=cqI", "=cqBi", "=cqI"))
@@ -114,9 +113,9 @@ class Board:
         self.machine.close()
 
     @property
-    def amplifier(self) -> Amplifier:
+    def amplifier(self) -> State:
         """The state that the next sample reports."""
-        return Amplifier.FAULT if self._fault else _AMPLIFIER[self.machine.state]
+        return State.FAULT if self._fault else self.machine.state
 
     @property
     def fault(self) -> BoardFault:
@@ -161,7 +160,7 @@ class Board:
         if not abs(current) <= self._range:
             self._trip(BoardFault.CURRENT_RANGE)
             return
-        if command.enable and self._seen_off and self.amplifier is Amplifier.OFF:
+        if command.enable and self._seen_off and self.amplifier is State.OFF:
             # Only an edge from off to on switches on, so a host that goes on saying "on" after a fault has no effect.
             self.machine.enable()
         self._seen_off = self._seen_off and not command.enable

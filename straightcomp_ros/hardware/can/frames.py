@@ -40,6 +40,7 @@ from straightcomp_ros.hardware.can.dbc_file import (
     selectors,
     shift,
 )
+from straightcomp_ros.hardware.interface import State
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -48,14 +49,6 @@ _NEW = tuple.__new__
 """Makes a named tuple in half the time of the class's own constructor."""
 _BY_CODE = "fault"
 """Stands for the raw value of the amplifier's state where the fault code alone says that there is a fault."""
-
-
-class Amplifier(enum.IntEnum):
-    """State of the board's amplifier."""
-
-    OFF = 1
-    ON = 2
-    FAULT = 3
 
 
 class BoardFault(enum.IntEnum):
@@ -92,7 +85,7 @@ class Report(NamedTuple):
     x: float | None = None
     y: float | None = None
     current: float | None = None
-    amplifier: Amplifier | None = None
+    amplifier: State | None = None
     fault: int | None = None
     good: bool = True
     referenced: bool | None = None
@@ -371,7 +364,7 @@ class Frames:
                 numbers.append((at, _sign(signal), scale, offset))
             if self.kind is Report and field in ("x", "y") and ("good" in shown or "good" not in self.fields):
                 ends.append((at, *sorted(raw * scale + offset for raw in self._ends(field))))
-        by_code = "amplifier" in shown and self.values["amplifier"][Amplifier.FAULT] < 0
+        by_code = "amplifier" in shown and self.values["amplifier"][State.FAULT] < 0
         return bits, counted, decoders, numbers, absent, ends, by_code
 
     def _meanings(self, field: str) -> _Meanings:
@@ -382,8 +375,8 @@ class Frames:
         if field in ("good", "referenced"):
             found.other = False
         elif field == "amplifier":
-            found[_BY_CODE], found.reason = Amplifier.FAULT, "state"
-            found.other = Amplifier.OFF if raw_of[Amplifier.OFF] < 0 else None
+            found[_BY_CODE], found.reason = State.FAULT, "state"
+            found.other = State.OFF if raw_of[State.OFF] < 0 else None
         return found
 
     def unpack(self, payload: bytes) -> Any:
@@ -501,4 +494,4 @@ def sent_values(values: Mapping[Any, int]) -> dict[Any, int]:
     """
     free = next(raw for raw in range(len(values) + 1) if raw not in values.values())
     sent = {meaning: raw if raw >= 0 else free for meaning, raw in values.items()}
-    return sent | {Amplifier.FAULT: sent[Amplifier.OFF]} if values.get(Amplifier.FAULT, 0) < 0 else sent
+    return sent | {State.FAULT: sent[State.OFF]} if values.get(State.FAULT, 0) < 0 else sent

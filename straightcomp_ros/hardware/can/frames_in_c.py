@@ -16,7 +16,8 @@ import jinja2
 
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, DbcError, in_page, limits
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Frames, sent_values
+from straightcomp_ros.hardware.can.frames import BoardFault, Command, Frames, sent_values
+from straightcomp_ros.hardware.interface import State
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -282,7 +283,7 @@ def _value(wire: Wire, frames: Frames, field: str) -> str:
         expression = _chosen((wire.fault_codes[fault] for fault in BoardFault), expression)
     elif field == "amplifier":
         raw = sent_values(frames.values[field])
-        states = (Amplifier.OFF, Amplifier.OFF, Amplifier.ON, Amplifier.FAULT)
+        states = (State.OFF, State.OFF, State.ON, State.FAULT)
         expression = _chosen((raw[state] for state in states), expression)
     elif field in ("good", "referenced"):
         expression = f"({expression} ? {frames.values[field][True]} : {frames.values[field][False]})"

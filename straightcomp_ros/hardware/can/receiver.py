@@ -11,10 +11,10 @@ from functools import partial
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Frames, Report
+from straightcomp_ros.hardware.can.frames import FrameError, Frames, Report
 from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.sample_numbers import FrameSets, SampleClock, SampleNumbers
-from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.hardware.interface import Sample, State, Truth
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.stage.description import StageParameters
 
@@ -59,7 +59,7 @@ class Receiver:
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.error_counter = self.error_limit_hits = 0
         self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
-        self.amplifier: Amplifier | None = None
+        self.amplifier: State | None = None
         self.board_fault: int | None = None
         self.referenced: bool | None = None
         self.ambiguous = self._homed = False
@@ -247,7 +247,7 @@ class Receiver:
         self._stamp_ns, self.newest_ns = stamp_ns, arrival_ns
         if arrival_ns - stamp_ns > self._stale_ns:
             self.stale += 1
-        current = self.current if self.amplifier is Amplifier.ON else math.nan
+        current = self.current if self.amplifier is State.ON else math.nan
         sample = Sample(stamp_ns, x, y, current)
         counter, truth = self._truth
         known = truth is not None and (not self._modulus or (counter - index) % self._modulus == 0)

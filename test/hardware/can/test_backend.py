@@ -15,7 +15,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
+from straightcomp_ros.hardware.can.frames import BoardFault, Command
 from straightcomp_ros.hardware.can.hub import ERROR, Frame, addressed
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
@@ -101,7 +101,7 @@ class World:
         self.run(0.2)
         self.host.enable()
         self.run(0.02)
-        assert self.host.state is State.ON and self.board.amplifier is Amplifier.ON
+        assert self.host.state is State.ON and self.board.amplifier is State.ON
         return self
 
     def off_again(self):
@@ -109,7 +109,7 @@ class World:
         self.to_board = True
         self.host.reset_fault()
         self.run(0.05)
-        assert self.board.amplifier is Amplifier.OFF and self.host.state is State.OFF and self.host.fault == ""
+        assert self.board.amplifier is State.OFF and self.host.state is State.OFF and self.host.fault == ""
         self.on()
 
     def command(self, alive, enable, reset=False, current=0.0, echo=None, frames=None):
@@ -161,7 +161,7 @@ def test_the_board_switches_on_when_asked_and_off_when_asked(world):
     assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
     assert world.host.applied_current == pytest.approx(0.2)
     world.host.disable()
-    assert world.board.amplifier is Amplifier.OFF
+    assert world.board.amplifier is State.OFF
     world.run(0.05)
     assert world.host.state is State.OFF and world.host.fault == ""
     assert world.host.applied_current == 0.0
@@ -225,11 +225,11 @@ def too_large_a_current(world):
 def test_what_must_not_happen_latches_a_fault_of_its_name_until_a_reset(running, cause, fault):
     cause(running)
     running.run(0.001)
-    assert running.host.fault.startswith(fault) and running.board.amplifier is not Amplifier.ON
+    assert running.host.fault.startswith(fault) and running.board.amplifier is not State.ON
     assert running.host.heartbeat_losses == (cause is no_heartbeat)
     running.unreceived = set()
     running.run(0.3)
-    assert running.host.fault.startswith(fault) and running.board.amplifier is not Amplifier.ON
+    assert running.host.fault.startswith(fault) and running.board.amplifier is not State.ON
     with pytest.raises(HardwareError, match="latched"):
         running.host.enable()
     running.off_again()
@@ -267,7 +267,7 @@ def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_w
     foreign.off_again()
     foreign.host.disable()
     foreign.run(0.05)
-    assert foreign.board.amplifier is Amplifier.OFF and foreign.host.state is State.OFF and foreign.host.fault == ""
+    assert foreign.board.amplifier is State.OFF and foreign.host.state is State.OFF and foreign.host.fault == ""
 
 
 def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
@@ -276,7 +276,7 @@ def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(
     assert foreign.host.state is State.ON
     foreign.run(0.03)
     assert "no state of the amplifier for" in foreign.host.fault and foreign.host.heartbeat_losses == 0
-    assert foreign.board.amplifier is Amplifier.OFF
+    assert foreign.board.amplifier is State.OFF
 
 
 @pytest.fixture
@@ -291,7 +291,7 @@ def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_
     assert split.host.lost_samples == split.host.counters()["can_incomplete"] == split.board.refused_commands == 0
     split.to_board = False
     split.run(TIMEOUT + 0.006)
-    assert split.host.fault == "the board reports: COMMAND_TIMEOUT" and split.board.amplifier is Amplifier.FAULT
+    assert split.host.fault == "the board reports: COMMAND_TIMEOUT" and split.board.amplifier is State.FAULT
     split.off_again()
 
 
@@ -314,16 +314,16 @@ def test_off_is_obeyed_without_the_other_message_of_its_command_and_a_current_wi
     split.run(0.01)
     split.off_again()
     split.command(7, False, frames=switch)
-    assert split.board.amplifier is Amplifier.OFF
+    assert split.board.amplifier is State.OFF
 
 
 def test_an_off_that_was_lost_is_said_again(running):
     running.to_board = False
     running.host.disable()
-    assert running.board.amplifier is Amplifier.ON
+    assert running.board.amplifier is State.ON
     running.to_board, running.commands = True, False
     running.run(0.002)
-    assert running.board.amplifier is Amplifier.OFF
+    assert running.board.amplifier is State.OFF
 
 
 @pytest.mark.parametrize("enable", [0b00, 0b11])
@@ -349,7 +349,7 @@ def test_a_board_that_is_switched_on_by_its_first_command_stays_off(world):
     world.run(0.1)
     for alive in range(10):
         world.command(alive, True)
-    assert world.board.amplifier is Amplifier.OFF
+    assert world.board.amplifier is State.OFF
 
 
 def test_a_command_carries_the_number_of_the_sample_that_it_answers(running):
@@ -481,7 +481,7 @@ def test_a_board_that_loses_the_reference_of_x_switches_off_and_says_so_until_it
     assert running.host.unreferenced == ""
     machine.unreferenced = "the encoder has lost its power"
     running.run(0.02)
-    assert running.board.amplifier is Amplifier.FAULT and running.board.fault is BoardFault.ENCODER
+    assert running.board.amplifier is State.FAULT and running.board.fault is BoardFault.ENCODER
     assert running.host.state is State.FAULT and running.host.unreferenced
     machine.unreferenced = ""
     running.run(0.02)

@@ -9,14 +9,14 @@ from straightcomp_ros.hardware.can import can_parameters
 from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
+from straightcomp_ros.hardware.can.frames import BoardFault, Command, Report
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from trials.can import ServoTrial
 
-REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True, True)
+REPORT = Report(4, None, 1.7, -22e-6, -0.5, State.ON, 0, True, True)
 
 
 def foreign(**changes):
@@ -62,7 +62,7 @@ def test_physical_values_of_another_board_are_in_si_units():
 def test_pages_of_a_multiplexed_status_take_turns_and_have_their_own_fields():
     wire = foreign()
     found = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
-    assert [one.amplifier for one in found] == [Amplifier.ON, None, Amplifier.ON, None]
+    assert [one.amplifier for one in found] == [State.ON, None, State.ON, None]
     assert [one.fault for one in found] == [None, 34, None, 34]
     assert wire.fault_words(34) == "SUPPLY" and wire.fault_words(99) == "fault 99"
     assert wire.fault_codes[BoardFault.COMMAND_TIMEOUT] == 17 and wire.fault_codes[BoardFault.NONE] == 0
@@ -70,11 +70,11 @@ def test_pages_of_a_multiplexed_status_take_turns_and_have_their_own_fields():
 
 def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_so():
     wire = foreign()
-    off = wire.status.pack(REPORT._replace(amplifier=Amplifier.OFF), 0)
-    assert wire.status.unpack(off).amplifier is Amplifier.OFF
+    off = wire.status.pack(REPORT._replace(amplifier=State.OFF), 0)
+    assert wire.status.unpack(off).amplifier is State.OFF
     # Now READY, the other of the two, is "on" and ENABLED none: what has no meaning is refused.
     strict = foreign(**{"wire/amplifier/off_value": 0, "wire/amplifier/on_value": 1})
-    assert strict.status.unpack(strict.status.pack(REPORT, 0)).amplifier is Amplifier.ON
+    assert strict.status.unpack(strict.status.pack(REPORT, 0)).amplifier is State.ON
     with pytest.raises(ValueError, match="state"):
         strict.status.unpack(wire.status.pack(REPORT, 0))
 
@@ -169,7 +169,9 @@ def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
     # What acts comes last.
     assert names(wire.commands) == ["PC_SWITCH", "PC_CURRENT"] and names([wire.command]) == ["PC_CURRENT"]
     assert (wire.part_modulus, wire.command_modulus, wire.number_modulus, wire.echo_modulus) == (15, 15, 15, 15)
-    assert wire.reports[0x110].unpack(wire.reports[0x110].pack(REPORT, 0)) == Report(4, x=1.7, amplifier=2, fault=0)
+    assert wire.reports[0x110].unpack(wire.reports[0x110].pack(REPORT, 0)) == Report(
+        4, x=1.7, amplifier=State.ON, fault=0
+    )
     assert wire.reports[0x111].unpack(wire.reports[0x111].pack(REPORT, 0)).y == pytest.approx(-22e-6)
     command = Command(3, True, False, 0.25, 7)
     found = [frames.unpack(frames.pack(command)) for frames in wire.commands]

@@ -26,10 +26,10 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_
 from straightcomp_ros.hardware.can.dbc_file import DbcError
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, Command
+from straightcomp_ros.hardware.can.frames import Command
 from straightcomp_ros.hardware.can.frames_in_c import _real, frames_in_c
 from straightcomp_ros.hardware.can.sample_numbers import together
-from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
@@ -168,7 +168,7 @@ def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(firmw
     reference = bad_loop(can, stage)
     amplifier = [amplifier for amplifier, _ in reference.states]
     # The run is worth comparing. Without a counter no command is refused as repeated.
-    assert {Amplifier.OFF, Amplifier.ON, Amplifier.FAULT} == set(amplifier) and amplifier.count(Amplifier.ON) > 1000
+    assert {State.OFF, State.ON, State.FAULT} == set(amplifier) and amplifier.count(State.ON) > 1000
     assert reference.board.refused_commands > 20 or can is BARE
     judge_equal(reference, firmware_of(can, program), stage=stage)
 
@@ -180,7 +180,7 @@ def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(firmware_of, tmp_p
     file.write_text(text)
     can = CanParameters(dbc=str(file), wire=meaning, simulated_stage=True)
     reference = bad_loop(can, samples=1500)
-    assert [amplifier for amplifier, _ in reference.states].count(Amplifier.ON) > 300
+    assert [amplifier for amplifier, _ in reference.states].count(State.ON) > 300
     judge_equal(reference, firmware_of(can, "board_sanitized"))
 
 
@@ -265,7 +265,7 @@ def test_of_more_commands_than_can_wait_the_last_are_refused_and_counted(firmwar
         for number in range(20):
             ((identifier, payload),) = run.command(number, number > 0, False, number)
             run.receive(identifier, payload, START + 1)
-        assert run.board.refused_commands == 4 and run.board.amplifier is Amplifier.ON
+        assert run.board.refused_commands == 4 and run.board.amplifier is State.ON
         run.cycle(START + 2 * STAGE.period_ns)
         # The sixteenth was the last that had room: number 15, of 15 counts, in steps of the converter.
         assert run.currents[-1] == STAGE.drive.converted(15 * CURRENT_COUNT)

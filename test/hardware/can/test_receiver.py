@@ -9,10 +9,10 @@ from can_boards import BARE, FOREIGN, PERIOD, START
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, Report
+from straightcomp_ros.hardware.can.frames import Report
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
-from straightcomp_ros.hardware.interface import Truth
+from straightcomp_ros.hardware.interface import State, Truth
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.safety.watch import ZeroWatch
@@ -49,9 +49,7 @@ class Board:
         self.frames = self.receiver.wire.reports.values()
         self.number, self.start_ns = 0, START
 
-    def sample(
-        self, x=0, y=0, amplifier=Amplifier.ON, fault=0, good=True, referenced=True, current=0, late_ns=0, lost=0
-    ):
+    def sample(self, x=0, y=0, amplifier=State.ON, fault=0, good=True, referenced=True, current=0, late_ns=0, lost=0):
         """The next sample after ``lost`` ones, in counts; returns what was delivered of it, or None."""
         self.number += lost
         counter = self.number % (self.receiver.wire.number_modulus or 2**32)
@@ -215,7 +213,7 @@ def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
         board.receive(heartbeat, payload, late_ns=7)
         assert board.receiver.node_state == operational
         assert board.receiver.heartbeat_ns == START + board.number * PERIOD + 7
-    assert board.receiver.boot_ups == 0 and board.receiver.amplifier is Amplifier.ON
+    assert board.receiver.boot_ups == 0 and board.receiver.amplifier is State.ON
     board.receive(heartbeat, b"\5\5")
     assert board.refused() == {"length": 1} and board.receiver.error_counter == 4
 
@@ -275,10 +273,10 @@ def test_the_state_of_the_amplifier_may_come_between_the_samples():
     board.frames = [board.receiver.wire.sample]
     board.samples(BLOCK)
     assert board.receiver.amplifier is None
-    status, report = board.receiver.wire.status, Report(amplifier=Amplifier.FAULT, fault=34)
+    status, report = board.receiver.wire.status, Report(amplifier=State.FAULT, fault=34)
     for turn in range(2):
         board.receive(status.identifier, status.pack(report, turn), turn)
-    assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault == 34
+    assert board.receiver.amplifier is State.FAULT and board.receiver.board_fault == 34
     assert board.receiver.status_ns == START + BLOCK * PERIOD
 
 
@@ -311,7 +309,7 @@ class WrappedMachine:
             self.number, self.periods = self.number + 1, self.periods + 1
             self.move(speed)
             x = self.frames.wrapped((self.at - self.zero) * COUNT)
-            report = Report(self.number % 15, self.number, x, 0.0, 0.0, Amplifier.ON, 0, True, self.referenced)
+            report = Report(self.number % 15, self.number, x, 0.0, 0.0, State.ON, 0, True, self.referenced)
             self.receiver.samples.clear()
             arrival_ns = START + self.periods * PERIOD
             self.receiver.receive(self.frames.identifier, self.frames.pack(report), arrival_ns)

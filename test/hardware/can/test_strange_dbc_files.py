@@ -13,8 +13,9 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
-from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
+from straightcomp_ros.hardware.can.frames import Command, Report
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import RefusedParameter, from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 
@@ -57,7 +58,7 @@ MEANING = {
     "enable.signal": "ON",
     "protection.command.alive": "SET_CNT",
 }
-REPORT = Report(None, 7, 0.5, -22e-6, None, Amplifier.ON, None, True, None)
+REPORT = Report(None, 7, 0.5, -22e-6, None, State.ON, None, True, None)
 
 
 @pytest.fixture
