@@ -294,12 +294,12 @@ class ServoTrial:
             # Not before the host has received frames of the board.
             with contextlib.suppress(HardwareError):
                 host.enable()
-        if host.state is not State.FAULT:
+        if host.fault is None:
             self._fault_ns = 0
             return
         if not self._fault_ns:
             self._fault_ns = self._now
-            self.latched[re.sub(" (for|within) .*", "", host.fault)] += 1
+            self.latched[re.sub(" (for|within) .*", "", host.fault[1])] += 1
         age_ns = self._now - self._fault_ns
         self.unsafe += age_ns > self._unsafe_after_ns and self._board.amplifier is State.ON
         if age_ns > _REST_NS:

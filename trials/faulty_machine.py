@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from straightcomp_ros.hardware.interface import Hardware, Sample, State, Truth
-from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.faults import Fault, Finding
 
 _JUMP = 5e-3
 _RUN_AWAY = 1.5
@@ -44,7 +44,8 @@ class FaultyHardware:
     def __init__(self, inner: Hardware, began: Callable[[str, int], None] = lambda name, time_ns: None) -> None:
         self._inner, self._began = inner, began
         self._first: Sample | None = None
-        self.injected = self._fault = ""
+        self.injected = ""
+        self._fault: Finding | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
@@ -67,12 +68,12 @@ class FaultyHardware:
             self._first = samples[0][0]
             self._began(self.injected, now_ns)
             if fault is Fault.BOARD:
-                self._fault = "the board reports: overcurrent"
+                self._fault = fault, "the board reports: overcurrent"
                 self._inner.disable()
         return [(change(sample, self._first), truth) for sample, truth in samples]
 
     def reset_fault(self) -> None:
-        self._fault = ""
+        self._fault = None
         self._inner.reset_fault()
 
     @property
@@ -80,9 +81,5 @@ class FaultyHardware:
         return State.FAULT if self._fault else self._inner.state
 
     @property
-    def fault(self) -> str:
+    def fault(self) -> Finding | None:
         return self._fault or self._inner.fault
-
-    @property
-    def fault_kind(self) -> Fault | None:
-        return Fault.BOARD if self._fault else self._inner.fault_kind

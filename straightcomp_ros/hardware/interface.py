@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
-from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.faults import Finding
 
 
 class Sample(NamedTuple):
@@ -114,13 +114,8 @@ class Hardware(ABC):
 
     @property
     @abstractmethod
-    def fault(self) -> str:
-        """Why the state is FAULT, empty otherwise."""
-
-    @property
-    @abstractmethod
-    def fault_kind(self) -> Fault | None:
-        """Which fault that is, None without one."""
+    def fault(self) -> Finding | None:
+        """The fault by which the state is FAULT, None otherwise."""
 
     @property
     @abstractmethod

@@ -20,7 +20,7 @@ from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, advance_to_sample, commanded_plant, plant_state
 from straightcomp_ros.parameters.declaration import group, parameter
-from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 from straightcomp_ros.straightness.feedforward import follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -81,7 +81,7 @@ class SimulatedHardware(Hardware):
     """
 
     state = State.OFF
-    fault = ""
+    fault: Finding | None = None
     lost_samples = 0
     unreferenced = ""
 
@@ -143,8 +143,8 @@ class SimulatedHardware(Hardware):
         self._waiting, self._last_command_ns = count + 1, effective_ns
 
     def enable(self) -> None:
-        if self.state is State.FAULT:
-            raise HardwareError(f"a fault is latched: {self.fault}")
+        if self.fault:
+            raise HardwareError(f"a fault is latched: {self.fault[1]}")
         if self.state is State.OFF:
             self.state = State.ON
             self._plant.state[BIAS] = self._bias
@@ -156,9 +156,8 @@ class SimulatedHardware(Hardware):
             self.state = State.OFF
 
     def reset_fault(self) -> None:
-        if self.state is State.FAULT:
-            self.state = State.OFF
-            self.fault = ""
+        if self.fault:
+            self.state, self.fault = State.OFF, None
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
         if self.zero:
@@ -191,10 +190,6 @@ class SimulatedHardware(Hardware):
         self.motion.ask(pace)
 
     @property
-    def fault_kind(self) -> Fault | None:
-        return Fault.COMMAND_TIMEOUT if self.fault else None
-
-    @property
     def applied_current(self) -> float:
         return float(self._plant.state[COMMAND])
 
@@ -217,7 +212,8 @@ class SimulatedHardware(Hardware):
         if age_ns > self.command_timeout_ns and self.state is State.ON:
             self.state = State.FAULT
             limit_ms = self.command_timeout_ns * 1e-6
-            self.fault = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {limit_ms:g} ms)"
+            reason = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {limit_ms:g} ms)"
+            self.fault = Fault.COMMAND_TIMEOUT, reason
             self._currents_off()
         _, velocity, _, control, _, friction, magnetic, *_, y, reading = self._plant.state.tolist()
         measured = control if self.state is State.ON else math.nan

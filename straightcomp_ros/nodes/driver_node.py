@@ -196,8 +196,8 @@ class DriverComponent:
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
         self._node.streams.publish_records()
-        if self._hardware.fault_kind is not None and self._safety.fault is None:
-            self._trip(self._hardware.fault_kind, self._hardware.fault)
+        if self._hardware.fault and self._safety.fault is None:
+            self._trip(*self._hardware.fault)
         return len(samples)
 
     def _look_at_reference(self, samples: list[Sample]) -> None:

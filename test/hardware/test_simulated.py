@@ -140,12 +140,12 @@ def test_command_older_than_timeout_disables_the_amplifier_and_latches_a_fault()
     hardware.write(0.1, START)
     assert hardware.read(START + 9 * PERIOD) and hardware.state is State.ON
     late = hardware.read(START + 30 * PERIOD)
-    assert hardware.state is State.FAULT and "no command for 5.5 ms" in hardware.fault
+    assert hardware.state is State.FAULT and "no command for 5.5 ms" in hardware.fault[1]
     assert math.isnan(late[-1][0].current)
     with pytest.raises(HardwareError, match="no command"):
         hardware.enable()
     hardware.reset_fault()
-    assert hardware.state is State.OFF and hardware.fault == ""
+    assert hardware.state is State.OFF and hardware.fault is None
     hardware.enable()
     hardware.write(0.1, START + 31 * PERIOD)
     hardware.read(START + 32 * PERIOD)

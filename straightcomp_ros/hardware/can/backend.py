@@ -18,7 +18,7 @@ from straightcomp_ros.stage.description import StageParameters
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
-_UNNAMED = "the board reports: a fault"
+_UNNAMED = Fault.BOARD, "the board reports: a fault"
 _BEAT = "no heartbeat"
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
@@ -34,7 +34,7 @@ class CanHardware(Hardware):
     :class:`~straightcomp_ros.hardware.can.link.Link` does.
     """
 
-    fault = ""
+    fault: Finding | None = None
     heartbeat_losses = 0
     """How often the heartbeat was lost while the amplifier was on."""
 
@@ -56,7 +56,6 @@ class CanHardware(Hardware):
         self._newest_number = self._turn = self._deadline_ns = 0
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
-        self._fault_kind = Fault.BOARD
         self._seen = self._upsets()
 
     def start(self, now_ns: int) -> None:
@@ -89,7 +88,7 @@ class CanHardware(Hardware):
 
     def enable(self) -> None:
         if self.fault:
-            raise HardwareError(f"a fault is latched: {self.fault}")
+            raise HardwareError(f"a fault is latched: {self.fault[1]}")
         refusal = self._not_ready(self._clock())
         if refusal:
             raise HardwareError(refusal)
@@ -107,7 +106,7 @@ class CanHardware(Hardware):
 
     def reset_fault(self) -> None:
         if self.fault:
-            self.fault = ""
+            self.fault = None
             self._resetting = True
             self._await_answer()
             self._send(self._newest_number)
@@ -155,10 +154,6 @@ class CanHardware(Hardware):
     @property
     def state(self) -> State:
         return State.FAULT if self.fault else State.ON if self._wanted and self._was_on else State.OFF
-
-    @property
-    def fault_kind(self) -> Fault | None:
-        return self._fault_kind if self.fault else None
 
     @property
     def lost_samples(self) -> int:
@@ -229,15 +224,16 @@ class CanHardware(Hardware):
                 self._send(self._newest_number)
                 return
             self._resetting = False
-        if reported is State.FAULT and self.fault in ("", _UNNAMED):
+        if reported is State.FAULT and self.fault in (None, _UNNAMED):
             # At once; its code may come in a later frame.
             code = self._receiver.board_fault
             named = code is not None and code != self._wire.meaning.fault.none_value
-            self._latch(Fault.BOARD, f"the board reports: {self._wire.fault_words(code or 0)}" if named else _UNNAMED)
+            words = f"the board reports: {self._wire.fault_words(code or 0)}"
+            self._latch((Fault.BOARD, words) if named else _UNNAMED)
         if self._wanted:
             found = self._finding(now_ns, reported)
             if found is not None:
-                self._latch(*found)
+                self._latch(found)
         elif reported is State.ON:
             # The frame that said "off" may be lost.
             self._send(self._newest_number)
@@ -286,11 +282,10 @@ class CanHardware(Hardware):
         silence = self._silence(now_ns)
         return silence[1] if silence is not None else ""
 
-    def _latch(self, kind: Fault, reason: str) -> None:
+    def _latch(self, found: Finding) -> None:
         """Switch off, unless a fault was latched before, which now gets its name."""
-        before, self.fault = self.fault, reason
-        if not before:
-            self._fault_kind = kind
+        before, self.fault = self.fault, found
+        if before is None:
             self.disable()
 
     def _await_answer(self) -> None:

@@ -109,7 +109,7 @@ class World:
         self.to_board = True
         self.host.reset_fault()
         self.run(0.05)
-        assert self.board.amplifier is State.OFF and self.host.state is State.OFF and self.host.fault == ""
+        assert self.board.amplifier is State.OFF and self.host.state is State.OFF and self.host.fault is None
         self.on()
 
     def command(self, alive, enable, reset=False, current=0.0, echo=None, frames=None):
@@ -163,7 +163,7 @@ def test_the_board_switches_on_when_asked_and_off_when_asked(world):
     world.host.disable()
     assert world.board.amplifier is State.OFF
     world.run(0.05)
-    assert world.host.state is State.OFF and world.host.fault == ""
+    assert world.host.state is State.OFF and world.host.fault is None
     assert world.host.applied_current == 0.0
 
 
@@ -225,11 +225,11 @@ def too_large_a_current(world):
 def test_what_must_not_happen_latches_a_fault_of_its_name_until_a_reset(running, cause, fault):
     cause(running)
     running.run(0.001)
-    assert running.host.fault.startswith(fault) and running.board.amplifier is not State.ON
+    assert running.host.fault[1].startswith(fault) and running.board.amplifier is not State.ON
     assert running.host.heartbeat_losses == (cause is no_heartbeat)
     running.unreceived = set()
     running.run(0.3)
-    assert running.host.fault.startswith(fault) and running.board.amplifier is not State.ON
+    assert running.host.fault[1].startswith(fault) and running.board.amplifier is not State.ON
     with pytest.raises(HardwareError, match="latched"):
         running.host.enable()
     running.off_again()
@@ -260,14 +260,14 @@ def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_w
     foreign.to_board = False
     foreign.run(TIMEOUT + 0.006)
     # The page with the code comes after the one with the state.
-    assert foreign.host.fault == "the board reports: a fault" and foreign.host.state is State.FAULT
+    assert foreign.host.fault[1] == "the board reports: a fault" and foreign.host.state is State.FAULT
     foreign.run(0.01)
-    assert foreign.host.fault == "the board reports: COMMAND_TIMEOUT"
+    assert foreign.host.fault[1] == "the board reports: COMMAND_TIMEOUT"
     assert foreign.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
     foreign.off_again()
     foreign.host.disable()
     foreign.run(0.05)
-    assert foreign.board.amplifier is State.OFF and foreign.host.state is State.OFF and foreign.host.fault == ""
+    assert foreign.board.amplifier is State.OFF and foreign.host.state is State.OFF and foreign.host.fault is None
 
 
 def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
@@ -275,7 +275,7 @@ def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(
     foreign.run(0.14)
     assert foreign.host.state is State.ON
     foreign.run(0.03)
-    assert "no state of the amplifier for" in foreign.host.fault and foreign.host.heartbeat_losses == 0
+    assert "no state of the amplifier for" in foreign.host.fault[1] and foreign.host.heartbeat_losses == 0
     assert foreign.board.amplifier is State.OFF
 
 
@@ -291,7 +291,7 @@ def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_
     assert split.host.lost_samples == split.host.counters()["can_incomplete"] == split.board.refused_commands == 0
     split.to_board = False
     split.run(TIMEOUT + 0.006)
-    assert split.host.fault == "the board reports: COMMAND_TIMEOUT" and split.board.amplifier is State.FAULT
+    assert split.host.fault[1] == "the board reports: COMMAND_TIMEOUT" and split.board.amplifier is State.FAULT
     split.off_again()
 
 
@@ -301,7 +301,7 @@ def test_samples_whose_y_does_not_come_are_counted_and_not_used_and_a_fault_at_l
     seen = len(split.samples)
     split.run(0.01)
     assert len(split.samples) == seen and split.host.counters()["can_incomplete"] > 10
-    assert "no good sample" in split.host.fault
+    assert "no good sample" in split.host.fault[1]
 
 
 def test_off_is_obeyed_without_the_other_message_of_its_command_and_a_current_without_its_switches_is_none(split):
@@ -399,9 +399,9 @@ def test_a_board_that_does_not_switch_on_within_its_time_is_a_fault(world):
     world.host.enable()
     within = world.host._parameters.answer_timeout
     world.run(within)
-    assert world.host.fault == ""
+    assert world.host.fault is None
     world.run(0.001)
-    assert world.host.fault == f"the board did not switch on within {within * 1e3:g} ms"
+    assert world.host.fault[1] == f"the board did not switch on within {within * 1e3:g} ms"
     assert world.host.state is State.FAULT
 
 
@@ -414,9 +414,9 @@ def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_ove
     within = running.host._parameters.answer_timeout
     running.run(within)
     assert {(command.enable, command.reset) for command in commands} == {(False, True)}
-    assert len(commands) == 1 + round(within * 2000) and running.host.fault == ""
+    assert len(commands) == 1 + round(within * 2000) and running.host.fault is None
     running.run(0.001)
-    assert running.host.fault == "the board reports: command timeout"
+    assert running.host.fault[1] == "the board reports: command timeout"
 
 
 def test_what_is_not_ready_says_what_is_missing(world):
