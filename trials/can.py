@@ -27,7 +27,7 @@ from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.frames import BoardFault, Command, Report
-from straightcomp_ros.hardware.can.hub import ERROR, FD, FLOOD, KINDS, NO_DATA, Faults, Frame, LinkCut, addressed
+from straightcomp_ros.hardware.can.hub import ERROR, FD, FD_FRAME, FLOOD, KINDS, NO_DATA, Faults, Frame, LinkCut
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK, together
 from straightcomp_ros.hardware.interface import HardwareError, State
@@ -168,7 +168,7 @@ def _frames(wire: Wire, index: int, stamp_ns: int) -> Iterator[Frame]:
         if index % frames.every == 0:
             alive = index // frames.every % frames.alive_modulus
             report = Report(alive, counter, x, y, _CURRENT, State.ON, fault, True, True)
-            yield addressed(frames.identifier, frames.pack(report, index), fd=frames.fd, stamp_ns=stamp_ns)
+            yield Frame(stamp_ns, frames.identifier, FD_FRAME if frames.fd else 0, frames.pack(report, index))
 
 
 _DEAD_NS = 20_000_000

@@ -14,9 +14,9 @@
 #include <unistd.h>
 
 #define REOPEN_NS (100000000)
-/* Head of the hub's packets: time in ns (8 bytes), identifier (4), flags (1); see hardware/can/hub.py. */
+/* Head of the hub's packets: time in ns (8 bytes), identifier (4), with WIRE_EXTENDED, and flags (1); see
+ * hardware/can/hub.py. */
 #define HUB_HEAD (13u)
-#define HUB_EXTENDED (1u)
 #define HUB_FD (8u)
 #define HUB_BIT_RATE_SWITCH (16u)
 #define HUB_OTHERS (6u) /* remote, error */
@@ -116,12 +116,10 @@ static ssize_t sent_to_hub(const struct bus *bus, uint32_t identifier, bool fd, 
 {
     uint8_t packet[HUB_HEAD + BUS_LONGEST];
     const int64_t now_ns = clock_ns(CLOCK_REALTIME);
-    const uint32_t address = identifier & ~WIRE_EXTENDED;
-    const uint8_t extended = (address != identifier) ? (uint8_t)HUB_EXTENDED : 0u;
 
     (void)memcpy(&packet[0], &now_ns, 8u);
-    (void)memcpy(&packet[8], &address, 4u);
-    packet[12] = fd ? (uint8_t)(extended | HUB_FD | HUB_BIT_RATE_SWITCH) : extended;
+    (void)memcpy(&packet[8], &identifier, 4u);
+    packet[12] = fd ? (uint8_t)(HUB_FD | HUB_BIT_RATE_SWITCH) : 0u;
     (void)memcpy(&packet[HUB_HEAD], data, length);
     return send(bus->descriptor, packet, HUB_HEAD + length, MSG_NOSIGNAL);
 }
@@ -169,9 +167,6 @@ static int received_from_hub(const struct bus *bus, struct bus_frame *frame)
     }
     (void)memcpy(&frame->sent_ns, &packet[0], 8u);
     (void)memcpy(&frame->identifier, &packet[8], 4u);
-    if ((packet[12] & HUB_EXTENDED) != 0u) {
-        frame->identifier |= WIRE_EXTENDED;
-    }
     frame->length = (size_t)size - HUB_HEAD;
     (void)memcpy(frame->data, &packet[HUB_HEAD], frame->length);
     return 1;

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
-from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub, address
+from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
@@ -64,7 +64,7 @@ class Emulator:
 
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
         if not frame.flags & NO_DATA:
-            self._board.receive(address(frame), frame.data, arrival_ns)
+            self._board.receive(frame.identifier, frame.data, arrival_ns)
 
     def _cycle(self, wake_ns: int) -> None:
         if not self._started:

@@ -19,7 +19,9 @@ from typing import Any, TextIO, cast
 import can
 from can.io.blf import BLFParseError
 
-from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, decoded
+from straightcomp_ros.hardware.can.dbc_file import decoded
+from straightcomp_ros.hardware.can.hub import NO_DATA
+from straightcomp_ros.hardware.can.hub_bus import frame_of
 from straightcomp_ros.hardware.interface import HardwareError
 
 _QUEUE_LIMIT = 20_000
@@ -233,8 +235,8 @@ def _duration(seconds: float) -> str:
 def of_the_board(frames: Iterable[can.Message], identifiers: Collection[int]) -> Iterator[can.Message]:
     """The frames with one of these identifiers; EXTENDED_ID is set in those of 29 bits."""
     for frame in frames:
-        identifier = frame.arbitration_id | (EXTENDED_ID if frame.is_extended_id else 0)
-        if identifier in identifiers and not (frame.is_error_frame or frame.is_remote_frame):
+        known = frame_of(frame)
+        if known.identifier in identifiers and not known.flags & NO_DATA:
             yield frame
 
 

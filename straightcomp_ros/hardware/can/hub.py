@@ -22,7 +22,7 @@ from straightcomp_ros.hardware.interface import HardwareError
 
 FLOOD = 20
 """Frames that a babbling node sends before each of ours."""
-_FOREIGN_ID = 0x7
+_FOREIGN = 0x7
 _AT_ONCE = 16
 """Frames between two polls of the sockets."""
 _LONGEST_WAIT_S = 0.1
@@ -30,7 +30,7 @@ _BUFFER = 1 << 20
 _HEAD = struct.Struct("<QIB")
 LONGEST = _HEAD.size + 64
 
-EXTENDED, REMOTE, ERROR, FD, BIT_RATE_SWITCH = 1, 2, 4, 8, 16
+REMOTE, ERROR, FD, BIT_RATE_SWITCH = 2, 4, 8, 16
 """Flags of a frame: plain numbers, since each operation on an IntFlag takes some microseconds."""
 FD_FRAME = FD | BIT_RATE_SWITCH
 """The frames of CAN FD that this package sends."""
@@ -39,23 +39,13 @@ NO_DATA = ERROR | REMOTE
 
 
 class Frame(NamedTuple):
-    """A frame on the bus; ``stamp_ns`` is the system time at which it was sent, ns since the epoch."""
+    """A frame on the bus; ``stamp_ns`` is the system time at which it was sent, ns since the epoch. EXTENDED_ID is set
+    in an ``identifier`` of 29 bits."""
 
     stamp_ns: int
     identifier: int
     flags: int
     data: bytes
-
-
-def address(frame: Frame) -> int:
-    """Identifier of a frame, with EXTENDED_ID set in one of 29 bits."""
-    return frame.identifier | EXTENDED_ID if frame.flags & EXTENDED else frame.identifier
-
-
-def addressed(address: int, payload: bytes, *, fd: bool, stamp_ns: int = 0) -> Frame:
-    """The frame to an :func:`address`."""
-    extended = EXTENDED if address & EXTENDED_ID else 0
-    return Frame(stamp_ns, address & ~EXTENDED_ID, extended | (FD_FRAME if fd else 0), payload)
 
 
 def to_packet(frame: Frame) -> bytes:
@@ -69,9 +59,9 @@ def from_packet(packet: bytes) -> Frame:
 
 def priority(frame: Frame) -> tuple[int, int, int]:
     """Sort key by which frames win the bus, the lowest first: by the bits of the identifier."""
-    if frame.flags & EXTENDED:
+    if frame.identifier & EXTENDED_ID:
         # After eleven equal bits a standard frame wins.
-        return frame.identifier >> 18, 1, frame.identifier & 0x3FFFF
+        return (frame.identifier & ~EXTENDED_ID) >> 18, 1, frame.identifier & 0x3FFFF
     return frame.identifier, 0, 0
 
 
@@ -142,8 +132,8 @@ KINDS: Mapping[str, Callable[[Frame, random.Random], list[Frame]]] = {
     "wrong_id": lambda frame, chance: [frame._replace(identifier=frame.identifier ^ 1 << chance.randrange(11))],
     "error_frame": lambda frame, _: [Frame(frame.stamp_ns, 0x20, ERROR, bytes(8)), frame],
     # A request for the frame, which a bus has in the classic format alone.
-    "remote": lambda frame, _: [frame._replace(flags=frame.flags & EXTENDED | REMOTE, data=b""), frame],
-    "flood": lambda frame, _: [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame],
+    "remote": lambda frame, _: [frame._replace(flags=REMOTE, data=b""), frame],
+    "flood": lambda frame, _: [frame._replace(identifier=frame.identifier & EXTENDED_ID | _FOREIGN)] * FLOOD + [frame],
     "cut": _cut,
 }
 """Kinds of faults, and what each does to a frame."""
@@ -229,7 +219,7 @@ class Hub:
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """Pass a frame of the ``member`` to all others; a node that does not read loses it silently."""
-        self._pass_on(None, to_packet(addressed(identifier, payload, fd=fd, stamp_ns=time.time_ns())))
+        self._pass_on(None, to_packet(Frame(time.time_ns(), identifier, FD_FRAME if fd else 0, payload)))
         return True
 
     def cut(self) -> None:

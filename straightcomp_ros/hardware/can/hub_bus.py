@@ -13,12 +13,12 @@ from typing import Any
 import can
 
 from straightcomp_ros.hardware.can import hub
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import Frame
 
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
 _BITS = {
-    "is_extended_id": hub.EXTENDED,
     "is_remote_frame": hub.REMOTE,
     "is_error_frame": hub.ERROR,
     "is_fd": hub.FD,
@@ -80,7 +80,7 @@ class HubBus(can.BusABC):
 
         Raises can.CanOperationError if the buffer is full for ``timeout`` s (None: at once), or the hub is gone.
         """
-        frame = msg.arbitration_id, _flags(msg), bytes(msg.data)
+        frame = frame_of(msg)[1:]
         try:
             self.send_frame(*frame)
         except can.CanOperationError as error:
@@ -105,13 +105,12 @@ class HubBus(can.BusABC):
 
 
 def frame_of(message: can.Message) -> Frame:
-    return Frame(round(message.timestamp * 1e9), message.arbitration_id, _flags(message), bytes(message.data))
+    identifier = message.arbitration_id | (EXTENDED_ID if message.is_extended_id else 0)
+    flags = sum(bit for name, bit in _BITS.items() if getattr(message, name))
+    return Frame(round(message.timestamp * 1e9), identifier, flags, bytes(message.data))
 
 
 def message_of(frame: Frame) -> can.Message:
     stamp_ns, identifier, flags, data = frame
-    return can.Message(timestamp=stamp_ns * 1e-9, arbitration_id=identifier, data=data, **_KINDS[flags])
-
-
-def _flags(message: can.Message) -> int:
-    return sum(bit for name, bit in _BITS.items() if getattr(message, name))
+    own, extended = identifier & ~EXTENDED_ID, bool(identifier & EXTENDED_ID)
+    return can.Message(stamp_ns * 1e-9, own, is_extended_id=extended, data=data, **_KINDS[flags])

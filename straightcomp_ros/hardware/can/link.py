@@ -19,7 +19,7 @@ import can
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.frame_log import FrameLog
-from straightcomp_ros.hardware.can.hub import ERROR, Frame, address, addressed
+from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, Frame
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
 from straightcomp_ros.parameters.declaration import ParameterError
 
@@ -128,7 +128,7 @@ class Link:
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """Hand a frame to the bus without waiting; False if it was not taken."""
-        bus, frame = self._bus, addressed(identifier, payload, fd=fd)
+        bus, frame = self._bus, Frame(0, identifier, FD_FRAME if fd else 0, payload)
         try:
             if isinstance(bus, HubBus):
                 bus.send_frame(*frame[1:])
@@ -184,7 +184,7 @@ class Link:
             self._wait_s = _SHORTEST_WAIT_S
         while frame is not None:
             # recv_frame() of the hub's interface does not filter, and an error frame has no identifier.
-            if address(frame) in self._identifiers or frame.flags & ERROR:
+            if frame.identifier in self._identifiers or frame.flags & ERROR:
                 self._receive(frame, self._arrival(frame.stamp_ns))
                 if self.log:
                     self.log.put(message_of(frame))

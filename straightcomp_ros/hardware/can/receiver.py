@@ -12,7 +12,7 @@ from functools import partial
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import FrameError, Frames, Report
-from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.sample_numbers import FrameSets, SampleClock, SampleNumbers
 from straightcomp_ros.hardware.interface import Sample, State, Truth
 from straightcomp_ros.model.motion import reach
@@ -108,7 +108,7 @@ class Receiver:
         elif frame.flags & REMOTE:
             self.counts["remote"] += 1
         else:
-            self.receive(address(frame), frame.data, arrival_ns)
+            self.receive(frame.identifier, frame.data, arrival_ns)
 
     def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
         """Take one frame with data."""

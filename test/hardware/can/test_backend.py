@@ -16,7 +16,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.frames import BoardFault, Command
-from straightcomp_ros.hardware.can.hub import ERROR, Frame, addressed
+from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, Frame
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedParameters
@@ -69,7 +69,7 @@ class World:
 
     def _from_board(self, identifier, payload, fd):
         if self.to_host and identifier in set(self._identifiers) - self.unreceived:
-            self._receive(addressed(identifier, payload, fd=fd, stamp_ns=self.now), self.now + 100_000)
+            self._receive(Frame(self.now, identifier, FD_FRAME if fd else 0, payload), self.now + 100_000)
 
     def run(self, seconds, current=0.0):
         for _ in range(round(seconds * 2000)):
@@ -194,7 +194,7 @@ def bus_off(world):
 def four_bad_frames(world):
     sample = world.wire.sample
     for _ in range(4):
-        world._receive(addressed(sample.identifier, bytes(sample.size), fd=sample.fd), world.now)
+        world._receive(Frame(0, sample.identifier, FD_FRAME if sample.fd else 0, bytes(sample.size)), world.now)
 
 
 def no_commands(world):

@@ -10,9 +10,9 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import (
     ERROR,
-    EXTENDED,
     FD,
     FD_FRAME,
     Faults,
@@ -199,9 +199,9 @@ def test_faults_in_the_hub_reach_the_nodes(make):
 
 
 def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():
-    def order(identifier, flags=0):
-        return priority(Frame(0, identifier, flags, b""))
+    def order(identifier):
+        return priority(Frame(0, identifier, 0, b""))
 
     extended = [0x181 << 18, 0x181 << 18 | 1, 0x181 << 18 | 0x3FFFF]
-    ranks = [order(0x180), order(0x181), *(order(identifier, EXTENDED) for identifier in extended), order(0x182)]
+    ranks = [order(0x180), order(0x181), *(order(identifier | EXTENDED_ID) for identifier in extended), order(0x182)]
     assert ranks == sorted(ranks) and len(set(ranks)) == len(ranks)

@@ -11,7 +11,7 @@ import pytest
 from straightcomp_ros.hardware.can import link as link_module
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
-from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, REMOTE, Frame, address, addressed
+from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link, filter_of
 from straightcomp_ros.nodes.dsp_emulator import Emulator
@@ -104,13 +104,13 @@ def test_only_the_boards_frames_and_error_frames_come_through(world):
     host = world(bus).opened()
     bus.coming = [
         frame(0x182),
-        frame(OURS, EXTENDED),
+        frame(OURS | EXTENDED_ID),
         frame(OURS, FD_FRAME),
         frame(OURS, REMOTE, b""),
-        frame(0x20000004, ERROR | EXTENDED, bytes(8)),
+        frame(0x20000004 | EXTENDED_ID, ERROR, bytes(8)),
     ]
     assert host.link.wait(0.0) == 5
-    assert [one.flags for one, _ in host.arrived] == [FD_FRAME, REMOTE, ERROR | EXTENDED]
+    assert [one.flags for one, _ in host.arrived] == [FD_FRAME, REMOTE, ERROR]
     assert host.filters == [{"can_id": OURS, "can_mask": 0x7FF, "extended": False}]
 
 
@@ -118,11 +118,12 @@ def test_an_identifier_of_29_bits_is_sent_and_filtered_as_such():
     wide, short = 0x18FF0201 | EXTENDED_ID, 0x201
     assert filter_of(wide) == {"can_id": 0x18FF0201, "can_mask": 0x1FFFFFFF, "extended": True}
     assert filter_of(short) == {"can_id": 0x201, "can_mask": 0x7FF, "extended": False}
-    for identifier, flags in ((wide, EXTENDED), (short, 0)):
-        for fd in (False, True):
-            frame = addressed(identifier, b"\1", fd=fd, stamp_ns=7)
-            assert frame == Frame(7, identifier & 0x1FFFFFFF, flags | (FD_FRAME if fd else 0), b"\1")
-            assert address(frame) == address(frame_of(message_of(frame))) == identifier
+    for identifier in (wide, short):
+        for flags in (0, FD_FRAME):
+            frame = Frame(7, identifier, flags, b"\1")
+            message = message_of(frame)
+            assert (message.arbitration_id, message.is_extended_id) == (identifier & 0x1FFFFFFF, identifier is wide)
+            assert frame_of(message) == frame
 
 
 @pytest.mark.parametrize(("ago_ns", "used"), [(4_000_000_000, True), (6_000_000_000, False), (-(10**9), False)])
