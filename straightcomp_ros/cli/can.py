@@ -122,7 +122,7 @@ def _replay(options: argparse.Namespace) -> None:
     parameters = node_parameters("driver", chosen_parameters(options)).can
     check_interface(parameters)
     recorded, wire = RecordedBus(options.log, options.channel), parameters.make_wire()
-    identifiers = [*wire.identifiers, EmulatorFrames(parameters.node, wire).truth_id]
+    identifiers = [*wire.identifiers, EmulatorFrames(wire).truth_id]
     try:
         count, silences = check_times_and_buses(of_the_board(recorded, identifiers))
         if not count:

@@ -50,7 +50,7 @@ class CanHardware(Hardware):
         self._stage, self.motion = stage.motion, PacedMotion(stage.motion)
         self._receiver = Receiver(parameters, stage)
         self._wire = wire = self._receiver.wire
-        self._stage_frames = EmulatorFrames(parameters.node, wire) if parameters.simulated_stage else None
+        self._stage_frames = EmulatorFrames(wire) if parameters.simulated_stage else None
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = 0

@@ -9,18 +9,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.hardware.can.can_parameters import (
-    SHIPPED_DBC,
-    ProtectionParameters,
-    WireParameters,
-    shipped_wire,
-)
+from straightcomp_ros.hardware.can.can_parameters import ProtectionParameters, WireParameters
 from straightcomp_ros.hardware.can.dbc_file import (
     Dbc,
     DbcError,
@@ -119,8 +113,8 @@ class Wire:
         RefusedParameter: file and meaning do not fit together; the names begin with ``wire.``.
     """
 
-    def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
-        self.dbc, self.meaning, self.fd, self._node = dbc, meaning, fd, node
+    def __init__(self, dbc: Dbc, meaning: WireParameters, node: int, fd: bool) -> None:
+        self.dbc, self.meaning, self.fd, self.node = dbc, meaning, fd, node
         self._places: dict[str, str] = {}
         """By message the group of parameters that describes its protection."""
         self._taken: dict[int, str] = {}
@@ -194,7 +188,7 @@ class Wire:
 
     def _fault_code(self, fault: BoardFault) -> int:
         for raw, words in self._fault_words.items():
-            if words.lower().replace("_", " ") == fault.words:
+            if words.lower().replace(" ", "_") == fault.name.lower():
                 return raw
         if fault is BoardFault.NONE:
             return self.meaning.fault.none_value
@@ -304,7 +298,7 @@ class Wire:
         message = self.dbc.message(name)
         self._places[name] = place = f"wire.protection.{group}"
         with _naming("node"):
-            identifier = self.dbc.identifier(message, self._node)
+            identifier = self.dbc.identifier(message, self.node)
         other = self._taken.setdefault(identifier, name)
         if other != name:
             raise RefusedParameter("dbc", f"messages '{other}' and '{name}' of {self.dbc.file} have one identifier")
@@ -386,21 +380,9 @@ class Wire:
             raise RefusedParameter("wire.echo.signal", f"{text}{self.number_modulus} of the samples")
 
 
-def make_wire(file: str, meaning: WireParameters, node: int, fd: bool) -> Wire:
-    """The wire of the DBC ``file``, or without one of the package's own; raises RefusedParameter."""
-    if file:
-        path = os.path.expanduser(file)
-        return _made(file, os.stat(path).st_mtime_ns if os.path.exists(path) else 0, meaning, node, fd)
-    usual = to_mapping(WireParameters())
-    for name, value in to_mapping(meaning).items():
-        if value != usual[name]:
-            raise RefusedParameter(f"wire.{name}", f"{value!r} is not allowed without a file in '{{group}}dbc'")
-    return _made(SHIPPED_DBC, 0, shipped_wire(fd), node, fd)
-
-
 @lru_cache(maxsize=16)
-def _made(file: str, modified: int, meaning: WireParameters, node: int, fd: bool) -> Wire:
-    """A wire, made once as long as its file is not ``modified``."""
+def wire_of(file: str, modified: int, meaning: WireParameters, node: int, fd: bool) -> Wire:
+    """The wire of the DBC ``file``, made once as long as that is not ``modified`` (ns); raises RefusedParameter."""
     with _naming("dbc"):
         dbc = Dbc(file)
     return Wire(dbc, meaning, node, fd)

@@ -3,10 +3,11 @@
 Names of messages and signals are those of the file; where they lie, their scales and their limits it says itself.
 """
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter, to_mapping
 
 if TYPE_CHECKING:
     from straightcomp_ros.hardware.can.board_dbc import Wire
@@ -178,9 +179,17 @@ class CanParameters:
     def make_wire(self) -> "Wire":
         """The frames of this board; raises RefusedParameter if DBC file and meaning do not fit together."""
         # Imported here: it needs the parameters above.
-        from straightcomp_ros.hardware.can.board_dbc import make_wire
+        from straightcomp_ros.hardware.can.board_dbc import wire_of
 
-        return make_wire(self.dbc, self.wire, self.node, self.fd)
+        if self.dbc:
+            path = os.path.expanduser(self.dbc)
+            modified = os.stat(path).st_mtime_ns if os.path.exists(path) else 0
+            return wire_of(self.dbc, modified, self.wire, self.node, self.fd)
+        usual = to_mapping(WireParameters())
+        for name, value in to_mapping(self.wire).items():
+            if value != usual[name]:
+                raise RefusedParameter(f"wire.{name}", f"{value!r} is not allowed without a file in '{{group}}dbc'")
+        return wire_of(SHIPPED_DBC, 0, shipped_wire(self.fd), self.node, self.fd)
 
     def further_options(self) -> dict[str, str]:
         """The pairs in ``options``; raises ParameterError for one that is not NAME=VALUE."""

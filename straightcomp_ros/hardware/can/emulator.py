@@ -68,7 +68,7 @@ class Board:
         self._wire = wire = can.make_wire()
         self._range, self._send = stage.drive.current_range, send
         self.machine = machine = SimulatedHardware(parameters, stage, guide)
-        self._emulator = EmulatorFrames(can.node, wire)
+        self._emulator = EmulatorFrames(wire)
         self.stage = StageReceiver(self._emulator)
         self._tells_truth = can.simulated_stage and can.fd
         self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
@@ -186,11 +186,12 @@ class Board:
         if not referenced and self.machine.state is State.ON:
             # A wrong x must not be compensated for the time until the host has seen it.
             self._trip(BoardFault.ENCODER)
+        current = 0.0 if math.isnan(sample.current) else sample.current
         report = Report(
             counter=self.counter,
             x=x,
             y=y,
-            current=0.0 if math.isnan(sample.current) else sample.current,
+            current=_within(current, wire.current.spans["current"]) if wire.current else None,
             amplifier=self.amplifier,
             fault=wire.fault_codes[self.fault],
             good=good,
@@ -202,10 +203,8 @@ class Board:
             if number % frames.every == 0:
                 turn = self._sent[frames.identifier]
                 self._sent[frames.identifier] = turn + 1
-                report = report._replace(alive=turn % frames.alive_modulus)
-                if report.current is not None and "current" in frames.spans:
-                    report = report._replace(current=_within(report.current, frames.spans["current"]))
-                self._send(frames.identifier, frames.pack(report, turn), frames.fd)
+                payload = frames.pack(report._replace(alive=turn % frames.alive_modulus), turn)
+                self._send(frames.identifier, payload, frames.fd)
 
 
 def _within(value: float, span: tuple[float, float]) -> float:
@@ -281,8 +280,7 @@ class BoardProgram:
         # What acts when, the hold and the command timeout are the firmware's.
         bare = dataclasses.replace(parameters, command_timeout=1.0, hold_after=1e6)
         self.machine = SimulatedHardware(bare, stage, guide)
-        wire = can.make_wire()
-        self._emulator = EmulatorFrames(can.node, wire)
+        self._emulator = EmulatorFrames(can.make_wire())
         self.stage = StageReceiver(self._emulator)
         self._encoder, self._code_current = stage.encoder, stage.drive.current_step
         self._truth_id = self._emulator.truth_id if can.simulated_stage and can.fd else 0

@@ -22,19 +22,19 @@ _SEALED = {"StagePace": "PaceCrc", "Truth": "TruthCrc"}
 
 
 class EmulatorFrames:
-    """These frames for the board ``node`` on ``wire``.
+    """These frames for the board of ``wire``.
 
     Raises:
         ParameterError: the wire has a frame with an identifier of these.
     """
 
-    def __init__(self, node: int, wire: Wire) -> None:
+    def __init__(self, wire: Wire) -> None:
         dbc = Dbc(FILE)
         found: list[Frames] = []
         taken = {*wire.identifiers, *(frames.identifier for frames in wire.commands)}
         for name in ("StageTime", "StageMotion", "StageStart", "StagePace", "Truth"):
             message = dbc.message(name)
-            identifier = dbc.identifier(message, node)
+            identifier = dbc.identifier(message, wire.node)
             if identifier in taken:
                 raise ParameterError(
                     f"parameter 'can.simulated_stage': {wire.dbc.file} has a frame {identifier & ~EXTENDED_ID:#x} of "

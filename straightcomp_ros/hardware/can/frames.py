@@ -63,10 +63,6 @@ class BoardFault(enum.IntEnum):
     SUPPLY = 6
     INTERNAL = 7
 
-    @property
-    def words(self) -> str:
-        return self.name.lower().replace("_", " ")
-
 
 class FrameError(ValueError):
     """A frame fails its check; its text is the name under which such frames are counted."""

@@ -90,7 +90,7 @@ class Receiver:
         if wire.heartbeat:
             self._handlers[wire.heartbeat.identifier] = partial(self._receive_heartbeat, wire.heartbeat)
         if parameters.fd and parameters.simulated_stage:
-            self._emulator = EmulatorFrames(parameters.node, wire)
+            self._emulator = EmulatorFrames(wire)
             self._handlers[self._emulator.truth_id] = self._receive_truth
         self.identifiers = list(self._handlers)
 

@@ -187,7 +187,7 @@ def test_the_sample_is_numbered_by_the_message_that_has_a_count():
 def test_a_frame_with_an_identifier_of_the_emulators_is_refused_where_a_stage_is_simulated(edited):
     wire = foreign(dbc=edited(" 801 ", " 1153 "))
     with pytest.raises(ParameterError, match=r"'can.simulated_stage': .* frame 0x481 .* emulator's 'StageMotion'"):
-        EmulatorFrames(1, wire)
+        EmulatorFrames(wire)
 
 
 def test_a_file_that_was_edited_is_read_again(edited):

@@ -50,7 +50,7 @@ class Run:
 
     def __init__(self, can, program=None, stage=STAGE, parameters=None):
         self.can, self.wire = can, can.make_wire()
-        self.emulator = EmulatorFrames(1, self.wire)
+        self.emulator = EmulatorFrames(self.wire)
         self.sent, self.calls, self.currents, self.states = [], [], [], []
         self._next_ns = START
         parameters = parameters or SimulatedParameters()

@@ -38,7 +38,7 @@ from straightcomp_ros.parameters.share import share_path
 DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))
 EMULATED = cantools.database.load_file(share_path("config/emulator.dbc"))
 CLASSIC, FD = (CanParameters(fd=fd).make_wire() for fd in (False, True))
-EMULATOR = EmulatorFrames(1, FD)
+EMULATOR = EmulatorFrames(FD)
 BUSES = pytest.mark.parametrize("wire", [CLASSIC, FD], ids=["classic", "fd"])
 COUNTER_MODULUS = 15 * 2**28
 

@@ -221,7 +221,7 @@ def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
 def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
     truth = Truth(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     plain, reporting = Board().settled(), Board(simulated_stage=True).settled()
-    emulator = EmulatorFrames(1, reporting.receiver.wire)
+    emulator = EmulatorFrames(reporting.receiver.wire)
     identifier, truth_payload = emulator.truth_id, emulator.truth_payload
     assert identifier not in plain.receiver.identifiers
     reporting.receive(identifier, truth_payload(reporting.number, truth))
