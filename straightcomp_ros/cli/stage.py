@@ -152,7 +152,7 @@ def _show(options: argparse.Namespace) -> None:
     controller = node_parameters("controller", values)
     stage = controller.stage
     found = Consequences(stage, controller.control, load_map(stage.guide))
-    figures = _figures(found)
+    figures = _figures(stage, found)
     if options.json:
         print_json({"name": stage.name, "law": controller.control.law, **{key: value for key, _, _, value in figures}})
         return
@@ -163,7 +163,7 @@ def _show(options: argparse.Namespace) -> None:
     console.print(table)
 
 
-def _figures(found: Any) -> list[tuple[str, str, str, float | None]]:
+def _figures(stage: StageParameters, found: Any) -> list[tuple[str, str, str, float | None]]:
     """Key, words, unit and value of each figure."""
     margins: Any = found.margins
 
@@ -171,10 +171,15 @@ def _figures(found: Any) -> list[tuple[str, str, str, float | None]]:
         return None if margins is None else float(getattr(margins, name))
 
     return [
-        ("current_stiffness_N_per_A", "K_i, force per current", "N/A", found.current_stiffness),
-        ("position_stiffness_N_per_m", "K_y, negative stiffness of the magnets", "N/m", found.position_stiffness),
+        ("current_stiffness_N_per_A", "K_i, force per current", "N/A", stage.actuator.current_stiffness),
+        (
+            "position_stiffness_N_per_m",
+            "K_y, negative stiffness of the magnets",
+            "N/m",
+            stage.actuator.position_stiffness,
+        ),
         ("unstable_pole_Hz", "unstable pole of the platform", "Hz", found.unstable_pole / (2.0 * math.pi)),
-        ("dead_time_ms", "dead time: hold, delay, amplifier", "ms", found.dead_time * 1e3),
+        ("dead_time_ms", "dead time: hold, delay, amplifier", "ms", stage.dead_time * 1e3),
         ("difficulty", "unstable pole times dead time (easy below 0.5)", "", found.difficulty),
         ("correction_um", "largest correction, to each side", "µm", found.correction * 1e6),
         ("reference_speed_um_per_s", "largest speed of the reference", "µm/s", found.reference_speed * 1e6),

@@ -79,12 +79,11 @@ class Consequences:
         tables = [straightness.evaluate(x, way) for way in ("forward", "backward")]
         r, slope, curvature = (float(np.abs(values).max()) for values in zip(*tables, strict=True))
         apart = handover(straightness.hysteresis, motion.acceleration, straightness.reversal)
-        self.current_stiffness = actuator.current_stiffness  # K̄_i, N/A, from (3)
-        self.position_stiffness = actuator.position_stiffness  # K̄_y, N/m, from (3)
         pull = stage.negative_stiffness
         self.unstable_pole = math.sqrt(max(0.0, pull) / mass)  # of the platform in magnets and flexure, 1/s
-        self.dead_time = stage.dead_time  # T_d of the loop
-        self.difficulty = self.unstable_pole * self.dead_time  # gains with margins exist below some 0.5, from 0.65 none
+        self.difficulty = (
+            self.unstable_pole * stage.dead_time
+        )  # gains with margins exist below some 0.5, from 0.65 none
         self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
         self.dac_displacement = self.dac_force / friction.bristle_stiffness  # of one step against the bristles
         self.breakaway_current = friction.static / actuator.current_stiffness  # that overcomes static friction
@@ -154,12 +153,12 @@ def _related(
     if motion.jerk:
         share = motion.acceleration / motion.jerk / ramp
         yield "of a ramp until its acceleration", share, 1.01e-3, 1.0, "motion.jerk"
-    force = found.current_stiffness * limit
+    force = magnets.current_stiffness * limit
     facts = "platform.mass actuator.turns actuator.pole_area actuator.air_gap actuator.current_limit"
     yield "m/s² by the magnets", force / mass, 0.3, 299.0, facts
     flux = MU_0 * magnets.turns * magnets.bias_current / (2.0 * magnets.air_gap)
     yield "T in the air gap by the bias", flux, 5e-3, 1.6, "actuator.turns actuator.bias_current actuator.air_gap"
-    stiffness = platform.stiffness / found.position_stiffness
+    stiffness = platform.stiffness / stage.actuator.position_stiffness
     yield "times the magnets' stiffness by the flexure", stiffness, 0.05, 49.0, "platform.stiffness"
     if platform.stiffness:
         ratio = 0.5 * platform.damping / math.sqrt(platform.stiffness * mass)
@@ -228,7 +227,7 @@ def _guide_findings(
 
     # The stage's acceleration changes within a sample; the tracking filter knows it late by about 1/(2π f).
     late = found.reference_slope * motion.acceleration / (2.0 * math.pi * bandwidth)
-    error = late * found.dead_time
+    error = late * stage.dead_time
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; at the ends "
         f"of a ramp ṙ errs by {late * 1e6:.1f} µm/s, {error * 1e9:.0f} nm within the dead time"
@@ -282,8 +281,8 @@ def stiction(stage: StageParameters, control: ControlParameters) -> Finding:
 
 def _instability(stage: StageParameters, found: Consequences) -> Finding:
     detail = (
-        f"the magnets' negative stiffness of {found.position_stiffness / 1e3:.3g} kN/m gives a pole at "
-        f"{found.unstable_pole:.0f} 1/s; dead time {found.dead_time * 1e3:.2f} ms; product {found.difficulty:.2f}"
+        f"the magnets' negative stiffness of {stage.actuator.position_stiffness / 1e3:.3g} kN/m gives a pole at "
+        f"{found.unstable_pole:.0f} 1/s; dead time {stage.dead_time * 1e3:.2f} ms; product {found.difficulty:.2f}"
     )
     remedy = (
         f"Below {EASY:g} gains with usual margins exist: shorten the dead time to "
