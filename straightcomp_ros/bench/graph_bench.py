@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.evaluation import percentile_us
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recorded_nodes import read_reports
@@ -99,10 +100,9 @@ def read_window(bag: Path, rate: int, begin_ns: int, end_ns: int) -> dict[str, A
         columns, wanted = streams[DRIVER_STATE.topic].columns, inside(DRIVER_STATE.topic)
         latency, enabled = columns["command_latency"][wanted], columns["enabled"][wanted]
         latency = latency[np.isfinite(latency)]
-    percentiles = np.percentile(latency, list(_PERCENTS.values())) if len(latency) else np.full(len(_PERCENTS), np.nan)
     return {
         "lost_samples": missing[COMMAND.topic],
-        "latency_us": dict(zip(_PERCENTS, (percentiles * 1e6).tolist(), strict=True)),
+        "latency_us": {name: percentile_us(latency, percent) for name, percent in _PERCENTS.items()},
         "bag": {
             "complete": not any(missing.values()),
             "expected_samples": expected,

@@ -29,7 +29,6 @@ from straightcomp_ros.timing.node_timing import count
 GONE_AFTER_S = 1.0
 """A process that was killed or suspended is taken for gone after this time."""
 _BEGINS = "begins"
-_LONGEST_TEXT = 500
 _LIVELY = QoSProfile(
     depth=1,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
@@ -71,7 +70,7 @@ class CommissioningWatch:
         return self._reported if self._alive else ""
 
     def _on_report(self, message: DiagnosticStatus) -> None:
-        self._reported = one_line(message.message, _LONGEST_TEXT)
+        self._reported = one_line(message.message)
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         before, self._alive = self._alive, event.alive_count
