@@ -93,7 +93,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Move the stage along X; raises HardwareError if it takes no commands, and as :meth:`PacedMotion.begin`."""
+        """Move the stage along X; HardwareError if it takes no commands, or where :meth:`PacedMotion.begin` refuses."""
 
     @abstractmethod
     def pace(self, pace: Pace) -> None:
