@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 _UNDISTURBED = 0.2
 """Fraction of a run that must be undisturbed so that its error can be compared with the rest's."""
-_TOO_LITTLE = "less than half of the travel is left without them, too little to judge"
 _RARE, _PEAK = 0.01, 3.0
 """Of a run without such a rest: single stalls did harm if the error p-p is larger by this factor than without the
 samples of its rarest values. In runs without stalls the factor is 1.2 to 2.2."""
@@ -181,7 +180,10 @@ def _starved(motion: JudgedMotion, later: Verdict | None) -> str:
         return ""
     made = f"the servo works, the computer was busy: error {_um(calm)} p-p, but {stalls} made it {_um(motion.pp)}"
     if not motion.judgeable(mask):
-        made = f"the computer was busy: {stalls} made the error {_um(motion.pp)} p-p, and {_TOO_LITTLE}"
+        made = (
+            f"the computer was busy: {stalls} made the error {_um(motion.pp)} p-p, and less than half of the travel is "
+            "left without them, too little to judge"
+        )
     return f"{made}; allowed: {HARM:g} times; {remedy}"
 
 
@@ -385,7 +387,7 @@ def _in_order(motion: JudgedMotion) -> str:
     mask, raised = motion.disturbed(motion.stalls), ""
     if (calm := motion.calm(mask)) < motion.pp:
         stalls = f"the stalls of the host ({len(motion.stalls)})"
-        raised = f", {_um(calm)} without {stalls}" if motion.judgeable(mask) else f", with {stalls}: {_TOO_LITTLE}"
+        raised = f", {_um(calm)} without {stalls}" if motion.judgeable(mask) else f", {stalls} included"
     still = f"a platform that stands still would leave {_um(motion.uncompensated)}"
     return f"error {_um(motion.pp)} p-p{raised}; {still}{_more_than_promised(motion)}"
 
