@@ -187,7 +187,12 @@ def _figures(stage: StageParameters, found: Any) -> list[tuple[str, str, str, fl
         ("breakaway_current_A", "current that overcomes static friction", "A", found.breakaway_current),
         ("holding_current_A", "largest current of a stroke", "A", found.holding_current),
         ("dac_force_mN", "force of one D/A step", "mN", found.dac_force * 1e3),
-        ("dac_displacement_nm", "move of one D/A step against the bristles", "nm", found.dac_displacement * 1e9),
+        (
+            "dac_displacement_nm",
+            "move of one D/A step: on the bristles, if free within the dead time",
+            "nm",
+            found.dac_displacement * 1e9,
+        ),
         ("encoder_floor_um", "p-p error that the encoder's count leaves", "µm", found.encoder_floor * 1e6),
         ("gain_low", "loop is stable from a gain of", "", of_loop("gain_low")),
         ("gain_high", "loop is stable up to a gain of", "", of_loop("gain_high")),

@@ -135,6 +135,12 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
         ("units", "warn", {"encoder.y_resolution": 1e-4}, "stage.encoder.y_resolution 0.0001"),
         ("correction", "fail", {"encoder.y_resolution": 1e-4}, "leaves 110 µm p-p at best"),
         ("quanta", "warn", {"encoder.y_resolution": 1e-8}, "21.8 nm against the bristles"),
+        (
+            "quanta",
+            "ok",
+            {"encoder.y_resolution": 1e-8, "friction.coulomb": 0.0, "friction.static": 0.0},
+            "nm within the dead time",
+        ),
         ("bus", "warn", {"rate": 8000}, "at 8000 Hz"),
     ],
 )
