@@ -320,3 +320,11 @@ def states_of(control: ControlParameters, stage: StageParameters) -> dict[str, C
         for name, one in (("slow", _slow(design, stage)), ("free", _free(design, stage))):
             found[name] = replace(control, smc_observer=replace(one, stiffening=1.0))
     return found
+
+
+def described_state(control: ControlParameters, stage: StageParameters) -> tuple[str, ControlParameters]:
+    """Of :func:`states_of` the one that the law takes on a stage that is as described: its name, and the law there."""
+    states = states_of(control, stage)
+    counts = "free" not in states or stage.friction.coulomb >= _COUNTING * _quantum(stage)
+    name = "quiet" if counts else "free"
+    return name, states[name]

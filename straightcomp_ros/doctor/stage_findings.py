@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, make_law, needs_dither
+from straightcomp_ros.control.laws import (
+    ControlParameters,
+    ObserverDesign,
+    described_state,
+    dither_of,
+    make_law,
+    needs_dither,
+)
 from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin
 from straightcomp_ros.doctor import Finding, State, judged
 from straightcomp_ros.hardware.can.board_dbc import Wire, gaps
@@ -105,9 +112,10 @@ class Consequences:
             sum(bus_load(CanParameters(fd=bool(data)).make_wire(), stage.rate, 1e6, data).values())
             for data in (0.0, 5e6)
         )
-        self.margins: Margins | None = None  # of a law that has a linearisation at rest
+        self.law_state, law = described_state(control, stage)
+        self.margins: Margins | None = None  # of a law that has a linearisation at rest, in this state
         with contextlib.suppress(ValueError):
-            self.margins = loop_margins(make_law(control, stage), stage)
+            self.margins = loop_margins(make_law(law, stage), stage)
 
 
 def stage_findings(
@@ -252,8 +260,9 @@ def _loop_findings(stage: StageParameters, control: ControlParameters, found: Co
     elif missing := missing_margin(control, stage):
         yield Finding("loop", "fail", missing, "The controller refuses these gains: design others.")
     else:
+        where = ", without friction" if found.law_state == "free" else ""
         detail = (
-            f"law {law}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
+            f"law {law}{where}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
             f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"
         )
         wide = margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH

@@ -35,7 +35,7 @@ from straightcomp_ros.control.excitation import (
     multisine_injection,
 )
 from straightcomp_ros.control.law import Command, Law
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import ControlParameters, described_state, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -298,7 +298,7 @@ def compared_response(
     signal = commands - np.clip(asked, -limit, limit)
     measured = measured_response(excitation, signal, commands, reading)
     damping = friction_damping(stage.friction, measured.speed)
-    law = make_law(control, stage)
+    law = make_law(described_state(control, stage)[1], stage)
     model = loop_response(law, stage, measured.frequencies, damping)
     lines = measured.coherent & np.isfinite(measured.response.plant)
     rigid = loop_response(law, stage.with_modes(), measured.frequencies[lines], damping).plant

@@ -82,6 +82,15 @@ def test_an_excitation_that_ended_early_is_said_to_have_ended(tmp_path, share):
         response_from_bag(tmp_path / "bag", EXCITATION, control, hurried(stage))
 
 
+def test_without_dry_friction_the_described_margins_are_those_of_the_law_without_friction():
+    values = by_node(shipped_parameters())
+    for node in values.values():
+        node |= {"stage.friction.coulomb": 0.0, "stage.friction.static": 0.0}
+    margins, of_model = measure_simulated(values, EXCITATION).margins
+    for name in ("gain_high", "crossover_Hz", "sensitivity_peak"):
+        assert getattr(of_model, name) == pytest.approx(getattr(margins, name), rel=0.1)
+
+
 STAGES = Path(__file__).resolve().parents[2] / "stages"
 
 
