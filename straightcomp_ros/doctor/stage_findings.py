@@ -316,12 +316,13 @@ def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Fin
     if found.holding_current > usable:
         remedy = "Raise current limit, converter's range and bias, or reduce friction, mass or speed."
         yield Finding("force", "fail", detail, remedy)
-    elif limit > min(drive, bias):
-        smaller = "the converter's range" if drive < bias else "the bias current, beyond which one magnet only pulls"
-        yield Finding("force", "warn", detail, f"stage.actuator.current_limit is above {smaller}.")
+    elif found.holding_current > _SHARE_OF_LIMIT * usable:
+        remedy = "Little is left for the law's corrections: raise the current limit or the converter's range."
+        yield Finding("force", "warn", detail, remedy)
     else:
-        remedy = "Little is left for the law's corrections: raise the current limit."
-        yield judged("force", found.holding_current <= _SHARE_OF_LIMIT * limit, detail, remedy)
+        smaller = "the converter's range" if drive < bias else "the bias current, beyond which one magnet only pulls"
+        remedy = f"stage.actuator.current_limit is above {smaller}."
+        yield judged("force", limit <= min(drive, bias), detail, remedy)
 
     count = stage.encoder.y_resolution
     detail = (

@@ -126,6 +126,7 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
         ("force", "fail", {"friction.coulomb": 60.0, "friction.static": 90.0}, "need up to 2"),
         ("force", "warn", {"actuator.current_limit": 1.5}, "limit 1.5 A"),
         ("force", "fail", {"drive.dac_range": 0.1}, "converter 0.01 A"),
+        ("force", "warn", {"drive.dac_range": 0.3}, "Little is left"),
         (
             "units",
             "warn",
@@ -149,7 +150,7 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, printed, na
     code, found, _ = printed("stage", "check", tmp_path / "one" / "stage.yaml")
     assert code == (1 if found["fail"] else 0)
     checks = {check["name"]: check for check in found["checks"]}
-    assert checks[name]["state"] == state and words in checks[name]["detail"]
+    assert checks[name]["state"] == state and words in f"{checks[name]['detail']} {checks[name]['remedy']}"
     assert state == "ok" or checks[name]["remedy"] or name == "survey"
     assert given or {check["state"] for check in checks.values()} == {"ok"}
 
