@@ -1,4 +1,4 @@
-"""What a person reads in place of a figure's name: words, and the unit that ends the name."""
+"""What a person reads in place of a figure's name and value: words, the unit that ends the name, and digits."""
 
 import re
 
@@ -55,6 +55,11 @@ def in_words(name: str) -> tuple[str, str]:
     for pattern, words in _PARTS:
         stem = re.sub(pattern, words, stem)
     return stem.replace("_", " "), unit
+
+
+def decimal(value: float, digits: int) -> str:
+    """``value`` with so many digits behind the point, or two that count where these would show less of it."""
+    return f"{value:.2g}" if 0.0 < abs(value) < 10.0 ** (1 - digits) else f"{value:.{digits}f}"
 
 
 def heading(name: str) -> str:

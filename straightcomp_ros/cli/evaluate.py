@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.analysis.figure_words import in_words
+from straightcomp_ros.analysis.figure_words import decimal, in_words
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, output_file
 from straightcomp_ros.cli.output import (
     CommandFailed,
@@ -146,7 +146,7 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     for stroke in assessment.strokes:
         numbers = {name.removesuffix("_um"): value for name, value in stroke.to_display().items()}
         shown_names = (*names, "after_least_squares", "after_end_points")
-        texts = ((name, "" if numbers[name] is None else f"{numbers[name]:.3f}") for name in shown_names)
+        texts = ((name, "" if numbers[name] is None else decimal(numbers[name], 3)) for name in shown_names)
         cells = (marked(f"{name}_um", text, words) for name, text in texts)
         strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *cells)
     console.print(strokes)

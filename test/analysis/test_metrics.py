@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pytest import approx
 
+from straightcomp_ros.analysis.figure_words import decimal
 from straightcomp_ros.analysis.metrics import evaluate, force_balance, standstill_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
@@ -246,3 +247,11 @@ def test_settling_lasts_until_the_error_stays_in_the_band_and_is_unknown_where_i
     assert first.reversal_pp == approx(np.ptp(3e-7 * np.exp([0.0, -0.5 / 0.05])), rel=0.05)
     outside, _ = standstill_figures(record_of(lambda time, x: np.full_like(x, 2e-7), **motion), record.reference)
     assert math.isnan(outside.settling) and outside.standstill_rms == approx(2e-7)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(0.139, 3, "0.139"), (22.4, 2, "22.40"), (0.00682, 3, "0.0068"), (-0.0004, 3, "-0.0004"), (0.0, 3, "0.000")],
+)
+def test_a_small_figure_is_shown_with_two_digits_that_count(value, digits, text):
+    assert decimal(value, digits) == text

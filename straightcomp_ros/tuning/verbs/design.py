@@ -9,6 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from straightcomp_ros.analysis.figure_words import decimal
 from straightcomp_ros.cli.options import (
     add_force,
     add_json,
@@ -158,7 +159,7 @@ def _print(design: Design, name: str) -> None:
     )
     headings = ("figure", "closed form", "designed", "unit")
     console.print(titled_table("What it promises", *headings, left=("unit",), rows=promised))
-    budget = ((one.cause, f"{one.pp * 1e6:.3f}", f"{one.rms * 1e6:.4f}") for one in design.budget)
+    budget = ((one.cause, decimal(one.pp * 1e6, 3), decimal(one.rms * 1e6, 4)) for one in design.budget)
     title = "What limits it, one cause changed at a time"
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
     for remark in [*design.warnings, *remarks(design.budget, 1e6)]:
@@ -171,5 +172,5 @@ def _print(design: Design, name: str) -> None:
             highlight=False,
         )
     sweep = design.verification
-    shown = ", ".join(f"{key} {value * 1e6:.2f}" for key, value in sweep.percentiles("pp").items())
+    shown = ", ".join(f"{key} {decimal(value * 1e6, 2)}" for key, value in sweep.percentiles("pp").items())
     console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)
