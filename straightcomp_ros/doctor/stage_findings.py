@@ -88,13 +88,12 @@ class Consequences:
         apart = handover(straightness.hysteresis, motion.acceleration, straightness.reversal)
         pull = stage.negative_stiffness
         self.unstable_pole = math.sqrt(max(0.0, pull) / mass)  # of the platform in magnets and flexure, 1/s
-        self.difficulty = (
-            self.unstable_pole * stage.dead_time
-        )  # gains with margins exist below some 0.5, from 0.65 none
+        # Gains with margins exist below some 0.5, from 0.65 none.
+        self.difficulty = self.unstable_pole * stage.dead_time
         self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
         # Of one step, against the bristles; without dry friction there is only mass, until the loop answers.
         self.sticks = friction.static > 0.0
-        free = 0.5 / mass * self.dead_time**2
+        free = 0.5 / mass * stage.dead_time**2
         self.dac_displacement = self.dac_force * (1.0 / friction.bristle_stiffness if self.sticks else free)
         self.breakaway_current = friction.static / actuator.current_stiffness  # that overcomes static friction
         self.reference_slope = slope  # largest |dr/dx|
