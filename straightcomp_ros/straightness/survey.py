@@ -166,8 +166,9 @@ class Table(NamedTuple):
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
-_NAME_AND_UNIT = re.compile(r"([a-z]+)[\s_]*[\[(/]?\s*(m|mm|um|nm)\s*[\])]?")
-_OWN_UNIT = re.compile(r".*?[^a-z](m|mm|um|nm)\s*[\])]?")
+_UNITS = ("m", "mm", "um", "nm")
+_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(_UNITS)})\s*[\])]?")
+_OWN_UNIT = re.compile(rf".*?[^a-z]({'|'.join(_UNITS)})\s*[\])]?")
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 """Excel's own first line, which names the delimiter."""
@@ -205,7 +206,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     own = {}
     for quantity, name in (names or {}).items():
         unit = _OWN_UNIT.fullmatch(_plain(name))
-        own[_plain(name)] = f"{quantity}_{unit[1]}" if unit else _plain(name)
+        own[_spelled(name)] = f"{quantity}_{unit[1]}" if unit else _spelled(name)
     first, delimiter, header = _header(lines, own)
     try:
         x, deviation = (_column(f"survey {path}, line {lines[first - 1][0]}", header, one) for one in (X, DEVIATION))
@@ -265,14 +266,21 @@ def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     """
     chosen = {name.partition("_")[0] for name in own.values()}
     found = []
-    for name in map(_plain, names):
-        parts = _NAME_AND_UNIT.fullmatch(name)
-        # Without a sign between them "xm" would be x in m; such a name is left as it is.
-        if parts and parts.end(1) != parts.start(2) and _SYNONYMS.get(parts[1], parts[1]) not in chosen:
-            found.append(f"{_SYNONYMS.get(parts[1], parts[1])}_{parts[2]}")
+    for name in map(_spelled, names):
+        quantity, _, unit = name.rpartition("_")
+        if unit in _UNITS and (quantity := _SYNONYMS.get(quantity, quantity)) in ("x", "deviation"):
+            usual = f"{quantity}_{unit}"
+            found.append(own.get(name, f"({usual})" if quantity in chosen else usual))
         else:
             found.append(own.get(name, name))
     return found
+
+
+def _spelled(name: str) -> str:
+    """``position_mm`` for ``Position [mm]``; a name of another form in lower case."""
+    parts = _NAME_AND_UNIT.fullmatch(_plain(name))
+    # Without a sign between them "xm" would be x in m; such a name is left as it is.
+    return f"{parts[1]}_{parts[2]}" if parts and parts.end(1) != parts.start(2) else _plain(name)
 
 
 def _plain(cell: str) -> str:

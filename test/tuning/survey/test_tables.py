@@ -235,15 +235,34 @@ def test_a_file_that_says_another_axis_a_point_twice_or_is_cut_off_is_refused(tm
     assert capsys.readouterr().err.startswith("straightcomp map convert: ") and len(list(tmp_path.iterdir())) == 1
 
 
-def test_columns_of_other_names_are_chosen_by_name(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("header", "x", "deviation"),
+    [
+        ("carriage_pos_mm,lateral_error_um", "Carriage_pos_mm", "lateral_error_um"),
+        ("Pos [mm],Dev. (um)", "Pos [mm]", "Dev. (um)"),
+        ("Pos [mm],Dev. (um)", "pos_mm", "dev. (um)"),
+    ],
+)
+def test_columns_of_other_names_are_chosen_by_name(tmp_path, capsys, header, x, deviation):
     path = tmp_path / "survey.csv"
     rows = "".join(f"{x},{y}\n" for x, y in zip(X, UM, strict=True))
-    path.write_text("carriage_pos_mm,lateral_error_um\n" + rows)
+    path.write_text(f"{header}\n{rows}")
     assert main(["map", "build", str(path)]) == 2
     assert "--x-column" in capsys.readouterr().err
-    names = ["--x-column", "Carriage_pos_mm", "--deviation-column", "lateral_error_um"]
-    assert main(["map", "build", str(path), *names, "--json"]) == 0
+    assert main(["map", "build", str(path), "--x-column", x, "--deviation-column", deviation, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["points"] == 24
+
+
+@pytest.mark.parametrize("others", ["x_mm,deviation_um", "Position (mm),Deviation (um)"])
+def test_where_a_column_is_chosen_no_other_of_its_quantity_is_meant(tmp_path, capsys, others):
+    path = tmp_path / "survey.csv"
+    rows = "".join(f"0,0,{x},{y}\n" for x, y in zip(X, UM, strict=True))
+    path.write_text(f"{others},target_mm,straightness_um\n{rows}")
+    assert main(["map", "build", str(path)]) == 2
+    assert "--x-column" in capsys.readouterr().err
+    names = ["--x-column", "target_mm", "--deviation-column", "straightness_um"]
+    assert main(["map", "build", str(path), *names, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["peak_to_peak_um"] == pytest.approx(np.ptp(UM), rel=0.05)
 
 
 @pytest.mark.parametrize(
