@@ -333,11 +333,14 @@ def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
 def _force_fault(currents: list[float], moved: list[float], stage: StageParameters) -> str:
     expected = stage.friction.static / stage.actuator.current_stiffness
     if all(map(math.isnan, currents)):
-        return (
-            f"{_RAMP_SHARE * stage.highest_current:.2g} A do not move the platform; friction should give way at "
-            f"{expected:.2g} A; look for a blocked platform, a coil without current, or an encoder of y that does not "
-            "count"
-        )
+        tried = _RAMP_SHARE * stage.highest_current
+        found = f"{tried:.2g} A do not move the platform; friction should give way at {expected:.2g} A; "
+        if expected > tried:
+            return (
+                f"{found}that is more than the share of {_RAMP_SHARE:g} of the highest current that is tried: raise "
+                "'stage.actuator.current_limit' and the converter's range, or describe less friction"
+            )
+        return f"{found}look for a blocked platform, a coil without current, or an encoder of y that does not count"
     first, second = map(abs, currents)
     if moved[0] > 0.0 and moved[1] > 0.0 and second < _PULLED * first:
         # Where the first push left it, the magnets pull harder than friction holds: the second shows nothing.

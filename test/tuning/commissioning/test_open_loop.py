@@ -73,6 +73,11 @@ def test_a_machine_that_is_not_as_described_is_named(machine, wiring, words, tmp
     assert not outcome.passed and words in outcome.sentence
 
 
+def test_a_drive_that_cannot_overcome_the_described_friction_with_half_of_its_current_is_named(tmp_path):
+    outcome = signs_and_scales(work_on(values_of(drive__dac_range=0.1), tmp_path))
+    assert not outcome.passed and "raise 'stage.actuator.current_limit'" in outcome.sentence
+
+
 def test_a_platform_that_something_pulls_is_named_within_milliseconds(tmp_path):
     # As with one coil dead, the magnets do not balance where the platform is: far off the centre they pull as much.
     values = values_of({"simulated.initial_y": 5e-4}, uncertainty__force=0.1, uncertainty__air_gap=0.1)

@@ -262,7 +262,7 @@ def test_where_a_column_is_chosen_no_other_of_its_quantity_is_meant(tmp_path, ca
     assert "--x-column" in capsys.readouterr().err
     names = ["--x-column", "target_mm", "--deviation-column", "straightness_um"]
     assert main(["map", "build", str(path), *names, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["peak_to_peak_um"] == pytest.approx(np.ptp(UM), rel=0.05)
+    assert json.loads(capsys.readouterr().out)["correction_pp_um"] == pytest.approx(np.ptp(UM), rel=0.05)
 
 
 @pytest.mark.parametrize(
