@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import Array, Stroke
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -75,6 +76,9 @@ _OF_A_MODE = 0.1
 _STANDS, _STANDING = 0.4, 0.2
 """Least fraction of the time in which the platform stands in stick-slip, at less than this fraction of its RMS
 velocity: 0.16 of noise. It was 0.4 to 0.9 with stiction, 0.1 to 0.25 without."""
+_JUMPING, _IN_BURSTS = 2.0, 0.5
+"""Velocity of a jump relative to its RMS; and the time for which the platform stands between jumps to opposite sides
+relative to that in all of the run: it was 1.1 to 2 with stiction, 0.1 to 0.2 in the bursts of a loop at its limit."""
 _JUMPS = 4.5
 """Least kurtosis of the velocity then, 3 of noise. It was 5 to 20 with stiction, 1.5 to 4.6 without; an oscillation
 that comes and goes has as much, but stands less."""
@@ -156,18 +160,28 @@ def comes_and_goes(pieces: Sequence[Array], frequency: float, period: float) -> 
 
 def stick_slip(error: Array, period: float) -> bool:
     """Whether the platform stands and jumps: ``error`` (n,) in m of samples ``period`` s apart without a gap."""
-    kurtosis, stands = _jumps(error, period)
-    return kurtosis >= _JUMPS and stands >= _STANDS
+    velocity, kurtosis, standing = _jumps(error, period)
+    return kurtosis >= _JUMPS and float(standing.mean()) >= _STANDS and not _in_bursts(velocity, standing)
 
 
-def _jumps(error: Array, period: float) -> tuple[float, float]:
-    """Kurtosis of the velocity, and the share of the time in which it is next to none."""
+def _in_bursts(velocity: Array, standing: NDArray[np.bool_]) -> bool:
+    """Whether the platform stands less between two jumps to opposite sides than else: the loop oscillates now and
+    then."""
+    jumps = np.flatnonzero(np.abs(velocity) > _JUMPING * velocity.std())
+    back = np.flatnonzero(velocity[jumps[1:]] * velocity[jumps[:-1]] < 0.0)
+    begins, ends = jumps[back] + 1, jumps[back + 1]
+    stood = np.concatenate([[0], np.cumsum(standing)])
+    between = (stood[ends] - stood[begins]) / np.maximum(1, ends - begins)
+    return bool(between.size and between.mean() < _IN_BURSTS * standing.mean())
+
+
+def _jumps(error: Array, period: float) -> tuple[Array, float, NDArray[np.bool_]]:
+    """The velocity, up to a factor, its kurtosis, and where it is next to none."""
     span = max(1, round(_VELOCITY_OVER / period))
     velocity = error[span:] - error[:-span]
-    square = float(np.mean(velocity**2)) if velocity.size else 0.0
-    if square == 0.0:
-        return 0.0, 1.0
-    return float(np.mean(velocity**4)) / square**2, float(np.mean(np.abs(velocity) < _STANDING * math.sqrt(square)))
+    rms = math.sqrt(float(np.mean(velocity**2))) if velocity.size else 0.0
+    kurtosis = float(np.mean(velocity**4)) / rms**4 if rms else 0.0
+    return velocity, kurtosis, np.abs(velocity) <= _STANDING * rms
 
 
 def of_map(
@@ -263,7 +277,13 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     # The law answers to the rate of a force that is locked to x, which has the other sign on the way back.
     if all(map(any, of_way)) and float(np.abs(alike[np.ix_(*of_way)]).min()) > _REPEATS:
         return same_place
-    if strokes and min(_jumps(error[one.samples], period)[0] for one in strokes) >= _JUMPS:
+    found = [_jumps(error[one.samples], period) for one in strokes]
+    if found and min(kurtosis for _, kurtosis, _ in found) >= _JUMPS:
+        if any(_in_bursts(velocity, standing) for velocity, _, standing in found):
+            return (
+                "it comes in bursts, as of a loop that is hardly stable: compare stage.platform.mass, stage.actuator, "
+                "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains for a description"
+            )
         return (
             "it comes in jumps: friction is not as described (stage.friction.bristle_stiffness, static); straightcomp "
             "friction BAG estimates it"
