@@ -64,7 +64,7 @@ class OpcuaNode(Runnable):
         if state != self._logged:
             self._logged = state
             self.node.get_logger().info(state)
-        alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._advice.due().text)
+        alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._advice.due())
         moves = sequence.movements
         strokes = moves.strokes, moves.strokes_done
         shown = Snapshot(sequence.state, sequence.message, *strokes, sequence.centred, seen, alarms, self._limits())

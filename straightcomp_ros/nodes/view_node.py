@@ -134,7 +134,7 @@ class ViewNode(Runnable):
                 "x_mm": seen.x * 1e3,
                 "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
                 "faults": [{"node": node, **explained(text)} for node, text in seen.faults.items()],
-                "maintenance": self._advice.due().text,
+                "maintenance": self._advice.due(),
                 "nodes": nodes,
             }
         )

@@ -6,7 +6,6 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 _LARGEST = 1_000_000
@@ -18,27 +17,15 @@ class MaintenanceError(ValueError):
     """A stage's history, or a file of advice, does not serve; the text says why, and what is needed."""
 
 
-@dataclass(frozen=True)
-class DueMaintenance:
-    """What a file says: a sentence for each matter, as of a day."""
-
-    stage: str = ""
-    as_of: str = ""
-    sentences: tuple[str, ...] = ()
-
-    @property
-    def text(self) -> str:
-        """All in one line; empty if nothing is due."""
-        return f"as of {self.as_of}: {' | '.join(self.sentences)}" if self.sentences else ""
-
-
-def read_advice(path: Path) -> DueMaintenance:
-    """Read a file of advice; MaintenanceError, which names the file, if it cannot be read or is none."""
+def read_advice(path: Path) -> str:
+    """What is due by a file of advice and as of which day, in one line; empty if nothing is. MaintenanceError, which
+    names the file, if it cannot be read or is none."""
     try:
         with path.open("rb") as file:
             tree = json.loads(file.read(_LARGEST))
-        sentences = tuple(f"{one['text']}; {one['remedy']}" for one in tree["advice"])
-        return DueMaintenance(str(tree["stage"]), str(tree["as_of"]), sentences)
+        sentences = [f"{one['text']}; {one['remedy']}" for one in tree["advice"]]
+        _, day = tree["stage"], tree["as_of"]
+        return f"as of {day}: {' | '.join(sentences)}" if sentences else ""
     except OSError as error:
         raise MaintenanceError(f"maintenance file {path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
@@ -57,15 +44,15 @@ class WatchedAdvice:
     def __init__(self, file: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._clock = Path(file) if file else None, clock
         self._next_look = -math.inf
-        self._due = DueMaintenance()
+        self._due = ""
 
-    def due(self) -> DueMaintenance:
-        """What is due, by a look at the file at most once a second."""
+    def due(self) -> str:
+        """What is due in one line, empty if nothing is; by a look at the file at most once a second."""
         now = self._clock()
         if self._path is not None and now >= self._next_look:
             self._next_look = now + _LOOK_EVERY_S
             try:
-                self._due = read_advice(self._path) if self._path.exists() else DueMaintenance()
+                self._due = read_advice(self._path) if self._path.exists() else ""
             except (OSError, MaintenanceError) as error:
-                self._due = DueMaintenance(as_of="now", sentences=(str(error),))
+                self._due = f"as of now: {error}"
         return self._due

@@ -171,27 +171,28 @@ def test_what_is_written_is_read(make_levels, tmp_path):
     advice, path = advice_of(make_levels(friction_A=1.0 + 0.005 * SINCE)), tmp_path / "stage.json"
     path.write_text(json_text(advice_json("gantry", date(2026, 5, 1), advice)))
     due = read_advice(path)
-    assert (due.stage, due.as_of) == ("gantry", "2026-05-01")
-    assert due.text.startswith("as of 2026-05-01: friction rose by") and "regrease" in due.text
-    entry = json.loads(path.read_text("utf-8"))["advice"][0]
+    assert due.startswith("as of 2026-05-01: friction rose by") and "regrease" in due
+    written = json.loads(path.read_text("utf-8"))
+    assert written["stage"] == "gantry"
+    entry = written["advice"][0]
     assert entry["figures"]["friction_A"]["after"] > entry["figures"]["friction_A"]["before"] > 0.0
 
 
 def test_a_file_is_read_again_when_it_changes_and_not_more_often_than_once_a_second(tmp_path):
     path, now = tmp_path / "stage.json", 0.0
     watched = WatchedAdvice(str(path), lambda: now)
-    assert watched.due().text == ""
+    assert watched.due() == ""
     path.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
     now = 0.5
-    assert watched.due().text == ""
+    assert watched.due() == ""
     now = 1.0
-    assert watched.due().text == "as of 2026-05-01: worn; mend"
+    assert watched.due() == "as of 2026-05-01: worn; mend"
     path.write_text(json.dumps({"stage": "a", "as_of": "2026-05-02", "advice": []}))
     now = 2.0
-    assert watched.due().text == ""
+    assert watched.due() == ""
     os.remove(path)
     now = 3.0
-    assert watched.due().text == WatchedAdvice("", lambda: now).due().text == ""
+    assert watched.due() == WatchedAdvice("", lambda: now).due() == ""
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"stage": "a", "as_of": "b", "advice": [1]}', "\xff"])
@@ -200,8 +201,8 @@ def test_a_damaged_file_or_a_folder_says_so_in_place_of_advice(tmp_path, content
     path.write_bytes(content.encode("latin-1"))
     with pytest.raises(MaintenanceError, match=r"stage\.json: is no file of advice .*history advise"):
         read_advice(path)
-    assert "stage.json" in WatchedAdvice(str(path)).due().text
-    assert "cannot be read" in WatchedAdvice(str(tmp_path)).due().text
+    assert "stage.json" in WatchedAdvice(str(path)).due()
+    assert "cannot be read" in WatchedAdvice(str(tmp_path)).due()
 
 
 @pytest.mark.nightly

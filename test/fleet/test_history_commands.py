@@ -135,7 +135,7 @@ def test_advise_writes_a_file_for_each_stage_and_since_begins_a_new_baseline(wor
     printed = capsys.readouterr().out
     assert "regrease" in printed and "the guide moved from x = " in printed
     assert {file.stem for file in tmp_path.glob("[!.]*.json")} == {wear.name for wear in (SOUND, *WEARS)}
-    assert "bolts" in read_advice(tmp_path / "bolt.json").text
+    assert "bolts" in read_advice(tmp_path / "bolt.json")
     whole, since = (
         answer(capsys, "advise", worn, "--name", "latency", *words)["stages"]["latency"]["advice"]
         for words in ((), ("--since", "2026-03-05"))
