@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
@@ -27,7 +26,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", "-o", type=Path, required=True, metavar="FILE")
     options = parser.parse_args(arguments)
     figure = Figure(figsize=(8.0, 4.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for text, colour in zip(options.bags, (VERMILION, BLUE, GREY), strict=False):
         name, _, bag = text.partition("=")

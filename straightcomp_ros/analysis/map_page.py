@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -42,7 +41,6 @@ def plot_map(built: BuiltMap, path: Path, machine: str = "") -> None:
     OSError or ValueError if the picture ``path`` cannot be written, or has an ending that is no picture's.
     """
     figure = Figure(figsize=(8.27, 11.69), dpi=150)
-    FigureCanvasAgg(figure)
     figure.subplots_adjust(left=0.09, right=0.96, bottom=0.1, top=0.705, hspace=0.33)
     title = f"Map of the guide of {machine}" if machine else "Map of the guide"
     figure.text(0.06, 0.96, as_text(title), fontsize=15, weight="bold")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.figure_words import decimal
@@ -28,7 +27,6 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
     if the stage does not move in the record.
     """
     figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(as_text(title), fontsize=13)
     rows = figure.add_gridspec(3, 2)
     both, after = figure.add_subplot(rows[0, 0]), figure.add_subplot(rows[0, 1])

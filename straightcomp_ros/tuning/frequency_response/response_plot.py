@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.pictures import as_text, save_whole
@@ -21,7 +20,6 @@ def plot_response(found: ComparedResponse, path: Path, title: str) -> None:
     Bands are those of 95 % confidence. OSError or ValueError if ``path`` cannot be written, or has no picture's ending.
     """
     figure = Figure(figsize=(12.0, 9.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(as_text(title), fontsize=13)
     grid = figure.add_gridspec(3, 3)
     gains = {}

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.style import GRID
@@ -56,7 +55,6 @@ class PaperFigure(NamedTuple):
 def sheet(title: str, places: str, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     """A figure with its title, and its axes in the order of their first place, e.g. ``"ab;cc"``; size in inches."""
     figure = Figure(figsize=size, dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12)
     return figure, list(figure.subplot_mosaic(places).values())
 

@@ -266,14 +266,12 @@ def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
     A curve ends below 100 % if cycles broke off. ``path`` (PNG, SVG or PDF) is replaced if it exists.
     """
     # The workers of a sweep need no matplotlib.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter, StrMethodFormatter
 
     from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
 
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     known = []
     looks = cycle(zip((BLUE, VERMILION, GREEN, GREY), ("-", "--", "-.", ":"), strict=True))
