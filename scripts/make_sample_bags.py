@@ -65,7 +65,7 @@ def survey(folder: Path) -> None:
             x, x_sensor = (cycle.position(time) for time in (within, within + period // 3))
             backward = x < last_x or (x == last_x and run % 2 == 1)
             run, last_x = 2 * number + backward, x
-            reading = guide.deviation(x_sensor) + run * DRIFT - backward * HYSTERESIS
+            reading = guide.deviations(x_sensor) + run * DRIFT - backward * HYSTERESIS
             reading += NOISE * normal.inv_cdf(random.random())
             reading += random.choice((-1, 1)) * 4e-6 if index in spikes else 0.0
             knocked, at, length, height = KNOCK

@@ -102,7 +102,7 @@ class StraightnessMap:
     def __init__(self, survey: Survey, parameters: MapParameters = MapParameters()) -> None:
         self.survey = survey
         x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
-        self._reported = parameters.reference
+        self._described = parameters.reference
         self.report = repeatability(survey, x, values)
         self.span = (float(x[0]), float(x[-1]))
         mean, self.reversal = self.report.mean, parameters.reversal
@@ -134,15 +134,14 @@ class StraightnessMap:
         tables = f"; two tables, up to {self.hysteresis * 1e6:.2g} µm apart" if self.directed else ""
         return "; ".join(filter(None, (str(self.report), f"{self.noise}{tables}", self.mismatch())))
 
-    def mismatch(self, reported: str | None = None) -> str:
-        """What is wrong where the machine's x is counted from another reference of the encoder than the survey's:
-        ``reported`` by the machine, or by its description. Empty where they agree, or one is not known."""
-        reported = self._reported if reported is None else reported
-        mark = self.survey.mark
-        if not (mark and reported) or mark == reported:
+    def mismatch(self) -> str:
+        """What is wrong where the description's x is counted from another reference of the encoder than the survey's;
+        empty where they agree, or one is not known."""
+        mark, described = self.survey.mark, self._described
+        if not (mark and described) or mark == described:
             return ""
         return (
-            f"survey {self.survey.source}: x is counted from {mark!r}, the machine's from {reported!r}: the map is "
+            f"survey {self.survey.source}: x is counted from {mark!r}, the machine's from {described!r}: the map is "
             "shifted; straightcomp map align finds by how much"
         )
 
@@ -167,10 +166,6 @@ class StraightnessMap:
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
         return "\n".join([",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]) + "\n"
 
-    def deviation(self, x: float) -> float:
-        """δ in m at x in m: the guide's deviation by the survey; of two tables the mean."""
-        return self.offset - self.reference(x)[0]
-
     def evaluate(
         self, x: ArrayLike, direction: Direction | NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -185,7 +180,7 @@ class StraightnessMap:
         return r, slope, curvature
 
     def deviations(self, x: ArrayLike, direction: Direction | NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """:meth:`deviation` for an array, or by the table for ``direction``."""
+        """δ in m at x in m: the guide's deviation by the survey; of two tables the mean, or that for ``direction``."""
         return self.offset - self.evaluate(x, direction)[0]
 
 

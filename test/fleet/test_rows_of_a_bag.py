@@ -186,7 +186,7 @@ def coarse(tmp_path_factory):
             if next(count) % 10 == 0:
                 stamp = START_NS + sample.stamp_ns
                 # The zero of the sensor is arbitrary.
-                reading = 5e-6 + simulation.map.deviation(truth.x) + BUMP_UM * 1e-6 * (0.05 < truth.x < 0.07)
+                reading = 5e-6 + simulation.map.deviations(truth.x) + BUMP_UM * 1e-6 * (0.05 < truth.x < 0.07)
                 run._bag.write("/displacement", DISPLACEMENT.layout.pack(stamp, reading), stamp, stamp)
 
         simulation.run(observe=observe)

@@ -132,7 +132,7 @@ def test_the_true_state_is_within_half_a_count_of_the_reading():
     hardware.move(Trajectory(forward_and_back(MotionParameters(settle=0.0))), START)
     for sample, truth in hardware.read(START + 200 * PERIOD)[-100:]:
         assert abs(sample.x - truth.x) <= 0.51e-7 and abs(sample.y - truth.y) <= 0.51e-7
-        assert truth.guide_deviation == GUIDE.deviation(truth.x)
+        assert truth.guide_deviation == GUIDE.deviations(truth.x)
 
 
 def test_command_older_than_timeout_disables_the_amplifier_and_latches_a_fault():
