@@ -137,12 +137,12 @@ def sound(random: Generator) -> Drawn:
 def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
     """The run, and the map that it followed; ValueError if the platform is lost."""
     scenario = make_scenario(drawn.values, [_LAW])
-    random, stage, period = default_rng(drawn.seed), scenario.description, scenario.period_ns
-    stamps = sample_times(stage.uncertainty.jitter * stage.period, period, scenario.samples, random)
+    random, stage = default_rng(drawn.seed), scenario.description
+    stamps = sample_times(stage.uncertainty.jitter * stage.period, stage.period_ns, scenario.samples, random)
     noise = stage.encoder.y_resolution * stage.uncertainty.sensor_noise * random.uniform()
-    delays = np.full(stamps.size, round(scenario.driver.stage.drive.delay * period))
+    delays = np.full(stamps.size, round(scenario.driver.stage.drive.delay * stage.period_ns))
     late = np.flatnonzero(random.random(stamps.size) < drawn.late)
-    delays[late] += random.integers(0, period, late.size)
+    delays[late] += random.integers(0, stage.period_ns, late.size)
     stroke = scenario.stroke(stamps, drawn.survey)
     (law,) = laws_of(scenario).values()
     cycle = scenario.cycle(law, stroke, delays, noise * random.standard_normal(stamps.size))

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,8 +53,6 @@ from straightcomp_ros.straightness.survey import Survey
 
 _SHIPPED_HOLD = SimulatedParameters().hold(StageParameters())
 _AT_REST = plant_state()
-_compiling = threading.Lock()
-_kernels: dict[Callable[..., Any], Callable[..., int]] = {}
 
 
 class Cycle(NamedTuple):
@@ -119,17 +117,10 @@ def run_cycle(
     return Cycle(*found[:, :done])
 
 
+@cache
 def kernel(step: Callable[..., Any]) -> Callable[..., int]:
     """The compiled loop around a law's step function, compiled once in a process and cached on disk."""
-    # To read the cache takes all modules of the laws in it, and that of a user's own law is not always there.
-    ours = step.__module__.startswith(f"{__name__.partition('.')[0]}.")
-    with _compiling:
-        if step not in _kernels:
-            _kernels[step] = Compiled(_loop_around(step), cached=ours)
-        return _kernels[step]
 
-
-def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
     def loop(  # type: ignore[no-untyped-def]
         constants, state, times, stamps, effective, references, noise, x, gains, law_state, true_y, y, current, coil
     ):
@@ -149,7 +140,9 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
             current[k] = answer.current
         return stamps.size
 
-    return loop
+    # To read the cache takes all modules of the laws in it, and that of a user's own law is not always there.
+    ours = step.__module__.startswith(f"{__name__.partition('.')[0]}.")
+    return Compiled(loop, cached=ours)
 
 
 LOWEST_RATE = 100
@@ -171,10 +164,6 @@ class NodeSet(NamedTuple):
     def trajectory(self) -> Trajectory:
         """Motion of the stage, one cycle."""
         return Trajectory(forward_and_back(self.cell.stage.motion))
-
-    def survey(self) -> Survey:
-        """The measurement for the feedforward's map; SurveyError if it is refused."""
-        return load_survey(self.feedforward.stage.guide)
 
     def check_rates(self) -> None:
         """Raise ParameterError if controller and machine disagree about the rate."""
@@ -255,29 +244,23 @@ class Scenario:
         return dataclasses.replace(self, description=stage, followed=stage, driver=driver)
 
     @property
-    def period_ns(self) -> int:
-        """Sampling period in ns."""
-        return self.description.period_ns
-
-    @property
     def samples(self) -> int:
         """Samples of a cycle."""
-        return -(-self.trajectory.end_ns // self.period_ns)
-
-    def positions(self, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
-        """True x (n,) in m at ``stamps`` (n,) in ns."""
-        return self.trajectory.at(stamps)
+        return -(-self.trajectory.end_ns // self.description.period_ns)
 
     def stroke(self, stamps: NDArray[np.int64] | None = None, survey: Survey | None = None) -> Stroke:
         """A cycle with samples at ``stamps`` in ns, by default on the grid, and a map by ``survey``, by default by its
         own; SurveyError if the survey gives no map within the platform's travel."""
         if stamps is None:
-            stamps = np.arange(self.samples, dtype=np.int64) * self.period_ns
+            stamps = np.arange(self.samples, dtype=np.int64) * self.description.period_ns
         straightness = map_of(survey or self.survey, self.followed.guide)
-        true_x = self.positions(stamps)
+        true_x = self.trajectory.at(stamps)
         x = readings(self.driver.stage.encoder.x_resolution, true_x)
         found = references(straightness, self.feedforward, self.followed.motion.highest_speed, stamps, x)
-        return Stroke(stamps, true_x, x, straightness, found, paired(found, stamps, self.lead_ns))
+        # As `Pairing` gives them to the law: extrapolated from those of the lead before each sample.
+        earlier = np.searchsorted(stamps, np.maximum(stamps - self.lead_ns, stamps[0]), side="right") - 1
+        given = np.column_stack(extrapolated(*found[earlier].T, (stamps - stamps[earlier]) * 1e-9))
+        return Stroke(stamps, true_x, x, straightness, found, given)
 
     def cycle(
         self,
@@ -300,7 +283,7 @@ class Scenario:
             offset: of the platform's first position from that of the parameters, m.
         """
         own = delays if isinstance(delays, float) else self.driver.stage.drive.delay
-        late = np.full(stroke.stamps.size, round(own * self.period_ns))
+        late = np.full(stroke.stamps.size, round(own * self.description.period_ns))
         if isinstance(delays, np.ndarray):
             late[: delays.size] = delays[: late.size]
         given = stroke.stamps, late, stroke.given, noise, stroke.true_x
@@ -351,7 +334,7 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
         followed=feedforward.stage,
         lead_ns=controller.lead_ns,
         trajectory=trajectory,
-        survey=nodes.survey(),
+        survey=load_survey(feedforward.stage.guide),
     )
 
 
@@ -399,10 +382,3 @@ def references(
     _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, stamps, x, v, a)
     r, slope, curvature = along(straightness, x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])
-
-
-def paired(references: NDArray[np.float64], stamps: NDArray[np.int64], lead_ns: int) -> NDArray[np.float64]:
-    """The references as `Pairing` gives them to the law, (n, 3): extrapolated from those of ``lead_ns`` before each
-    sample."""
-    earlier = np.searchsorted(stamps, np.maximum(stamps - lead_ns, stamps[0]), side="right") - 1
-    return np.column_stack(extrapolated(*references[earlier].T, (stamps - stamps[earlier]) * 1e-9))

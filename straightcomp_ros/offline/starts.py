@@ -105,7 +105,7 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
     """
     scenario, stroke, cycle = compiled_cycle(values, delays)
     (law,), guide = scenario.controls, scenario.driver.guide()
-    time = np.arange(stroke.stamps.size) * (scenario.period_ns * 1e-9)
+    time = np.arange(stroke.stamps.size) * (scenario.description.period_ns * 1e-9)
     return stroke.record(time, cycle, guide.offset - along(guide, stroke.true_x)[0], law), stroke.map
 
 

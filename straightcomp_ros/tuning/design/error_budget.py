@@ -108,7 +108,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
     observer = control.smc_observer
     calm = dataclasses.replace(observer, misfit=observer.misfit / _FRICTIONLESS)
     jitter = stage.uncertainty.jitter * stage.period
-    stamps = sample_times(jitter, scenario.period_ns, scenario.samples, streams(seed, 0).clock)
+    stamps = sample_times(jitter, stage.period_ns, scenario.samples, streams(seed, 0).clock)
 
     noise = map_of(scenario.survey, scenario.followed.guide).noise
     again = mismeasured(scenario.survey, noise.point * math.sqrt(noise.runs), streams(seed, 0).survey)

@@ -144,7 +144,7 @@ def prepared_stroke(
     motion = motion_of(time, x)
     rest = slice(0, 0)
     if len(motion.strokes) > 1:
-        begin = motion.strokes[0].stop + math.ceil(_RESTING * 1e9 / scenario.period_ns)
+        begin = motion.strokes[0].stop + math.ceil(_RESTING * 1e9 / scenario.description.period_ns)
         rest = slice(begin, max(begin, motion.strokes[1].start))
     return PreparedStroke(scenario, stroke, r, motion.window, rest)
 

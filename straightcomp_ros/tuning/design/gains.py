@@ -197,7 +197,7 @@ def following(scenario: Scenario, law: str) -> dict[str, float]:
 def _between_reversals(scenario: Scenario) -> float:
     """Mean time in s between reversals of r while the stage moves, counting the turn of the stage."""
     times = np.linspace(0.0, scenario.trajectory.end_ns, _POINTS)
-    x = scenario.positions(times.astype(np.int64))
+    x = scenario.trajectory.at(times.astype(np.int64))
     moving = np.flatnonzero(np.diff(x) != 0.0)
     straightness = map_of(scenario.survey, scenario.description.guide)
     direction = np.sign(np.diff(straightness.evaluate(x)[0])[moving])

@@ -66,7 +66,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     random, stage, nominal = streams(seed, trial), scenario.description, scenario.driver.plant
     factors, sensor_noise, delay = draw(stage, random.machine)
     plant = deviating(nominal, factors)
-    stamps = sample_times(stage.uncertainty.jitter * stage.period, scenario.period_ns, scenario.samples, random.clock)
+    stamps = sample_times(stage.uncertainty.jitter * stage.period, stage.period_ns, scenario.samples, random.clock)
     stroke = scenario.stroke(stamps, mismeasured(scenario.survey, stage.uncertainty.map_noise, random.survey))
     noise = sensor_noise * random.sensor.standard_normal(stamps.size)
     time = np.asarray(stamps * 1e-9, dtype=np.float64)
