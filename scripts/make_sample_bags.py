@@ -18,7 +18,7 @@ import numpy as np
 
 from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.bags.topics import TopicQos
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
@@ -57,7 +57,7 @@ def survey(folder: Path) -> None:
     run, last_x = 0, 0.0
     with BagWriter(folder) as bag:
         for stream in (ENCODER, DISPLACEMENT):
-            bag.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000))
+            bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000)))
         bag.add_metadata(ORIGIN_METADATA, origin())
         for index in range(count):
             number, within = divmod(index * period, cycle.end_ns)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
-from straightcomp_ros.bags.topics import typestore
+from straightcomp_ros.bags.topics import Topic, typestore
 from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.hardware.interface import Sample
@@ -155,7 +155,7 @@ def record_fault(fault: Fault, bag: Path) -> None:
     simulation = Simulation(values, wiring=lambda machine: _Watched(machine, watch, fault))
     bag.parent.mkdir(parents=True)
     with SimulatedRun(bag, by_node(values), simulation.delay) as run:
-        run._bag.add_topic(DIAGNOSTICS, _ARRAY)
+        run._bag.add(Topic(DIAGNOSTICS, _ARRAY))
         try:
             simulation.run(observe=observe)
             raise CommandFailed(f"{fault.label}: was not found")

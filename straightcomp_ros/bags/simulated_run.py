@@ -9,7 +9,7 @@ from typing import Any
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.recorded_nodes import attach_map
-from straightcomp_ros.bags.topics import TopicQos
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
 from straightcomp_ros.parameters.yaml_text import dump_yaml
@@ -33,7 +33,7 @@ class SimulatedRun:
         self._delay, self._applied = delay, 0.0
         self._last_ns: int | None = None
         for stream in STREAMS:
-            self._bag.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000))
+            self._bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000)))
         tree = {f"/{node}": {"ros__parameters": dict(section)} for node, section in parameters.items() if section}
         self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", dump_yaml(tree).encode())
         attach_map(self._bag, parameters)

@@ -15,7 +15,7 @@ from pathlib import Path
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import McapOutput
-from straightcomp_ros.bags.topics import Topic, TopicQos
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.parameters.output_files import sync_names, write_whole
 
 Message = tuple[str, bytes, int, int]
@@ -43,6 +43,7 @@ class BagWriter:
 
     Attributes:
         path: the file that is being written.
+        topics: those that were added, by full name.
 
     Raises:
         BagError: the folder holds files or cannot be made; from the methods, that the bag is closed, the topic is
@@ -63,7 +64,7 @@ class BagWriter:
         self._max_size, self._max_duration_ns = max_size, round(max_duration * 1e9)
         self._finished_files: list[BagFile] = []
         self._file_began_ns: int | None = None
-        self._topics: dict[str, Topic] = {}
+        self.topics: dict[str, Topic] = {}
         self._channel_ids: dict[str, int] = {}
         self._custom_data: dict[str, str] = {}
         self._closed, self._synced, self._named = False, 0.0, set[Path]()
@@ -73,21 +74,19 @@ class BagWriter:
                 raise BagError(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
             self._open_file()
 
-    def add_topic(self, name: str, type_name: str, qos: TopicQos = TopicQos()) -> None:  # noqa: B008 - frozen
-        """Announce a topic, such as ``/encoder`` of type ``sensor_msgs/msg/JointState``; without messages it is listed
-        with a count of 0. ``qos`` is what its publishers offer."""
-        self.add(Topic(name, type_name, qos))
-
     def add(self, topic: Topic) -> None:
-        """As :meth:`add_topic`. The topic's own definition is of a type that ROS 2's own packages do not have, or of
-        another bag, whose topic may lack the first slash and whose messages may have any encoding."""
+        """Announce a topic; without messages it is listed with a count of 0.
+
+        A definition of its own is of a type that ROS 2's own packages do not have, or of another bag, whose topic may
+        lack the first slash and whose messages may have any encoding.
+        """
         if topic.described is None and not topic.name.startswith("/"):
             raise BagError(f"bag {self.directory}: topic '{topic.name}' is not a full name; it starts with '/'")
-        if topic.name in self._topics:
+        if topic.name in self.topics:
             raise BagError(f"bag {self.directory}: topic '{topic.name}' is already in the bag; add it once")
         with self._disk(f"bag {self.path}: topic '{topic.name}' cannot be added"):
             self._add_channel(topic)
-        self._topics[topic.name] = topic
+        self.topics[topic.name] = topic
 
     def _add_channel(self, topic: Topic) -> None:
         metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.definition.type_hash}
@@ -103,13 +102,8 @@ class BagWriter:
             path.unlink(missing_ok=True)  # rosbag2 would refuse a bag with a file that has no header
             raise
         self.path, self._file_began_ns, self._file_finished = path, None, False
-        for topic in self._topics.values():
+        for topic in self.topics.values():
             self._add_channel(topic)
-
-    @property
-    def topics(self) -> Mapping[str, Topic]:
-        """The topics that were added, by full name."""
-        return self._topics
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Add a serialised message (CDR) to the open chunk, with the times at which it was received and at which its
@@ -117,7 +111,7 @@ class BagWriter:
         0; the message itself is not touched."""
         self._check_open()
         if topic not in self._channel_ids:
-            raise BagError(f"bag {self.directory}: topic '{topic}' was not added; known are {', '.join(self._topics)}")
+            raise BagError(f"bag {self.directory}: topic '{topic}' was not added; known are {', '.join(self.topics)}")
         if log_time_ns < 0:
             raise BagError(f"bag {self.directory}: topic '{topic}': log time is {log_time_ns} ns; allowed is 0 or more")
         try:
@@ -225,7 +219,7 @@ class BagWriter:
         by_topic = {name: counts[channel_id] for name, channel_id in self._channel_ids.items()}
         file = BagFile(self.path.name, self._output.time_range, by_topic)
         # rosbag2 looks here when it is given the file alone.
-        information = bag_information([file], self._topics.values(), self._custom_data)
+        information = bag_information([file], self.topics.values(), self._custom_data)
         self._output.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
         if not self._output.attachment_count:
             # Every file has a metadata record and an attachment, so that its summary has all the groups that a reader
@@ -244,7 +238,7 @@ class BagWriter:
             with open(self.directory / file.name, "rb") as written:
                 os.fsync(written.fileno())
         sync_names(self.directory)
-        information = bag_information(self._finished_files, self._topics.values(), self._custom_data)
+        information = bag_information(self._finished_files, self.topics.values(), self._custom_data)
         write_whole(self.directory / "metadata.yaml", as_yaml({ROOT_KEY: information}))
 
     def _check_open(self) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording, current_path, read_recording
-from straightcomp_ros.bags.topics import TopicQos
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
@@ -83,7 +83,7 @@ def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0)):
     """A bag of encoder and command at 2 kHz."""
     with BagWriter(bag) as writer:
         for stream in streams:
-            writer.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos())
+            writer.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos()))
         for k, (position, amperes) in enumerate(zip(y.tolist(), current.tolist(), strict=True)):
             stamp = 1_000_000_000 + 500_000 * k
             numbers = {ENCODER: (0.0, position, math.nan, amperes), COMMAND: (0.01,)}

@@ -7,6 +7,7 @@ import pytest
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 
@@ -34,7 +35,7 @@ def recorded(path, without=(), left_out=None, drift=0.0, again=(), order=range(C
             bag.attach("parameters.yaml", "", f"/driver: {{ros__parameters: {{stage.rate: {rate}}}}}".encode())
         streams = [stream for stream in sample(0) if stream not in without]
         for stream in streams:
-            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+            bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
         for number in [*order, *again]:
             stamp = START_NS + round(number * PERIOD_NS * (1.0 + drift))
             for stream in streams:

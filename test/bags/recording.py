@@ -10,7 +10,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from straightcomp_ros.bags.topics import TopicQos
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import STREAMS
 
@@ -82,7 +82,7 @@ def mcap_of(*content: tuple[int, bytes]) -> bytes:
 
 def add_streams(bag: BagWriter, namespace: str = "") -> None:
     for stream in STREAMS:
-        bag.add_topic(f"{namespace}/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort"))
+        bag.add(Topic(f"{namespace}/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort")))
 
 
 def information(bag: Path) -> dict[str, Any]:

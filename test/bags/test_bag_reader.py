@@ -11,6 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags import reader as columns
 from straightcomp_ros.bags.reader import StreamColumns, meaningful, read_messages, read_streams, values_at
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 from straightcomp_ros.messages.cdr import joint_state, read_by_names
@@ -35,7 +36,7 @@ def joint_state_bytes(names, position=(), effort=(), frame_id="", stamp_ns=START
 
 def encoder_bag(directory: Path, *contents: bytes, topic: str = "/encoder", published: int = START_NS) -> Path:
     with BagWriter(directory) as bag:
-        bag.add_topic(topic, JOINT_STATE)
+        bag.add(Topic(topic, JOINT_STATE))
         for number, content in enumerate(contents):
             bag.write(topic, content, START_NS + number, published)
     return directory
@@ -130,7 +131,7 @@ def test_garbage_in_alignment_gaps_changes_nothing(tmp_path, stream, without_lay
     dirty = np.frombuffer(clean, np.uint8).copy()
     dirty[gaps] = np.random.default_rng(1).integers(1, 255, len(gaps))
     with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+        bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
         for content in (clean, dirty.tobytes()):
             bag.write(f"/{stream.topic}", content, START_NS, START_NS)
     found = read_streams(tmp_path / "bag", LAYOUTS)[stream.topic]
@@ -169,8 +170,8 @@ def test_a_message_that_lacks_what_the_stream_promises_is_refused(tmp_path, cont
 
 def test_a_topic_of_another_type_is_refused_and_one_without_messages_left_out(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/encoder", "std_msgs/msg/String")
-        bag.add_topic("/command", JOINT_STATE)
+        bag.add(Topic("/encoder", "std_msgs/msg/String"))
+        bag.add(Topic("/command", JOINT_STATE))
         bag.write("/encoder", b"\0\1\0\0", 1, 1)
     with pytest.raises(BagError, match=r"'std_msgs/msg/String' .*allowed is sensor_msgs/msg/JointState"):
         read_streams(tmp_path / "bag", ENCODER_ONLY)

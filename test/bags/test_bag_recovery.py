@@ -13,6 +13,7 @@ from rosbags.rosbag2 import Reader
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER
@@ -66,7 +67,7 @@ def test_a_damaged_chunk_costs_its_own_messages_only_and_they_are_counted(record
 def test_a_topic_whose_messages_are_all_lost_is_still_announced(tmp_path):
     with BagWriter(tmp_path / "bag", chunk_size=1) as bag:
         for topic in ("/once", "/often"):
-            bag.add_topic(topic, ENCODER.layout.type_name)
+            bag.add(Topic(topic, ENCODER.layout.type_name))
         for stamp, topic in enumerate(("/once", "/often", "/often")):
             bag.write(topic, ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0), stamp, stamp)
     (file,) = (tmp_path / "bag").glob("*.mcap")

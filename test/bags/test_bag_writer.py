@@ -25,7 +25,7 @@ from straightcomp_ros.bags.folder import bag_files
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.bags.topics import TopicQos, definition
+from straightcomp_ros.bags.topics import Topic, TopicQos, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 
@@ -148,8 +148,8 @@ def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
 
         try:
             with BagWriter(tmp_path / f"bag{call}", chunk_size=1) as bag:
-                bag.add_topic("/encoder", ENCODER.layout.type_name)
-                bag.add_topic("/command", COMMAND.layout.type_name)
+                bag.add(Topic("/encoder", ENCODER.layout.type_name))
+                bag.add(Topic("/command", COMMAND.layout.type_name))
                 try:
                     sys.setprofile(interrupt)
                     for message in written:
@@ -217,12 +217,12 @@ def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made_and_is_closed_o
 def test_a_topic_or_a_message_that_is_not_allowed_is_named_with_what_is(tmp_path):
     kind = ENCODER.layout.type_name
     with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/encoder", kind)
+        bag.add(Topic("/encoder", kind))
         bag.write("/encoder", b"", 0, 0)
         unknown, negative, late = ("/unknown", b"", 1, 1), ("/encoder", b"", -1, 0), ("/encoder", b"", 0, 0)
         for refused, words in (
-            (lambda: bag.add_topic("encoder", kind), "starts with '/'"),
-            (lambda: bag.add_topic("/encoder", kind), "already in the bag"),
+            (lambda: bag.add(Topic("encoder", kind)), "starts with '/'"),
+            (lambda: bag.add(Topic("/encoder", kind)), "already in the bag"),
             (lambda: bag.write(*unknown), "'/unknown' was not added; known are /encoder"),
             (lambda: bag.write_all([late, unknown]), "'/unknown' was not added"),
             (lambda: bag.write(*negative), "log time is -1 ns"),
@@ -320,7 +320,7 @@ def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_on
     for name, limit, files in (("one", {}, 1), ("three", {"max_duration": 1.0}, 3)):
         with BagWriter(tmp_path / name, **limit) as bag:
             for topic in ("/always", "/late"):
-                bag.add_topic(topic, ENCODER.layout.type_name, TopicQos("best_effort"))
+                bag.add(Topic(topic, ENCODER.layout.type_name, TopicQos("best_effort")))
             write(bag, [("/always", data, day * number, day * number) for number in range(3)])
             bag.write("/late", data, 2 * day, 2 * day)
         found = information(tmp_path / name)

@@ -7,6 +7,7 @@ from rosbags.typesys import Stores, get_typestore
 from straightcomp_ros.bags import BagError, fields
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.recorded_nodes import read_reports
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, ENCODER
 
@@ -24,9 +25,9 @@ def bag_of(folder, topic, type_name, messages, encoder=None):
     """A bag with these messages on a topic, each with its times of reception and of sending."""
     with BagWriter(folder) as bag:
         if encoder:
-            bag.add_topic(encoder, ENCODER.layout.type_name)
+            bag.add(Topic(encoder, ENCODER.layout.type_name))
             bag.write(encoder, ENCODER.layout.pack(1, *[0.0] * len(ENCODER.layout.columns)), 1, 1)
-        bag.add_topic(topic, type_name)
+        bag.add(Topic(topic, type_name))
         for message in messages:
             bag.write(topic, *message)
     return folder

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.bench.graph_bench import (
     Usage,
@@ -47,7 +48,7 @@ def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("window") / "bag"
     with BagWriter(path) as bag:
         for stream in STREAMS:
-            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+            bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
         for k in range(1000):
             stamp = START + k * PERIOD
             for stream in STREAMS:

@@ -8,6 +8,7 @@ import numpy as np
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.information import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ALWAYS_PUBLISHED, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
@@ -34,7 +35,7 @@ def write_bag(folder: Path, number: int, stages: int = 1, parameters: str | None
     random, messages = np.random.default_rng(number), []
     with BagWriter(folder) as bag:
         for stream in ALWAYS_PUBLISHED:
-            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+            bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
             recorded, layout = streams[stream.topic], stream.layout
             rows = np.frombuffer(layout.pack(0, *(0.0 for _ in layout.columns)) * len(recorded), layout.dtype).copy()
             rows["sec"], rows["nanosec"] = np.divmod(recorded.stamp + shift, NANOSECONDS)

@@ -13,6 +13,7 @@ from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
 from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.fleet.history.strokes_of_bag import binned, date_of_zero, recorded_facts, recorded_name, rows_of
 from straightcomp_ros.offline.simulation import Simulation
@@ -179,7 +180,7 @@ def coarse(tmp_path_factory):
     simulation = Simulation(values)
     folder, count = tmp_path_factory.mktemp("run") / "bag", itertools.count()
     with SimulatedRun(folder, by_node(values), simulation.delay) as run:
-        run._bag.add_topic("/displacement", DISPLACEMENT.layout.type_name)
+        run._bag.add(Topic("/displacement", DISPLACEMENT.layout.type_name))
 
         def observe(sample, truth, *rest):
             run.add(sample, truth, *rest)

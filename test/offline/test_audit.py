@@ -9,6 +9,7 @@ from rewritten_bag import rewritten
 
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
@@ -105,7 +106,7 @@ def live(path: Path, seed: int) -> Path:
             "parameters.yaml", "application/yaml", b"controller:\n  ros__parameters: {control.law: smc_observer}\n"
         )
         for stream in STREAMS:
-            writer.add_topic(f"/{stream.topic}", stream.layout.type_name)
+            writer.add(Topic(f"/{stream.topic}", stream.layout.type_name))
 
         def record(topic, stamp, *numbers):
             writer.write(f"/{topic}", LAYOUTS[topic].pack(stamp, *numbers), stamp, stamp)

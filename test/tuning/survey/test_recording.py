@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.map_building import Choices, disagreement
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
@@ -151,7 +152,7 @@ def other_bag(tmp_path):
     axes = joint_state(["spindle", "carriage"], position=["angle", "x"])
     with BagWriter(tmp_path / "bag") as bag:
         for topic, kind in (("/axes", axes.type_name), ("/probe", "std_msgs/msg/Float64")):
-            bag.add_topic(topic, kind)
+            bag.add(Topic(topic, kind))
         for t, x in zip(*driven(0.0, LENGTH, 0.0, rate=100.0), strict=True):
             ns = START_NS + round(t * 1e9)
             bag.write("/axes", axes.pack(ns, 1.0, x), ns, ns)
@@ -198,7 +199,7 @@ def read_bag(tmp_path):
         path = tmp_path / f"bag{next(numbers)}"
         with BagWriter(path) as bag:
             for stream in (ENCODER, DISPLACEMENT):
-                bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+                bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
             for stream, t, values in rows:
                 ns = START_NS + round(t * 1e9)
                 bag.write(f"/{stream.topic}", stream.layout.pack(ns, *values), ns, ns)
