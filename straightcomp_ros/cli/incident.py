@@ -89,10 +89,10 @@ def _open(options: argparse.Namespace) -> None:
     with working("judging"):
         found = judged(folder / BAG, logs)
     picture = folder / "run.png"
-    if found.assessment and found.evaluation and found.evaluation.map:
+    if (assessment := found.assessment) and assessment.evaluation.map:
         title = f"{details.get('bag')}: {found.cause}"
         with contextlib.suppress(ValueError):
-            plot_run(found.evaluation.record, found.evaluation.map, found.assessment.metrics, picture, title)
+            plot_run(assessment.record, assessment.evaluation.map, assessment.metrics, picture, title)
     doctor = json.loads((folder / DOCTOR).read_text(encoding="utf-8"))
     page = folder / "incident.html"
     write_whole(page, incident_page(found, details, doctor))

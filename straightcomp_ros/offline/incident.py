@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.assessment import Assessment
-from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
@@ -77,13 +77,12 @@ class IncidentError(ValueError):
 class Judged:
     """What a bag says of its run: the cause in a line, the verdict, and the audit of its commands."""
 
-    cause: str
-    verdict: str
-    audit: str
+    cause: str = ""
     remedy: str = ""  # what to do, after a fault
+    verdict: str = ""
+    audit: str = ""
     faults: Sequence[LatchedFault] = ()
     reports: Mapping[str, Sequence[Any]] = field(default_factory=dict)
-    evaluation: BagEvaluation | None = None
     assessment: Assessment | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -95,7 +94,7 @@ class Judged:
 
 def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
     """Judge a bag, whatever is wrong with it; ``logs`` are the nodes' by name."""
-    found = Judged("", "", "")
+    found = Judged()
 
     def without_place(error: Exception) -> str:
         """Where the bag was copied to, or unpacked, says nothing."""
@@ -109,8 +108,7 @@ def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
         except BagError:
             pass
         try:
-            found.evaluation = evaluate_bag(bag)
-            found.assessment = Assessment(bag, found.evaluation)
+            found.assessment = Assessment(bag, evaluate_bag(bag))
             found.verdict = str(found.assessment.verdict)
         except (BagError, MetricsError, ParameterError) as error:
             found.verdict = f"none: {without_place(error)}"
@@ -133,16 +131,13 @@ def _cause(found: Judged, logs: Mapping[str, str]) -> str:
         words = "|".join(LABELLED)
         for text in logs.values():
             faults += re.findall(rf"^.*?\b({words})\b:? *(.*)$", text, re.MULTILINE)[:1]
-        faults += [("recording_stopped", line) for text in logs.values() for line in _stopped(text)]
+        stopped = re.compile(r"recording stopped: (.*)$", re.MULTILINE)
+        faults += [("recording_stopped", line) for text in logs.values() for line in stopped.findall(text)]
         faults += [(one.label, one.reason) for one in found.faults]
     if faults:
         label, reason = faults[0]
         return f"fault {label}: {reason.strip() or NO_REASON}"
     return f"no fault; verdict {found.verdict}"
-
-
-def _stopped(log: str) -> list[str]:
-    return re.findall(r"recording stopped: (.*)$", log, re.MULTILINE)
 
 
 @dataclass(frozen=True)
