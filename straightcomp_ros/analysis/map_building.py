@@ -17,14 +17,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.metrics import about_lines
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
-from straightcomp_ros.straightness.residual import (
-    end_point_residual,
-    least_squares_residual,
-    minimum_zone,
-    peak_to_peak,
-)
+from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
 from straightcomp_ros.straightness.survey_runs import Repeatability, on_common_grid, repeatability
@@ -98,9 +94,7 @@ class BuiltMap:
             "partial_runs": self.counts.get("partial_runs", 0),
             "rejected_points": len(self.rejected_points),
             **{name: self.counts.get(name, 0) for name in ("samples", "rejected_samples", "unusable_samples")},
-            "straightness_least_squares_um": peak_to_peak(least_squares_residual(x, mean)) * 1e6,
-            "straightness_end_points_um": peak_to_peak(end_point_residual(x, mean)) * 1e6,
-            "straightness_minimum_zone_um": minimum_zone(x, mean) * 1e6,
+            **{f"straightness_{line}_um": value * 1e6 for line, value in about_lines(x, mean).items()},
             "correction_pp_um": peak_to_peak(mean) * 1e6,
             **self.repeatability.to_display(),
             "hysteresis_of_map_um": self.straightness.hysteresis * 1e6,

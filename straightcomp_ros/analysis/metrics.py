@@ -133,11 +133,11 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
 def stroke_figures(stroke: StrokeRecord, reference: ReferenceMap, direction: Direction) -> StrokeFigures:
     """Figures of a record of one ``stroke``."""
     time, (x, y, guide) = stroke.time, stroke.best_known(reference)
-    lines = {}
-    for name, deviation in (("before", guide), ("after", guide + y)):
-        lines[f"{name}_least_squares"] = peak_to_peak(residual_of_stroke(time, x, deviation))
-        lines[f"{name}_end_points"] = peak_to_peak(end_point_residual(x, deviation))
-        lines[f"{name}_minimum_zone"] = minimum_zone(x, deviation)
+    lines = {
+        f"{name}_{line}": value
+        for name, deviation in (("before", guide), ("after", guide + y))
+        for line, value in about_lines(x, deviation, np.abs(np.gradient(x, time))).items()
+    }
     return StrokeFigures(
         direction=direction,
         start=float(time[0]),
@@ -194,6 +194,13 @@ def _errors(encoder: Array, truth: Array | None, samples: slice | NDArray[np.int
         if error is not None:
             found |= {f"{name}_pp": peak_to_peak(error[samples]), f"{name}_rms": _rms(error[samples])}
     return found
+
+
+def about_lines(x: Array, deviation: Array, weights: Array | None = None) -> dict[str, float]:
+    """The straightness of ``deviation`` (n,) over ``x`` (n,) about each of :data:`LINES`, by its name, all in m;
+    ``weights`` (n,) as for :func:`~straightcomp_ros.straightness.residual.least_squares_residual`."""
+    residuals = least_squares_residual(x, deviation, weights), end_point_residual(x, deviation)
+    return dict(zip(LINES, (*map(peak_to_peak, residuals), minimum_zone(x, deviation)), strict=True))
 
 
 def residual_of_stroke(time: Array, x: Array, deviation: Array) -> Array:

@@ -35,16 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.metrics import LINES, residual_of_stroke
+from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Array, group_means
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.residual import (
-    end_point_residual,
-    minimum_zone,
-    minimum_zones,
-    peak_to_peak,
-    zone_along,
-)
+from straightcomp_ros.straightness.residual import minimum_zones, zone_along
 from straightcomp_ros.straightness.survey import Direction
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 
@@ -205,7 +199,8 @@ def stated(
 ) -> list[Statement]:
     """The statements about each line from the ``strokes`` of one direction; where they ``repeats`` a measurement, with
     the standard deviation between them."""
-    values = np.array([_of_stroke(*one) for one in strokes])
+    of_strokes = [about_lines(x, curve, np.abs(np.gradient(x, time))) for time, x, curve in strokes]
+    values = np.array([[*one.values()] for one in of_strokes])
     budgets = [[_repeatability(one)] if repeats else [] for one in values.T]
     random = np.random.default_rng(0)
     for one in inputs:
@@ -239,12 +234,6 @@ def independent_points(straightness: StraightnessMap) -> Array:
     noise, points = straightness.noise, straightness.report.x
     left = min(1.0, float(np.sqrt(np.mean(noise.deviation**2))) / noise.point) ** 2 if noise.point else 1.0
     return np.linspace(*straightness.span, max(4, round(left * points.size)))
-
-
-def _of_stroke(time: Array, x: Array, curve: Array) -> tuple[float, ...]:
-    """The straightness about each of the lines, m."""
-    lines = residual_of_stroke(time, x, curve), end_point_residual(x, curve)
-    return *map(peak_to_peak, lines), minimum_zone(x, curve)
 
 
 def _mean_curve(strokes: Sequence[Samples]) -> tuple[Array, Array, Array]:
@@ -294,7 +283,7 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     def changes(curve: Array) -> Array:
         changed = curve + errors
         drawn = _straightness(x, changed, changed, changed[:, [0, -1]])
-        return np.asarray(drawn - _of_stroke(np.arange(x.size, dtype=np.float64), x, curve))
+        return np.asarray(drawn - [*about_lines(x, curve, np.abs(np.gradient(x))).values()])
 
     if not one.seen:
         return changes(mean)
