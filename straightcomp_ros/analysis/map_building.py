@@ -23,7 +23,7 @@ from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessM
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
-from straightcomp_ros.straightness.survey_runs import Repeatability, on_common_grid, repeatability
+from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
 
 GAUSSIAN = 1.4826
 FLOOR = 20e-9
@@ -57,13 +57,12 @@ class Choices(NamedTuple):
 class BuiltMap:
     """A survey that became a map.
 
-    ``measured`` has all runs, with the mean taken out; ``survey`` has those that are kept, without the
+    ``measured`` has all runs, with the mean taken out; the map's own survey has those that are kept, without the
     ``rejected_points`` (run's name and direction, x in m) that no other run confirms; ``rejected_runs`` are names and
     directions; ``provenance``, by name and in words, is the head of the file. Of a recording, ``counts`` says by the
     names in :meth:`figures` how many samples and movements were used and left out.
     """
 
-    survey: Survey
     straightness: StraightnessMap
     rejected_points: list[tuple[str, float]]
     rejected_runs: list[str]
@@ -71,42 +70,33 @@ class BuiltMap:
     measured: Survey
     counts: Mapping[str, int] = field(default_factory=dict)
 
-    @property
-    def repeatability(self) -> Repeatability:
-        """Of the runs that are kept."""
-        return self.straightness.report
-
-    @property
-    def mean(self) -> NDArray[np.float64]:
-        """(n,) mean deviation in m over ``repeatability.x``."""
-        return self.repeatability.mean
-
     def figures(self) -> dict[str, Any]:
         """By name, the unit in each name."""
-        x, mean = self.repeatability.x, self.mean
+        kept, report, noise = self.straightness.survey, self.straightness.report, self.straightness.noise
+        x, mean = report.x, report.mean
         return {
             "points": len(x),
             "first_mm": float(x[0]) * 1e3,
             "last_mm": float(x[-1]) * 1e3,
-            "forward_runs": len(self.survey.in_direction("forward")),
-            "backward_runs": len(self.survey.in_direction("backward")),
+            "forward_runs": len(kept.in_direction("forward")),
+            "backward_runs": len(kept.in_direction("backward")),
             "rejected_runs": len(self.rejected_runs),
             "partial_runs": self.counts.get("partial_runs", 0),
             "rejected_points": len(self.rejected_points),
             **{name: self.counts.get(name, 0) for name in ("samples", "rejected_samples", "unusable_samples")},
             **{f"straightness_{line}_um": value * 1e6 for line, value in about_lines(x, mean).items()},
             "correction_pp_um": peak_to_peak(mean) * 1e6,
-            **self.repeatability.to_display(),
+            **report.to_display(),
             "hysteresis_of_map_um": self.straightness.hysteresis * 1e6,
-            "smoothed": self.straightness.noise.smoothed,
-            "noise_of_mean_um": self.straightness.noise.point * 1e6,
-            "map_uncertainty_95_um": self.straightness.noise.half_width * 1e6,
-            "map_uncertainty_95_twice_the_runs_um": NORMAL_95 * self.straightness.noise.twice * 1e6,
+            "smoothed": noise.smoothed,
+            "noise_of_mean_um": noise.point * 1e6,
+            "map_uncertainty_95_um": noise.half_width * 1e6,
+            "map_uncertainty_95_twice_the_runs_um": NORMAL_95 * noise.twice * 1e6,
         }
 
     def write(self, path: Path) -> None:
         """Write the map as a survey file with its provenance in comments at the head."""
-        write_survey(path, self.survey, [f"{name}: {text}" for name, text in self.provenance.items()])
+        write_survey(path, self.straightness.survey, [f"{name}: {text}" for name, text in self.provenance.items()])
 
 
 def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, str] | None = None) -> BuiltMap:
@@ -145,14 +135,13 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         "tables": "one for each direction" if straightness.directed else "the mean of both directions",
         "repeatability (ISO 230-2, bidirectional)": "unknown" if spread is None else f"{spread * 1e6:.3f} um",
     }
-    return BuiltMap(survey, straightness, lost_points, lost_runs, provenance, measured)
+    return BuiltMap(straightness, lost_points, lost_runs, provenance, measured)
 
 
 def as_it_is(guide: MapParameters) -> BuiltMap:
     """The map of ``guide`` with its survey, of which nothing is rejected; SurveyError as :func:`load_map` raises it."""
     straightness = load_map(guide)
-    survey = straightness.survey
-    return BuiltMap(survey, straightness, [], [], survey.facts, survey)
+    return BuiltMap(straightness, [], [], straightness.survey.facts, straightness.survey)
 
 
 def agreeing(survey: Survey, limit: float) -> tuple[list[Run], list[str], list[tuple[str, float]]]:

@@ -73,7 +73,7 @@ def _origin(built: BuiltMap, machine: str) -> Iterator[tuple[str, str]]:
     yield "machine", machine or facts.get("machine", "not stated")
     for name in ("instrument", "measured", "operator", MARK):
         yield name, facts.get(name, "not stated")
-    yield "survey", facts.get("source", Path(built.survey.source).name)
+    yield "survey", facts.get("source", Path(built.straightness.survey.source).name)
     yield "made by", facts.get("made by", "not stated").removeprefix("straightcomp ")
     yield "this page", f"{by['package']} {by['version']}, {datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC"
     yield "choices", facts.get("choices", "not stated")
@@ -82,7 +82,7 @@ def _origin(built: BuiltMap, machine: str) -> Iterator[tuple[str, str]]:
 
 def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
     """The figures, in words."""
-    figures, found, noise = built.figures(), built.repeatability, built.straightness.noise
+    figures, found, noise = built.figures(), built.straightness.report, built.straightness.noise
     runs = [one.runs if one else 0 for one in (found.forward, found.backward)]
     yield "runs", f"{runs[0]} forward, {runs[1]} backward; rejected: {len(built.rejected_runs)}"
     steps = np.diff(found.x) * 1e3
@@ -107,10 +107,10 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
 
 
 def _survey(axes: Axes, built: BuiltMap) -> None:
-    found = built.repeatability
+    found = built.straightness.report
     for name, colour, pale, style in _WAYS:
         directed = getattr(found, name)
-        for run in built.survey.in_direction(name):  # type: ignore[arg-type]
+        for run in built.straightness.survey.in_direction(name):  # type: ignore[arg-type]
             axes.plot(run.x * 1e3, run.deviation * 1e6, color=pale, linewidth=0.7)
         if directed is not None:
             label = f"{name}, mean of {directed.runs}"
@@ -120,17 +120,17 @@ def _survey(axes: Axes, built: BuiltMap) -> None:
         label = f"map, {way}" if way else "map"
         axes.plot(x * 1e3, built.straightness.deviations(x, way) * 1e6, style, color=BLACK, linewidth=0.6, label=label)
     _rejected(axes, built, np.zeros_like(found.x))
-    axes.set_title(f"Survey of the guide: {peak_to_peak(built.mean) * 1e6:.2f} µm peak to peak", fontsize=9)
+    axes.set_title(f"Survey of the guide: {peak_to_peak(found.mean) * 1e6:.2f} µm peak to peak", fontsize=9)
 
 
 def _runs(axes: Axes, built: BuiltMap) -> None:
-    found, mean = built.repeatability, built.mean
-    x_mm = found.x * 1e3
+    found = built.straightness.report
+    x_mm, mean = found.x * 1e3, found.mean
     for name, colour, pale, style in _WAYS:
         directed = getattr(found, name)
         if directed is None:
             continue
-        for run in built.survey.in_direction(name):  # type: ignore[arg-type]
+        for run in built.straightness.survey.in_direction(name):  # type: ignore[arg-type]
             apart = run.deviation - np.interp(run.x, found.x, mean)
             axes.plot(run.x * 1e3, apart * 1e6, ".", color=pale, markersize=1.5)
         apart = (directed.mean - mean) * 1e6
@@ -148,7 +148,7 @@ def _runs(axes: Axes, built: BuiltMap) -> None:
 
 def _rejected(axes: Axes, built: BuiltMap, mean: NDArray[np.float64]) -> None:
     """The runs and points that were left out, relative to ``mean`` over the map's x in m."""
-    at, (low, high) = built.repeatability.x, axes.get_ylim()
+    at, (low, high) = built.straightness.report.x, axes.get_ylim()
 
     def apart(run: Run, x: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.interp(x, run.x, run.deviation) - np.interp(x, at, mean)) * 1e6
@@ -168,8 +168,8 @@ def _rejected(axes: Axes, built: BuiltMap, mean: NDArray[np.float64]) -> None:
 
 
 def _smoothing(axes: Axes, built: BuiltMap) -> None:
-    x, noise = built.repeatability.x, built.straightness.noise
-    band, off = noise.band(x) * 1e6, (built.mean - built.straightness.deviations(x)) * 1e6
+    x, noise = built.straightness.report.x, built.straightness.noise
+    band, off = noise.band(x) * 1e6, (built.straightness.report.mean - built.straightness.deviations(x)) * 1e6
     for factor, shade, name in ((NORMAL_95, 0.25, "map, 95 %"), (1.0, 0.5, "map, 1 s")):
         axes.fill_between(x * 1e3, -factor * band, factor * band, color=GREY, alpha=shade, linewidth=0.0, label=name)
     axes.plot(x * 1e3, off, ".", color=BLUE, markersize=2.5, zorder=1, label="mean of the runs")

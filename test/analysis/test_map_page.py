@@ -42,9 +42,9 @@ def test_the_panels_show_runs_means_and_bands_and_what_is_left_of_the_mean(drawn
     map_page.plot_map(built, Path("map.png"))
     upper, lower, lowest = drawn[0].axes
     shown = [np.asarray(line.get_ydata()) for line in upper.get_lines()]
-    for one in built.survey.runs:
+    for one in built.straightness.survey.runs:
         assert any(len(um) == 41 and um == pytest.approx(one.deviation * 1e6) for um in shown)
-    assert lines(upper)["forward, mean of 2"] == pytest.approx((built.mean - 0.15e-6) * 1e6)
+    assert lines(upper)["forward, mean of 2"] == pytest.approx((built.straightness.report.mean - 0.15e-6) * 1e6)
     # Forward lies 0.15 µm below the mean of both directions, backward as much above.
     assert lines(lower)["forward, mean"] == pytest.approx(-0.15)
     assert lines(lower)["backward, mean"] == pytest.approx(0.15)

@@ -38,14 +38,14 @@ class Proposal:
 
     built: BuiltMap  # the map with its provenance
     strokes: int  # how many it is made from
-    change: NDArray[np.float64]  # (n,) new minus old deviation in m, over ``built.repeatability.x``, without its mean
+    change: NDArray[np.float64]  # (n,) new minus old deviation in m, over the x of the report, without its mean
 
     def figures(self) -> dict[str, Any]:
         """By name, the unit in each name."""
         return {
             "strokes": self.strokes,
             "change_pp_um": peak_to_peak(self.change) * 1e6,
-            "largest_change_at_mm": float(self.built.repeatability.x[np.abs(self.change).argmax()]) * 1e3,
+            "largest_change_at_mm": float(self.built.straightness.report.x[np.abs(self.change).argmax()]) * 1e3,
             **self.built.figures(),
         }
 
@@ -96,8 +96,8 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
     built = build(Survey(tuple(runs), str(old)), old, Choices(step=1e-3 * BIN_MM, limit=_LIMIT), inputs)
     made = built.provenance["made by"].replace("map build", "history map")
     built = replace(built, provenance={**built.provenance, "made by": made})
-    at = built.repeatability.x
-    change = built.mean - before.deviations(at)
+    at = built.straightness.report.x
+    change = built.straightness.report.mean - before.deviations(at)
     return Proposal(built, len(ours), change - change.mean())
 
 

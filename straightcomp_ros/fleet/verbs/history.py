@@ -256,7 +256,7 @@ def _map(options: argparse.Namespace) -> None:
         plot_map(proposal.built, plot)
     if options.json:
         built = proposal.built
-        change = {"x_mm": (built.repeatability.x * 1e3).tolist(), "change_um": (proposal.change * 1e6).tolist()}
+        change = {"x_mm": (built.straightness.report.x * 1e3).tolist(), "change_um": (proposal.change * 1e6).tolist()}
         print_json({**proposal.figures(), **change, "provenance": built.provenance, "output": options.output})
         return
     console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))

@@ -123,7 +123,7 @@ def _build(options: argparse.Namespace) -> None:
     if options.json:
         print_json({**_in_json(built, passages), "output": options.output, "warnings": texts})
         return
-    console.print(figures_table(f"Survey {built.survey.source}", built.figures()))
+    console.print(figures_table(f"Survey {built.straightness.survey.source}", built.figures()))
     for name in built.rejected_runs:
         notes.print(f"run {name} is rejected: it differs from the others")
     for name, x in built.rejected_points[:20]:
@@ -138,7 +138,7 @@ def _build(options: argparse.Namespace) -> None:
         )
     if options.smooth != "auto":
         notes.print(f"the file has the runs as measured: set stage.guide.smooth to {options.smooth} for this map")
-    if built.repeatability.short_of_the_standard:
+    if built.straightness.report.short_of_the_standard:
         notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
     if output is not None or plot is not None:
         print_written(*filter(None, (output, plot)), then="name the map in stage.guide.file; straightcomp stage check")
@@ -182,7 +182,7 @@ def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
 
 
 def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
-    found, runs = built.repeatability, []
+    found, runs = built.straightness.report, []
     for passage in passages:
         run, figures = passage.run, passage._asdict()
         del figures["run"]
@@ -190,7 +190,7 @@ def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
         runs.append({"name": run.name, "direction": run.direction, **figures})
     ways: tuple[Direction, ...] = ("forward", "backward") if built.straightness.directed else ()
     um = {
-        "mean_um": built.mean,
+        "mean_um": found.mean,
         "forward_s_um": found.forward and found.forward.s,
         "backward_s_um": found.backward and found.backward.s,
         "reversal_um": found.reversal,
