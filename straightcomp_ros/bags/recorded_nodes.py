@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from straightcomp_ros.bags.writer import BagWriter
 
 
-MAP_PARAMETERS = ("feedforward", "stage.guide.file")
-"""Node and parameter that name the survey."""
 _ONCE_SAMPLES = (("controller", "reference_lead"), ("driver", "simulated.sample_memory"))
 """Times that early bags have as whole numbers of samples."""
 
@@ -71,15 +69,15 @@ def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
     from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
     from straightcomp_ros.straightness.survey import SurveyError
 
-    node, name = MAP_PARAMETERS
+    given = guide_parameters(values)
     try:
-        path = find_survey(str(values.get(node, {}).get(name, MapParameters().file)))
+        path = find_survey(str(given.get("file", MapParameters().file)))
         data = path.read_bytes()
     except (SurveyError, OSError) as error:
         return f"the map is not attached to the bag: {error}"
     bag.attach(MAP_ATTACHMENT, "text/csv", data)
     try:
-        table = load_map(from_mapping(MapParameters, {**guide_parameters(values), "file": str(path)})).table()
+        table = load_map(from_mapping(MapParameters, {**given, "file": str(path)})).table()
     except (ParameterError, SurveyError) as error:
         return f"the map's band is not attached to the bag: {error}"
     bag.attach(BAND_ATTACHMENT, "text/csv", table.encode())
@@ -87,9 +85,8 @@ def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def guide_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Those of the map, without their prefix ``stage.guide.``, among the nodes' ``values``."""
-    prefix = MAP_PARAMETERS[1].removesuffix("file")
-    own = values.get(MAP_PARAMETERS[0], {})
+    """Those of the map, without their prefix ``stage.guide.``, among the nodes' ``values``: the feedforward's."""
+    prefix, own = "stage.guide.", values.get("feedforward", {})
     return {name.removeprefix(prefix): value for name, value in own.items() if name.startswith(prefix)}
 
 
