@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import interruption
-from straightcomp_ros.analysis.interruption import ENDS_APART, PAUSE, EncoderRun, LatchedFault, Stall
+from straightcomp_ros.analysis.interruption import ENDS_APART, PAUSE, EncoderRun, LatchedFault, Stall, Stamps
 from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, Verdict
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
-from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
 from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, UNFINISHED_FILES
@@ -55,7 +54,6 @@ _TRUTH = {"true_x": "true_x", "true_y": "true_y", "guide": "guide_deviation"}
 """Columns of the truth by those of a record."""
 FOR_EVER = int(np.iinfo(np.int64).max)
 """The last stamp, ns."""
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -138,9 +136,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
         attachments = attachments_of(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
-        finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
         # What was recovered of a recording that was cut off ends where that does.
-        finished = finished and not any(
+        finished = all(file.finished for file in files) and not any(
             record.metadata.get(UNFINISHED_FILES)
             for file in files
             for record in file.metadata()

@@ -9,7 +9,7 @@ import re
 import sqlite3
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -31,6 +31,9 @@ _AT_ONCE = 5000
 class SqliteInput:
     """A SQLite file of a bag, read as :class:`straightcomp_ros.bags.mcap_input.McapInput` reads MCAP. Every method
     raises BagError when the file is no bag, or is damaged."""
+
+    finished = True
+    """SQLite finishes each transaction by itself."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -216,16 +219,15 @@ def opened(bag: Path) -> Iterator[Sequence[BagInput]]:
     """The files of a bag, open. Raises BagError when there is none, one of several is missing, or one is no MCAP file;
     warns (UserWarning) when the bag was not finished, or as :func:`found_files`."""
     with ExitStack() as stack:
-        files = [stack.enter_context(_open(path)) for path in bag_files(bag)]
+        files: list[BagInput] = [
+            SqliteInput(path) if path.suffix == ".db3" else stack.enter_context(McapInput(path))
+            for path in bag_files(bag)
+        ]
         for file in files:
-            if isinstance(file, McapInput) and file.summary is None:
+            if not file.finished:
                 text = f"bag {file.path} was not finished, or its end is damaged: what comes before is read"
                 warnings.warn(text, stacklevel=4)
         yield files
-
-
-def _open(path: Path) -> AbstractContextManager[BagInput]:
-    return nullcontext(SqliteInput(path)) if path.suffix == ".db3" else McapInput(path)
 
 
 def topic_names(files: Iterable[BagInput]) -> set[str]:

@@ -209,6 +209,11 @@ class McapInput:
             raise NoBag(f"bag {path} is not an MCAP file; give a bag folder or a file that ends with .mcap")
         self.summary = self._summary()
 
+    @property
+    def finished(self) -> bool:
+        """Whether the file has its end, sound."""
+        return self.summary is not None
+
     def damaged(self, offset: int, reason: str) -> BagError:
         """The error for damage at ``offset`` bytes."""
         error = BagError(f"bag {self.path} is damaged at byte {offset}: {reason}; {_RECOVER}")

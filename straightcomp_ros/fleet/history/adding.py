@@ -114,7 +114,7 @@ def _check_finished(files: Sequence[Path]) -> None:
     for file in files:
         if file.suffix == ".mcap":
             with McapInput(file) as opened:
-                if opened.summary is None:
+                if not opened.finished:
                     raise BagError(
                         f"bag {file} was not finished, or its end is damaged; save what is there with `straightcomp "
                         "recover`, and add that"
