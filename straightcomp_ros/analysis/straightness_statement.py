@@ -143,10 +143,10 @@ class Statement(NamedTuple):
         }
 
 
-def with_uncertainty(value: float, expanded: float, unit: str = "µm") -> str:
-    """A value and its expanded uncertainty, both to two digits of the latter (GUM 7.2.6)."""
+def with_uncertainty(value: float, expanded: float) -> str:
+    """A value and its expanded uncertainty in µm, both to two digits of the latter (GUM 7.2.6)."""
     digits = 3 if not expanded > 0.0 else max(0, 1 - math.floor(math.log10(float(f"{expanded:.1e}"))))
-    return f"({value:.{digits}f} ± {expanded:.{digits}f}) {unit}"
+    return f"({value:.{digits}f} ± {expanded:.{digits}f}) µm"
 
 
 def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
