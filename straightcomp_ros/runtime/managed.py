@@ -13,7 +13,7 @@ What takes longer than a cycle is done at normal priority: another graph's loop 
 
 import gc
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -105,7 +105,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         self.done.add_done_callback(lambda _: self._turn())
         _refuse_wrong_transitions(self)
 
-    def begun(self) -> "ManagedNode":
+    def begin(self) -> None:
         """Declare the parameters; with ``autostart`` configure and activate. One of :data:`REFUSALS` if that fails."""
         parameters = declare(self, self._parameter_set, changeable=True)
         self.realtime = parameters.realtime
@@ -119,7 +119,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
                 self.trigger_activate()
             if self._failure is not None:
                 raise self._failure
-        return self
 
     @property
     def loop(self) -> Loop | None:
@@ -256,61 +255,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
         before, self.turn = self.turn, Future()
         if not before.done():
             before.set_result(None)
-
-
-class Composition:
-    """Managed nodes in one process: they end together, and while the first is active its loop is the process's.
-
-    Attributes:
-        node: the first one; its parameters of scheduling are the process's.
-        done: its result is the process's exit code.
-    """
-
-    def __init__(self, nodes: Sequence[ManagedNode]) -> None:
-        self.nodes, self.node = nodes, nodes[0]
-        self.done = Future()
-        for node in nodes[1:]:
-            node.share_timers(self.node)
-        for node in nodes:
-            node.loop_of_process = lambda: self.loop
-            node.done.add_done_callback(lambda ended: self.done.done() or self.done.set_result(ended.result()))
-
-    def begun(self) -> "Composition":
-        """See :meth:`ManagedNode.begun`."""
-        for number, node in enumerate(self.nodes):
-            try:
-                node.begun()
-            except Exception:
-                for begun in self.nodes[:number]:
-                    begun.close()
-                raise
-        self.realtime = self.node.realtime
-        return self
-
-    @property
-    def loop(self) -> Loop | None:
-        """The loop to run now instead of the executor, if any."""
-        return self.node.loop
-
-    @property
-    def turn(self) -> Future:
-        """A future that is done when a node's state has changed, or all end."""
-        turn = Future()
-        for changed in (self.done, *(node.turn for node in self.nodes)):
-            changed.add_done_callback(lambda _: turn.done() or turn.set_result(None))
-        return turn
-
-    def fail(self, error: Exception) -> None:
-        """See :meth:`ManagedNode.fail`."""
-        self.node.fail(error)
-
-    def leave(self) -> None:
-        """Leave nothing to switch off: see `Runnable`."""
-
-    def close(self) -> None:
-        """Stop and release all components; the first one, the driver's, switches the amplifier off."""
-        for node in self.nodes:
-            node.close()
 
 
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:

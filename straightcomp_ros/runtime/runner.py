@@ -9,7 +9,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
@@ -20,7 +19,7 @@ from rclpy.task import Future
 from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, GuardedNode
 from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, Loop
-from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, Composition, MakeComponent, ManagedNode
+from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.cpus import end_loop, give_up_priority
@@ -65,7 +64,7 @@ class Runnable:
 
 def run(
     name: str,
-    make: Callable[[Any], Any],
+    make: Callable[..., Runnable],
     arguments: Sequence[str] | None = None,
     make_nodes: Callable[[], Sequence[GuardedNode]] | None = None,
 ) -> int:
@@ -120,6 +119,49 @@ def run(
         rclpy.try_shutdown()
 
 
+class Composition(Runnable):
+    """Managed nodes in one process: they end together, and the first one's scheduling is the process's, and so is its
+    loop while it is active. One of :data:`REFUSALS` if a node cannot begin."""
+
+    def __init__(self, *nodes: ManagedNode) -> None:
+        self.nodes, self.node, self.done = nodes, nodes[0], Future()
+        for node in nodes[1:]:
+            node.share_timers(self.node)
+        for node in nodes:
+            node.loop_of_process = lambda: self.loop
+            node.done.add_done_callback(lambda ended: _complete(self.done, ended.result()))
+        for number, node in enumerate(nodes):
+            try:
+                node.begin()
+            except Exception:
+                for begun in nodes[:number]:
+                    begun.close()
+                raise
+        self.realtime = self.node.realtime
+
+    @property
+    def loop(self) -> Loop | None:
+        """See :class:`ManagedNode`."""
+        return self.node.loop
+
+    @property
+    def turn(self) -> Future:
+        """Done when a node's state has changed, or all end."""
+        turn = Future()
+        for changed in (self.done, *(node.turn for node in self.nodes)):
+            changed.add_done_callback(lambda _: _complete(turn, 0))
+        return turn
+
+    def fail(self, error: Exception) -> None:
+        """See :meth:`ManagedNode.fail`."""
+        self.node.fail(error)
+
+    def close(self) -> None:
+        """Stop and release all components; the first one, the driver's, switches the amplifier off."""
+        for node in self.nodes:
+            node.close()
+
+
 Managed = tuple[str, type, MakeComponent]
 """A lifecycle node: name, parameter set and component."""
 
@@ -139,7 +181,7 @@ def run_managed(
     def made() -> Sequence[ManagedNode]:
         return [ManagedNode(*part, shared, place) for place, part in enumerate(parts)]
 
-    return run(name or parts[0][0], lambda *nodes: Composition(nodes).begun(), arguments, made)
+    return run(name or parts[0][0], Composition, arguments, made)
 
 
 def _complete(future: Future, result: int) -> None:
@@ -147,12 +189,11 @@ def _complete(future: Future, result: int) -> None:
         future.set_result(result)
 
 
-def _spin(runnable: Any, nodes: Sequence[GuardedNode]) -> int:
+def _spin(runnable: Runnable, nodes: Sequence[GuardedNode]) -> int:
     executor = EventsExecutor()
     idle = _settle(runnable, nodes, executor)
     # Each node has as much idle work as in a process of its own.
     idle_every_ns = IDLE_EVERY_NS // len(nodes)
-    interrupted = False
     try:
         while not runnable.done.done():
             turn = runnable.turn
@@ -172,7 +213,7 @@ def _spin(runnable: Any, nodes: Sequence[GuardedNode]) -> int:
     return int(runnable.done.result()) or (EXIT_FAILURE if interrupted else 0)
 
 
-def _left(runnable: Any, executor: Executor) -> bool:
+def _left(runnable: Runnable, executor: Executor) -> bool:
     """Let a client leave the machine with the amplifier off; returns whether that interrupted its work."""
     leaving, logger = runnable.leave(), runnable.node.get_logger()
     if leaving is None:
@@ -193,7 +234,7 @@ def _left(runnable: Any, executor: Executor) -> bool:
     return True
 
 
-def _settle(runnable: Any, nodes: Sequence[GuardedNode], executor: Executor) -> Callable[[], None]:
+def _settle(runnable: Runnable, nodes: Sequence[GuardedNode], executor: Executor) -> Callable[[], None]:
     """Do everything that is done once before the first cycle; returns the idle work for a loop."""
     for node in nodes:
         executor.add_node(node)
