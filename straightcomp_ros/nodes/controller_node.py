@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool
 
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE, STAGE_STATE
-from straightcomp_ros.control.excitation import FrequencyResponseError, Injection, made_injection
+from straightcomp_ros.control.excitation import Injection, made_injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
 from straightcomp_ros.control.learning import Learning
@@ -235,8 +235,8 @@ class ControllerComponent:
 class ExcitationService:
     """The service ``~/excite``: starts the excitation that the parameters ``excitation.*`` describe, and stops it.
 
-    ``make`` makes the injection; FrequencyResponseError or ValueError if the parameters do not fit. ``left_travel`` is
-    called with the reason when the platform left the allowed travel; for ``state`` see `node_timing.EXCITATION`.
+    ``make`` makes the injection; ValueError if the parameters do not fit. ``left_travel`` is called with the reason when
+    the platform left the allowed travel; for ``state`` see `node_timing.EXCITATION`.
     """
 
     def __init__(
@@ -245,7 +245,7 @@ class ExcitationService:
         self._node, self._servo, self._make, self._left_travel = node, servo, make, left_travel
         self._injection: Injection | None = None
         self.state = ""
-        node.offer(SetBool, "~/excite", self._on_excite)
+        node.offer(SetBool, "~/excite", self._on_excite, ValueError)
 
     def look(self) -> None:
         """Follow the excitation; call it after each cycle."""
@@ -270,10 +270,7 @@ class ExcitationService:
             raise Refused("the amplifier is off; switch it on first")
         if self._injection is not None:
             raise Refused("an excitation is running; stop it first")
-        try:
-            injection = self._make()
-        except (FrequencyResponseError, ValueError) as error:
-            raise Refused(str(error)) from error
+        injection = self._make()
         self._servo.inject(injection)
         self._injection, self.state = injection, EXCITING
         return "excites"

@@ -28,10 +28,9 @@ from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
-from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
-from straightcomp_ros.runtime.guarded_node import TICK_S, Refused, ThrottledWarning
+from straightcomp_ros.runtime.guarded_node import TICK_S, ThrottledWarning
 from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, from_monotonic, now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -98,9 +97,9 @@ class DriverComponent:
         self._stage_limits = stage_limits(parameters)
         self._refused = ThrottledWarning(node, "a motion of the stage is refused")
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
-        node.offer(SetBool, "~/hold", self._on_hold)
-        node.offer(Trigger, "~/end_motion", self._on_end_motion)
-        node.offer(Trigger, "~/home", self._on_home)
+        node.offer(SetBool, "~/hold", self._on_hold, HardwareError)
+        node.offer(Trigger, "~/end_motion", self._on_end_motion, HardwareError)
+        node.offer(Trigger, "~/home", self._on_home, HardwareError)
         self._action = TrajectoryAction(node, STAGE, self._begin_goal, partial(self._ask_pace, end=True))
         self._blend = parameters.blend
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
@@ -216,10 +215,7 @@ class DriverComponent:
 
     def _on_home(self) -> str:
         """Reference x: a simulated stage goes to its index mark and to the start of its strokes; amplifier off."""
-        try:
-            self._hardware.home(now_ns())
-        except HardwareError as error:
-            raise Refused(str(error)) from error
+        self._hardware.home(now_ns())
         return "x is being referenced"
 
     def _fetch_commands(self, now: int, system_now: int) -> None:
@@ -295,11 +291,8 @@ class DriverComponent:
             self._stage_state.publish(state.message(self._node.get_fully_qualified_name()))
 
     def _ask_pace(self, **changes: Any) -> None:
-        """Ask for another pace of the stage; ParameterError if it takes no commands."""
-        try:
-            self._hardware.pace(self._hardware.motion.pace._replace(**changes))
-        except HardwareError as error:
-            raise ParameterError(str(error)) from error
+        """Ask for another pace of the stage; HardwareError if it takes no commands."""
+        self._hardware.pace(self._hardware.motion.pace._replace(**changes))
         self._report_stage()
 
     def _on_hold(self, on: bool) -> str:
@@ -312,10 +305,7 @@ class DriverComponent:
 
     def _paced(self, done: str, **changes: bool) -> str:
         before = self._hardware.motion.condition
-        try:
-            self._ask_pace(**changes)
-        except ParameterError as error:
-            raise Refused(str(error)) from error
+        self._ask_pace(**changes)
         if self._hardware.motion.condition != before:
             self._node.get_logger().info(done)
         return done

@@ -19,7 +19,7 @@ from straightcomp_ros.runtime.safety_panel import tripper
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, follower
-from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.delays import StampGaps
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
@@ -53,7 +53,7 @@ class FeedforwardComponent:
         self._queue = node.streams.batches(ENCODER)
         self.loop = LockedLoop(_BATCH_NS, self._queue.wait, self._cycle)
         node.streams.follow(self._cycle)
-        node.offer(Trigger, "~/reload_map", self._on_reload_map)
+        node.offer(Trigger, "~/reload_map", self._on_reload_map, ParameterError, SurveyError, OSError)
         node.offer(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
         Diagnostics(node, self._counters, self.loop.report, description=parameters.stage.identity)
@@ -72,7 +72,8 @@ class FeedforwardComponent:
         """Load another map; the reference fades over to it."""
         if self._feedforward.changing:
             raise ParameterError(f"the previous change of reference takes {FADE_TIME:g} s; try again after it")
-        straightness = self._loaded(parameters.stage.guide)
+        # In the worker thread, where samples are answered meanwhile: it takes longer than the controller waits.
+        straightness = awaited(lambda: load_map(parameters.stage.guide), self._node.go_on)
 
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
@@ -87,16 +88,9 @@ class FeedforwardComponent:
         if wrong := self._map.mismatch():
             self._node.get_logger().error(wrong)
 
-    def _loaded(self, parameters: MapParameters) -> StraightnessMap:
-        """Read a map in the worker thread and answer samples meanwhile: it takes longer than the controller waits."""
-        return awaited(lambda: load_map(parameters), self._node.go_on)
-
     def _on_reload_map(self) -> str:
         """Read the map's file again; the reference fades over to it."""
-        try:
-            self.prepare(self._parameters)()
-        except (ParameterError, SurveyError, OSError) as error:
-            raise Refused(str(error)) from error
+        self.prepare(self._parameters)()
         return f"map {self._parameters.stage.guide.file}: {self._map}"
 
     def _on_center(self, middle: bool) -> str:

@@ -170,14 +170,17 @@ class GuardedNode(Node):
 
         return super().create_service(kind, name, answer, *more, **options)
 
-    def offer(self, kind: Any, name: str, act: Callable[..., str]) -> None:
+    def offer(self, kind: Any, name: str, act: Callable[..., str], *refusals: type[Exception]) -> None:
         """A service that answers with ``success`` and ``message``, of the kind Trigger or SetBool.
 
-        ``act`` gets the data of a SetBool; it returns the message, or raises :class:`Refused`.
+        ``act`` gets the data of a SetBool; it returns the message, or raises :class:`Refused` or one of ``refusals``.
         """
 
         def answer(request: Any, response: Any) -> Any:
-            response.message = act(request.data) if hasattr(request, "data") else act()
+            try:
+                response.message = act(request.data) if hasattr(request, "data") else act()
+            except refusals as error:
+                raise Refused(str(error)) from error
             response.success = True
             return response
 

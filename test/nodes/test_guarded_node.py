@@ -47,6 +47,7 @@ def test_an_error_of_a_callback_drops_the_message_or_refuses_the_request_and_one
     node.offer(Trigger, "stop", failing(Refused("nothing is going on")))
     node.offer(SetBool, "center", lambda middle: f"to {middle}")
     node.offer(Trigger, "start", failing(BagError("disk full")))
+    node.offer(Trigger, "home", failing(BagError("not now")), BagError)
 
     def answer(name, kind):
         response = reached[name](kind.Request(), kind.Response(success=True))
@@ -56,6 +57,7 @@ def test_an_error_of_a_callback_drops_the_message_or_refuses_the_request_and_one
     assert answer("enable", SetBool) == (False, "'n/a'") and len(warnings) == 2
     # A refusal is the node's answer, and no error of its callback.
     assert answer("stop", Trigger) == (False, "nothing is going on")
+    assert answer("home", Trigger) == (False, "not now")
     assert answer("center", SetBool) == (True, "to False")
     with pytest.raises(BagError):
         answer("start", Trigger)
