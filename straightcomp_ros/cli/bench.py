@@ -4,6 +4,7 @@ import argparse
 import statistics
 import tempfile
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def _graph(options: argparse.Namespace) -> None:
     Prints the rate, missed periods, lateness of the loop, CPU and memory of each node, and the graph's latency from
     sample to command and its losses. The window begins when all nodes are connected and have settled.
     """
-    from straightcomp_ros.bench.graph_bench import bench_parameters, view_programs
+    from straightcomp_ros.bench.graph_bench import BenchFailed, bench_parameters, measure, view_programs
 
     require_ros()
     check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
@@ -68,21 +69,25 @@ def _graph(options: argparse.Namespace) -> None:
         seconds = 60.0 * options.soak
     given, asked = chosen_parameters(options), {"rate": options.rate, "seconds": seconds, "priority": options.priority}
     values = bench_parameters(given, **asked)
-    kinds: dict[str, dict[str, Any]] = {"graph": {}}
+    kinds = {"graph": partial(measure, values)}
     if options.against:
-        kinds["against"] = {"values": bench_parameters(changed(given, options.against), **asked)}
+        kinds["against"] = partial(measure, bench_parameters(changed(given, options.against), **asked))
     if options.composed:
-        kinds["composed"] = {"composed": True}
+        kinds["composed"] = partial(measure, values, composed=True)
     if options.view:
-        kinds["with_view"] = {"programs": view_programs(options.priority)}
+        kinds["with_view"] = partial(measure, values, programs=view_programs(options.priority))
     rounds: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="straightcomp_bench_") as scratch:
         kept = output_folder("--output", options.output, empty=True) if options.output else Path(scratch)
         for number in range(1, options.rounds + 1):
             measured: dict[str, Any] = {}
-            for name, kind in kinds.items():
+            for name, measure_kind in kinds.items():
                 place = kept.absolute() / (f"{name}_{number}" if options.rounds > 1 else name)
-                measured[name], growth = _measured(kind.get("values", values), place, seconds, name, kind)
+                try:
+                    with working(f"measuring {name}") as advance:
+                        measured[name], growth = measure_kind(folder=place, seconds=seconds, progress=advance)
+                except BenchFailed as error:
+                    raise CommandFailed(f"{name}: {error}") from error
                 if name == "graph" and options.soak is not None:
                     measured[name]["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}
             rounds.append(measured)
@@ -96,20 +101,6 @@ def _graph(options: argparse.Namespace) -> None:
         print_json(figures)
     else:
         _print_graph(figures, options)
-
-
-def _measured(
-    values: dict[str, dict[str, Any]], folder: Path, seconds: float, words: str, kind: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, float]]:
-    """Figures, and the growth of each node's memory in MB/h."""
-    from straightcomp_ros.bench.graph_bench import BenchFailed, measure
-
-    more = {name: value for name, value in kind.items() if name != "values"}
-    try:
-        with working(f"measuring {words}") as advance:
-            return measure(values, folder, seconds, progress=advance, **more)
-    except BenchFailed as error:
-        raise CommandFailed(f"{words}: {error}") from error
 
 
 def medians(measured: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

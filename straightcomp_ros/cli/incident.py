@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> None:
 
 def _pack(options: argparse.Namespace) -> None:
     from straightcomp_ros.doctor.computer import examine
-    from straightcomp_ros.offline.incident import IncidentError, pack
+    from straightcomp_ros.offline.incident import pack
 
     bag = Path(options.bag)
     options.output = options.output or f"incident_{datetime.now():%Y_%m_%d-%H_%M_%S}.zip"
@@ -52,11 +52,8 @@ def _pack(options: argparse.Namespace) -> None:
     if logs is not None and not logs.is_dir():
         raise CommandFailed(f"--logs {logs}: is no folder", exit_code=2)
     assert output is not None
-    try:
-        with working("packing"):
-            packed = pack(bag, output, examine(), last=options.last, logs=logs)
-    except IncidentError as error:
-        raise CommandFailed(str(error)) from error
+    with working("packing"):
+        packed = pack(bag, output, examine(), last=options.last, logs=logs)
     if options.json:
         print_json({"file": str(output), "cause": packed.cause, "bytes": packed.size, "left_out": packed.left_out})
         return

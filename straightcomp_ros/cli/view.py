@@ -38,10 +38,10 @@ def run(options: argparse.Namespace) -> int:
     require_ros()
     check_range("--port", options.port, 0, 65535)
     realtime = from_mapping(RealtimeParameters, {"priority": options.priority})
-    from straightcomp_ros.nodes.view_node import Limit, view
+    from straightcomp_ros.nodes.view_node import ViewNode
+    from straightcomp_ros.runtime.runner import run as run_node
 
-    limit = Limit(largest_error(options.limits), Path(options.limits).name) if options.limits else None
-
+    limit = {"um": largest_error(options.limits), "source": Path(options.limits).name} if options.limits else None
     arguments = ["--ros-args", *in_namespace(options.namespace)] if options.namespace else []
 
     def ready(url: str) -> None:
@@ -51,7 +51,9 @@ def run(options: argparse.Namespace) -> int:
             print(url)
         sys.stdout.flush()
 
-    return view(options.port, ready, realtime, arguments, options.maintenance, limit)
+    return run_node(
+        "view", lambda node: ViewNode(node, options.port, ready, realtime, options.maintenance, limit), arguments
+    )
 
 
 def largest_error(file: str) -> float:

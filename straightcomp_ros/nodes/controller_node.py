@@ -235,8 +235,8 @@ class ControllerComponent:
 class ExcitationService:
     """The service ``~/excite``: starts the excitation that the parameters ``excitation.*`` describe, and stops it.
 
-    ``make`` makes the injection; ValueError if the parameters do not fit. ``left_travel`` is called with the reason when
-    the platform left the allowed travel; for ``state`` see `node_timing.EXCITATION`.
+    ``make`` makes the injection; ValueError if the parameters do not fit. ``left_travel`` is called with the reason
+    when the platform left the allowed travel; for ``state`` see `node_timing.EXCITATION`.
     """
 
     def __init__(

@@ -81,14 +81,6 @@ class Emulator:
         self._line.close()
 
 
-def _off_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
-    """The driver's real-time parameters, changed for an emulated board. Since a real board would not load the host, it
-    leaves the loop's CPU to the loop and runs before other work. It shares no locks with the nodes."""
-    cpus = realtime.REST if driver.cpus == realtime.LOOP else driver.cpus
-    priority = min(driver.priority + 1, _MOST_PRIORITY) if driver.priority else 0
-    return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
-
-
 def _logged(before: tuple[str, ...], *now: str) -> tuple[str, ...]:
     """Log each problem once, as long as it lasts; returns what has been logged."""
     for words in set(now) - {"", *before}:
@@ -97,7 +89,11 @@ def _logged(before: tuple[str, ...], *now: str) -> tuple[str, ...]:
 
 
 def _schedule(driver: RealtimeParameters) -> None:
-    for refusal in realtime.apply(_off_the_loop(driver)):
+    """Since a real board would not load the host, an emulated one leaves the loop's CPU to the loop and runs before
+    other work. It shares no locks with the nodes."""
+    cpus = realtime.REST if driver.cpus == realtime.LOOP else driver.cpus
+    priority = min(driver.priority + 1, _MOST_PRIORITY) if driver.priority else 0
+    for refusal in realtime.apply(dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)):
         print(f"dsp_emulator: {refusal}", file=sys.stderr)
 
 

@@ -207,8 +207,7 @@ class LoggerComponent:
     def _drop(self) -> None:
         self._others.fetch(lambda *_: None)
         for messages in self._topics.values():
-            for _ in messages.fetch():
-                pass
+            messages.fetch()
 
     def _take(self) -> None:
         add = self._recorder.intake.add

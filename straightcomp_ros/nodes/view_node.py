@@ -6,14 +6,14 @@ import queue
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 from rclpy.task import Future
 
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, POSITION, REFERENCE
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
-from straightcomp_ros.runtime.runner import Runnable, run
+from straightcomp_ros.runtime.runner import Runnable
 from straightcomp_ros.safety.faults import explained
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
@@ -27,7 +27,6 @@ _ALONE_S = 5.0
 """Time from which a view that sees no node says so: discovery takes a second or two."""
 _LATENCIES, _SUMMARY_EVERY = 40_000, 20
 """Latencies whose distribution is shown: of 20 s at 2 kHz; and of how many fetches one counts them anew."""
-_NODES = ("driver", "feedforward", "controller", "logger")
 SHOWN = {
     # Deviation of the guide by the map: the negative of the reference.
     "deviation": (REFERENCE, "r", -1.0, 1e6),
@@ -42,18 +41,11 @@ _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": 
 """Name in the diagnostics, by name on the page."""
 
 
-class Limit(NamedTuple):
-    """The largest error p-p in µm that a movement may have, and whose limit it is."""
-
-    um: float
-    source: str
-
-
 class ViewNode(Runnable):
     """Serves the page at ``port`` and calls ``ready`` with its address. Only the main thread uses ROS; others serve it.
 
     ``realtime`` must equal that of the graph's nodes: see docs/realtime.md. ``maintenance`` is a file of advice, empty
-    for none. ``limit`` is shown with the error.
+    for none. ``limit`` is shown with the error: ``um``, the largest p-p of a movement, and ``source``, whose it is.
     """
 
     def __init__(
@@ -63,12 +55,12 @@ class ViewNode(Runnable):
         ready: Callable[[str], object],
         realtime: RealtimeParameters,
         maintenance: str,
-        limit: Limit | None = None,
+        limit: dict[str, object] | None,
     ) -> None:
         self._limit = limit
         self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime = node, Future(), realtime
-        self._graph = GraphClient(node, _NODES, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
+        self._graph = GraphClient(node, RECORDED, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
         self._board = Board({name: Series(SLOT_S, scale) for name, (*_, scale) in SHOWN.items()})
         self._driver = RemoteParameters(node, ("driver",))
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
@@ -128,7 +120,7 @@ class ViewNode(Runnable):
                 "stage": named,
                 "due_us": 1e6 * driver["stage.drive.delay"] / driver["stage.rate"] if driver else None,
                 "latency": self._distribution,
-                "limit": self._limit and self._limit._asdict(),
+                "limit": self._limit,
                 "fresh": seen.fresh,
                 "amplifier_on": seen.amplifier_on,
                 "x_mm": seen.x * 1e3,
@@ -164,15 +156,3 @@ class ViewNode(Runnable):
     def close(self) -> None:
         """Stop serving the page; the graph keeps running."""
         self._server.close()
-
-
-def view(
-    port: int,
-    ready: Callable[[str], object],
-    realtime: RealtimeParameters,
-    arguments: list[str],
-    maintenance: str = "",
-    limit: Limit | None = None,
-) -> int:
-    """Serve the view until SIGINT or SIGTERM, see :class:`ViewNode`, with ROS ``arguments``; returns the exit code."""
-    return run("view", lambda node: ViewNode(node, port, ready, realtime, maintenance, limit), arguments)
