@@ -17,6 +17,7 @@ from straightcomp_ros.cli.options import (
     check_range,
     chosen_parameters,
     output_folder,
+    settings,
     whole_number,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, require_ros, working
@@ -71,7 +72,7 @@ def _graph(options: argparse.Namespace) -> None:
     values = bench_parameters(given, **asked)
     kinds = {"graph": partial(measure, values)}
     if options.against:
-        kinds["against"] = partial(measure, bench_parameters(changed(given, options.against), **asked))
+        kinds["against"] = partial(measure, bench_parameters(changed(given, settings(options.against)), **asked))
     if options.composed:
         kinds["composed"] = partial(measure, values, composed=True)
     if options.view:

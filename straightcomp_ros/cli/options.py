@@ -169,12 +169,12 @@ def add_stage_argument(parser: argparse.ArgumentParser) -> None:
 
 def chosen_parameters(options: argparse.Namespace) -> Values:
     """Values by node and dotted name, checked; raises ParameterError."""
-    return _changed(options.params_file, options.stage, chosen_changes(options))
+    return _checked(options.params_file, options.stage, chosen_changes(options))
 
 
 def stage_values(options: argparse.Namespace) -> Values:
     """The same with the stage file of :func:`add_stage_argument`, and --set where the verb has it."""
-    return _changed(None, options.file, settings(getattr(options, "set", [])))
+    return _checked(None, options.file, settings(getattr(options, "set", [])))
 
 
 def chosen_changes(options: argparse.Namespace) -> Values:
@@ -185,24 +185,19 @@ def chosen_changes(options: argparse.Namespace) -> Values:
     return changes
 
 
-def _changed(params_file: str | None, stage: str | None, changes: Values) -> Values:
+def _checked(params_file: str | None, stage: str | None, changes: Values) -> Values:
     from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
     from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
-    values = shipped_parameters(params_file, stage)
-    for node, section in changes.items():
-        values[node].update(section)
+    values = changed(shipped_parameters(params_file, stage), changes)
     for node in NODE_PARAMETERS:
         node_parameters(node, values)
     return values
 
 
-def changed(values: Values, assignments: list[str]) -> Values:
-    """A copy of ``values`` with what assignments NODE.NAME=VALUE change; raises ParameterError for another form."""
-    copied = {node: dict(section) for node, section in values.items()}
-    for node, section in settings(assignments).items():
-        copied[node].update(section)
-    return copied
+def changed(values: Values, changes: Values) -> Values:
+    """A copy of ``values`` with these changes."""
+    return {node: {**section, **changes.get(node, {})} for node, section in values.items()}
 
 
 def settings(assignments: list[str]) -> Values:

@@ -35,11 +35,7 @@ class RefusedParameter(ParameterError):
 
     def __init__(self, name: str, text: str, group: str = "") -> None:
         super().__init__(f"parameter '{group}{name}': {text.replace(_GROUP, group)}")
-        self._name, self._text = name, text
-
-    def within(self, group: str) -> RefusedParameter:
-        """This error for a set that is the group ``group``, which ends with a dot."""
-        return RefusedParameter(self._name, self._text, group)
+        self.name, self.text = name, text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,7 +186,7 @@ def _build(parameter_set: type[T], checked: Mapping[str, Any], prefix: str) -> T
     try:
         return parameter_set(**arguments)
     except RefusedParameter as error:
-        raise error.within(prefix) from None
+        raise RefusedParameter(error.name, error.text, prefix) from None
 
 
 def to_mapping(parameters: Any, prefix: str = "") -> dict[str, Any]:

@@ -125,7 +125,5 @@ def commented(key: str, declared: Iterable[Declaration], values: Mapping[str, An
 
 
 def as_yaml(value: Any) -> str:
-    """One value as YAML 1.1, which takes 1e-07 for a text: a float needs its point."""
-    if isinstance(value, float) and "e" in repr(value) and "." not in repr(value):
-        return repr(value).replace("e", ".0e")
+    """One value as YAML; a text in quotes."""
     return str(yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0])

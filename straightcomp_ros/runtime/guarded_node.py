@@ -74,10 +74,7 @@ class SteadyTimers:
 
     def cancel(self, timers: Sequence[SteadyTimer]) -> None:
         """Cancel some of them."""
-        for timer in timers:
-            timer.cancel()
-        gone = set(map(id, timers))
-        self._timers = [timer for timer in self._timers if id(timer) not in gone]
+        self._timers = [timer for timer in self._timers if timer not in timers]
 
     def call_one(self) -> bool:
         """Call the timer that has been due longest; returns whether one was due."""

@@ -14,6 +14,7 @@ from straightcomp_ros.parameters.declaration import (
     belongs_to_ros,
     declarations,
     from_mapping,
+    to_mapping,
 )
 from straightcomp_ros.parameters.node_parameters import STAGE
 
@@ -42,13 +43,14 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
             node.undeclare_parameter(name)
             del given[name]
     parameters = from_mapping(parameter_set, given)
+    # As they were given, but for integers where the declaration says float.
+    values = to_mapping(parameters)
     for declaration in declarations(parameter_set):
-        value = declaration.check(given.get(declaration.name, declaration.default))
         if declaration.name in given:
             node.undeclare_parameter(declaration.name)
         fixed = not changeable or declaration.name.split(".")[0] in _FIXED
-        # ``value`` is the given value, with an integer converted to float where the declaration says so.
-        node.declare_parameter(declaration.name, value, _descriptor(declaration, fixed), ignore_override=True)
+        descriptor = _descriptor(declaration, fixed)
+        node.declare_parameter(declaration.name, values[declaration.name], descriptor, ignore_override=True)
     return parameters
 
 
