@@ -72,23 +72,8 @@ def launched(
         }
         if runs_cycle and not _is_true(context, "record"):
             parameters["nodes"] = ParameterValue("driver feedforward controller", value_type=str)
-        node = Node(
-            package=PACKAGE,
-            executable=f"{name}_node",
-            name=name,
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[
-                LaunchConfiguration("params_file"),
-                LaunchConfiguration("stage"),
-                *([parameters] if parameters else []),
-            ],
-            output="screen",
-        )
-        if not runs_cycle:
-            return [node]
-        shutdown = EmitEvent(event=Shutdown(reason=f"the {name} has ended"))
-        # Register the handler before the node starts: a wrong parameter ends the node at once.
-        return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[shutdown])), node]
+        at_end = EmitEvent(event=Shutdown(reason=f"the {name} has ended")) if runs_cycle else None
+        return _started(f"{name}_node", [parameters] if parameters else [], at_end, name=name)
 
     return described(choices, overrides, [OpaqueFunction(function=actions)])
 
@@ -101,13 +86,8 @@ def launched_composed() -> LaunchDescription:
         # A parameter of the process would be one of all its nodes: only a file says which node it is for.
         with tempfile.NamedTemporaryFile("w", prefix="servo_", suffix=".yaml", delete=False) as file:
             file.write(as_parameter_file(given))
-        parameters = [LaunchConfiguration("params_file"), LaunchConfiguration("stage"), file.name]
-        namespace = LaunchConfiguration("namespace")
-        node = Node(
-            package=PACKAGE, executable="servo_node", namespace=namespace, parameters=parameters, output="screen"
-        )
         remove = OpaqueFunction(function=lambda _: Path(file.name).unlink(missing_ok=True))
-        return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[remove])), node]
+        return _started("servo_node", [file.name], remove)
 
     return described({}, dict.fromkeys(sum(IN_THE_LOOP.values(), ())), [OpaqueFunction(function=actions)])
 
@@ -127,6 +107,22 @@ def described(choices: Mapping[str, str], overrides: Iterable[str], actions: Ite
     # Keep 2 kHz topics off the network unless the user asks for more.
     on_this_computer = SetEnvironmentVariable(_DISCOVERY, EnvironmentVariable(_DISCOVERY, default_value="LOCALHOST"))
     return LaunchDescription([*declared, on_this_computer, *actions])
+
+
+def _started(
+    executable: str, parameters: Iterable[object], at_end: object | None, **name: str
+) -> list[RegisterEventHandler | Node]:
+    """Start a process with these ``parameters`` beyond the files; ``at_end`` is done when it has ended."""
+    node = Node(
+        package=PACKAGE,
+        executable=executable,
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[LaunchConfiguration("params_file"), LaunchConfiguration("stage"), *parameters],
+        output="screen",
+        **name,
+    )
+    # Register the handler before the node starts: a wrong parameter ends the node at once.
+    return [*([RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[at_end]))] if at_end else []), node]
 
 
 def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[str, object]:
