@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from straightcomp_ros.messages.cdr import Layout, joint_state, joint_trajectory_point
 
-PACKAGE = "straightcomp_ros"
 STAGE = "stage_x"
 PLATFORM = "platform_y"
 STROKE = 1.760

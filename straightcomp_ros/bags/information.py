@@ -13,7 +13,7 @@ from typing import NamedTuple
 import yaml
 
 from straightcomp_ros.bags.topics import ROS_DISTRO, Topic
-from straightcomp_ros.contract import PACKAGE
+from straightcomp_ros.parameters.share import PACKAGE
 
 VERSION = 9
 ROOT_KEY = "rosbag2_bagfile_information"

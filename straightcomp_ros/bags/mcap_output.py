@@ -24,7 +24,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags.mcap_input import FRAME, MESSAGE, MESSAGE_FIELDS
 from straightcomp_ros.bags.topics import Definition, Topic
-from straightcomp_ros.contract import PACKAGE
+from straightcomp_ros.parameters.share import PACKAGE
 
 ChannelMessage = tuple[int, int, int, bytes]
 """Channel id, log time and publish time in ns (not negative), serialised message."""

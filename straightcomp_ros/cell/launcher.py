@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.contract import PACKAGE
+from straightcomp_ros.parameters.share import PACKAGE
 
 RECORDED = ("driver", "feedforward", "controller", "logger")
 """The nodes that must run as long as the cell does."""

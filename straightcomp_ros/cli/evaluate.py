@@ -142,12 +142,11 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     console.print(table)
     headings = ("start s", "error p-p", "true p-p", "RMS", "before LS", "ends", "after LS", "ends")
     strokes = titled_table("Strokes: error and straightness (ISO 230-1) in µm", "stroke", *headings)
-    names = ("encoder_pp", "true_pp", "encoder_rms", "before_least_squares", "before_end_points")
+    names = ("encoder_pp_um", "true_pp_um", "encoder_rms_um", "before_least_squares_um", "before_end_points_um")
     for stroke in assessment.strokes:
-        numbers = {name.removesuffix("_um"): value for name, value in stroke.to_display().items()}
-        shown_names = (*names, "after_least_squares", "after_end_points")
-        texts = ((name, "" if numbers[name] is None else decimal(numbers[name], 3)) for name in shown_names)
-        cells = (marked(f"{name}_um", text, words) for name, text in texts)
+        numbers = stroke.to_display()
+        found = ((name, numbers[name]) for name in (*names, "after_least_squares_um", "after_end_points_um"))
+        cells = (marked(name, "" if value is None else decimal(value, 3), words) for name, value in found)
         strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *cells)
     console.print(strokes)
     _print_straightness(assessment, words)

@@ -26,12 +26,12 @@ from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from straightcomp_ros.cell.packml import Command, Order
-from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, Users
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.share import PACKAGE
 
 _PERIOD_S = 0.1
 _ANSWER_WITHIN_S = 2.0

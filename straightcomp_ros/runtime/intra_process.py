@@ -1,7 +1,6 @@
 """Streams between the nodes of one process: handed over in memory; everyone else gets them as messages, as before.
 
-A message between processes costs its publisher and its subscriber 20 to 30 µs each and a wake-up, more than the work on
-it. Nodes in one process share one loop, the driver's: each time it has samples it lets the others do their cycles. What
+Nodes in one process share one loop, the driver's: each time it has samples it lets the others do their cycles. What
 others get is sent by a thread, since the middleware takes 100 µs for a batch, nearly a period at 8 kHz.
 """
 

@@ -19,10 +19,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, files_beside, read_parameter_file
+from straightcomp_ros.parameters.share import PACKAGE
 
 SHARE = FindPackageShare(PACKAGE)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"

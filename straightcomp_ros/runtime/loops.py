@@ -88,8 +88,6 @@ class PeriodicLoop(Loop):
     """Calls ``cycle`` once in each period, at absolute wake-up times. After a stall it continues with the next period
     and counts the periods it missed; it never calls twice to catch up.
 
-    A timer of the executor costs a thread and two context switches in each period, this loop one wake-up.
-
     ``cycle`` gets the monotonic time in ns at which the period was to start. A ``punctual`` loop wakes up early by this
     machine's usual delay and busy-waits for the rest; otherwise every answer would be late by a tenth of a period.
     """
@@ -143,10 +141,8 @@ class PeriodicLoop(Loop):
 class LockedLoop(Loop):
     """A loop with the frequency and the phase of a stream: a cycle begins when a message arrives.
 
-    A timer locked behind the arrivals would need a margin for their jitter, 100 µs of latency on a busy machine, and
-    would set the CPU's timer in each period, which in a virtual machine costs as much as the control law. A first-order
-    phase-locked loop predicts each arrival from those before; its error shows how steadily messages arrive. Without
-    messages the loop only does its idle work.
+    A first-order phase-locked loop predicts each arrival from those before; its error shows how steadily messages
+    arrive. Without messages the loop only does its idle work.
 
     ``wait(timeout_ns)`` returns when a message has arrived, or after that time. ``cycle`` returns the number of
     messages found, where those sent together count as one, and the age of the newest in ns, by which it was late.

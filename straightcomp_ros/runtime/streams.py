@@ -1,9 +1,8 @@
 """A node's ends of the contract's streams: publishers and queues of serialised bytes, one by one and in batches.
 
-Publishing a message, waking its subscriber and taking it costs each side about 20 µs, more than all other work on it.
 The controller's samples and the driver's commands must arrive one by one. Subscribers that record, display or look
-ahead take batches, the messages of some milliseconds in one, and cost the loop little. A stream that no control loop
-waits for is published one by one only while it has a subscriber.
+ahead take batches, the messages of some milliseconds in one, and cost the loop little (docs/design.md). A stream that
+no control loop waits for is published one by one only while it has a subscriber.
 
 The loops know a stream only as a function ``publish(stamp_ns, *numbers)`` and as a queue of (stamp, numbers, arrival);
 they get both from :class:`Streams`. Between nodes of one process the numbers are handed over in memory.
@@ -293,8 +292,6 @@ class BatchQueue:
 
 class SubscriptionQueue:
     """A stream whose messages wait in the middleware until they are fetched.
-
-    A message does not wake this process. A loop that looks into its queue anyway saves two context switches a message.
 
     A message of another layout (other names or order, from another vendor's publisher) is deserialised and read by its
     names. One that cannot be read is dropped, with a warning.
