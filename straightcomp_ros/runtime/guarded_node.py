@@ -22,10 +22,14 @@ from rclpy.node import Node
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.safety.faults import one_line
+from straightcomp_ros.straightness.survey import SurveyError
 
 RUN_FAILURES = (BagError, HardwareError, OSError)
 """Raised while a node runs, when a bag, the machine or a file fails: no fault of a message, so they end the node."""
+REFUSALS = (*RUN_FAILURES, ParameterError, SurveyError)
+"""Raised if parameters, files or the machine cannot be used."""
 TICK_S = 0.02
 """Resolution of the timers."""
 _TICK_NS = round(TICK_S * 1e9)

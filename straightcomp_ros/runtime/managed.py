@@ -21,21 +21,15 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.serialization import serialize_message
 from rclpy.task import Future
 
-from straightcomp_ros.bags import BagError
 from straightcomp_ros.contract import HEARTBEAT
-from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.runtime.guarded_node import GuardedNode, ThrottledWarning, refusal
+from straightcomp_ros.runtime.guarded_node import REFUSALS, GuardedNode, ThrottledWarning, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service, withdraw
 from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.loops import Loop
 from straightcomp_ros.runtime.ros_parameters import ParameterChanges, declare
 from straightcomp_ros.runtime.streams import Streams
-from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.cpus import at_normal_priority
 
-REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
-"""Raised if parameters, files or the machine cannot be used."""
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
 _HEARTBEAT_S = 0.1
@@ -110,7 +104,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         parameters = declare(self, self._parameter_set, changeable=True)
         self.realtime = parameters.realtime
         self._autostart = parameters.autostart
-        self._changes = ParameterChanges(self, self._parameter_set, REFUSALS)
+        self._changes = ParameterChanges(self, self._parameter_set)
         self._send_beat = self.streams.sending(self.create_publisher(DiagnosticStatus, HEARTBEAT, 10))
         self.create_timer(_HEARTBEAT_S, self._beat)
         if self._autostart:

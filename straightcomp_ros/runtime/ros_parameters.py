@@ -17,6 +17,7 @@ from straightcomp_ros.parameters.declaration import (
     to_mapping,
 )
 from straightcomp_ros.parameters.node_parameters import STAGE
+from straightcomp_ros.runtime.guarded_node import REFUSALS
 
 T = TypeVar("T")
 Prepare = Callable[[Any], Callable[[], None]]
@@ -76,15 +77,14 @@ class ParameterChanges:
     """Refuses what the parameter set or the component refuses; the requesting client gets the reason.
 
     While the node is unconfigured any parameter may change: the next configuration reads it. In other states only the
-    parameters that the set names in ``dynamic`` may change. ``refusals`` are the exceptions by which the component
-    refuses values.
+    parameters that the set names in ``dynamic`` may change.
 
     Attributes:
         prepare: the component's, which decides on changes; None while the node is unconfigured.
     """
 
-    def __init__(self, node: Node, parameter_set: type, refusals: tuple[type[Exception], ...]) -> None:
-        self._node, self._parameter_set, self._refusals = node, parameter_set, refusals
+    def __init__(self, node: Node, parameter_set: type) -> None:
+        self._node, self._parameter_set = node, parameter_set
         self._names = [declaration.name for declaration in declarations(parameter_set)]
         self.prepare: Prepare | None = None
         self._take_over: Callable[[], None] | None = None
@@ -107,7 +107,7 @@ class ParameterChanges:
             if changed and self.prepare is not None:
                 self._refuse_fixed(changed)
                 self._take_over = self.prepare(parameters)
-        except self._refusals as error:
+        except REFUSALS as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

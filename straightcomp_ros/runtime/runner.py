@@ -16,10 +16,10 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, GuardedNode
+from straightcomp_ros.runtime.guarded_node import REFUSALS, RUN_FAILURES, GuardedNode
 from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, Loop
-from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, MakeComponent, ManagedNode
+from straightcomp_ros.runtime.managed import EXIT_FAILURE, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.cpus import end_loop, give_up_priority
