@@ -123,6 +123,8 @@ class Composition(Runnable):
     """Managed nodes in one process: they end together, and the first one's scheduling is the process's, and so is its
     loop while it is active. One of :data:`REFUSALS` if a node cannot begin."""
 
+    node: ManagedNode
+
     def __init__(self, *nodes: ManagedNode) -> None:
         self.nodes, self.node, self.done = nodes, nodes[0], Future()
         for node in nodes[1:]:
