@@ -10,6 +10,7 @@ run gives the same bytes.
 
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
 from typing import NamedTuple
@@ -17,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scripts.stage_files import STAGES
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
-
-STAGES = Path(__file__).resolve().parent.parent / "test" / "stages"
 
 
 class Joint(NamedTuple):
@@ -72,6 +72,7 @@ def shape(guide: Guide) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """x (n,) and deviation (n,) of a guide in m, least squares line removed, rounded to 1 nm."""
     x = np.linspace(0.0, guide.length, round(guide.length / guide.spacing) + 1)
     waves = sum(amplitude * np.sin(2.0 * np.pi * (x / length + phase)) for length, amplitude, phase in guide.waves)
+    # The line goes first: scaled after, the extent is that of ISO 230-1.
     residual = least_squares_residual(x, waves)
     residual *= guide.extent / peak_to_peak(residual)
     for joint in guide.joints:
@@ -79,14 +80,15 @@ def shape(guide: Guide) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return x, np.round(residual, 9)
 
 
-def survey(guide: Guide, seed: int) -> Survey:
-    """One run forward and one backward."""
-    x, deviation = shape(guide)
+def survey(guide: Guide, seed: int, cycles: int = 1, every: int = 1) -> Survey:
+    """``cycles`` runs forward and backward in turn, over each ``every``-th point of the guide."""
+    x, deviation = (values[::every] for values in shape(guide))
     # Python's generator and the quantile function: NumPy's normals may change with a release.
     generator, normal = random.Random(seed), NormalDist(0.0, guide.repeatability)
     return Survey(
         tuple(
-            Run("1", direction, x, np.round(deviation + [normal.inv_cdf(generator.random()) for _ in x], 10))
+            Run(str(cycle), direction, x, deviation + [normal.inv_cdf(generator.random()) for _ in x])
+            for cycle in range(1, cycles + 1)
             for direction in ("forward", "backward")
         )
     )
@@ -100,7 +102,9 @@ def make(directory: Path = STAGES) -> None:
             f"{guide.extent * 1e6:g} um peak to peak over {guide.length:g} m, each point with a standard deviation of "
             f"{guide.repeatability * 1e9:g} nm.",
         ]
-        write_survey(directory / f"{name}.csv", survey(guide, seed), heads)
+        # The files were once made of values in 0.1 nm: without that some would round to another nm.
+        runs = (replace(run, deviation=np.round(run.deviation, 10)) for run in survey(guide, seed).runs)
+        write_survey(directory / f"{name}.csv", Survey(tuple(runs)), heads)
 
 
 if __name__ == "__main__":
