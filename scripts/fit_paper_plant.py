@@ -11,17 +11,21 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from paper_stroke import STAGE, Stroke
 from scipy.stats import qmc
 
+from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
 from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.offline.scenario import make_scenario
+from straightcomp_ros.offline.starts import Spread, offsets, spread
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
+STAGE = StageParameters()
+"""The shipped stage."""
 LINEAR, SMC = 1.77, 0.40
 """The paper's figures in µm peak to peak."""
 TOLERANCE = 0.15
@@ -36,6 +40,42 @@ BOX = {
     "viscous": (0.1, 100.0),  # N·s/m
 }
 """Usual ranges. v_s, break-away distance: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994."""
+
+
+class Stroke:
+    """A stroke forward and back, on the shipped survey or on a guide of the same height shaped as a cosine.
+
+    Args:
+        half_waves: half waves of the cosine along the stroke; None takes the survey.
+
+    Attributes:
+        rate: largest |ṙ| in m/s.
+    """
+
+    def __init__(self, half_waves: int | None = None) -> None:
+        self._scenario = make_scenario({}, ["linear"])
+        stroke = self._scenario.stroke()
+        self._true_r, reference = stroke.map.evaluate(stroke.true_x)[0], stroke.references
+        if half_waves is not None:
+            length = STAGE.motion.stroke
+            wave = half_waves * math.pi / length
+            height = 0.5 * float(np.ptp(stroke.map.evaluate(np.linspace(0.0, length, 20_000))[0]))
+            r = height * np.cos(wave * stroke.x)
+            self._true_r = height * np.cos(wave * stroke.true_x)
+            reference = np.stack([r, np.gradient(r, STAGE.period), np.zeros_like(r)], axis=1)
+        # The law gets the reference of the sample itself, without a lead.
+        self._stroke = stroke._replace(given=reference)
+        self._window = motion_of(stroke.stamps * 1e-9, stroke.x).window
+        self.rate = float(np.abs(reference[self._window, 1]).max())
+
+    def error(self, plant: PlantParameters, law: Law, *, delay: float = 0.5, start: float = 0.0) -> float:
+        """True peak to peak error in µm, with commands ``delay`` samples late, and the platform at ``start`` in m."""
+        true_y = self._scenario.cycle(law, self._stroke, delay, plant=plant, offset=start).true_y
+        return float(np.ptp((self._true_r - true_y)[self._window])) * 1e6
+
+    def errors(self, *arguments: Any, **options: Any) -> Spread:
+        """:meth:`error` in µm over the starts."""
+        return spread(self.error(*arguments, start=start, **options) for start in offsets())
 
 
 def law(slope: float = 0.0, *, feedforward: bool = False, rho: float = 1.0, velocity_bandwidth: float = 1000.0) -> Law:

@@ -1,12 +1,12 @@
 """`straightcomp reproduce`: its claims and pictures; docs/paper.md, docs/evidence/plant.md print what it computes."""
 
-import importlib
 import math
 import re
 from pathlib import Path
 
 import pytest
 
+from scripts import fit_paper_plant as fit
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.figure import Claim
 
@@ -86,16 +86,8 @@ CASES = {"linear control (9)": (0.0, False), "smc": (300.0, True), "smc, literal
 """By the first cell of a row: slope ρ/ε in 1/s, and whether the map's rates are fed forward."""
 
 
-@pytest.fixture(scope="module")
-def fit():
-    with pytest.MonkeyPatch.context() as patch:
-        # The script imports its neighbour.
-        patch.syspath_prepend(str(REPOSITORY / "scripts"))
-        yield importlib.import_module("fit_paper_plant")
-
-
 @pytest.mark.parametrize("name", CASES)
-def test_a_row_of_the_result_is_what_the_script_finds(name, fit):
+def test_a_row_of_the_result_is_what_the_script_finds(name):
     on_page = numbers(next(line for line in PLANT.splitlines() if line.startswith(f"| {name} |")).split("|")[3])
     slope, feedforward = CASES[name]
     found = fit.Stroke().errors(fit.plant_with(0.43), fit.law(slope, feedforward=feedforward))
@@ -112,7 +104,7 @@ def test_the_fitted_friction_is_the_shipped_one():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("delay, bandwidth", [(0.5, 500.0), (1.0, 200.0)])
-def test_the_steepest_stable_boundary_layer_is_that_of_the_page(delay, bandwidth, fit):
+def test_the_steepest_stable_boundary_layer_is_that_of_the_page(delay, bandwidth):
     line = next(line for line in PLANT.splitlines() if line.startswith(f"| {delay:g} | {bandwidth:g} |"))
     on_page = float(re.findall(r"(\d+) /s", line)[-1])
     assert math.isclose(fit.stable_slope(delay, bandwidth), on_page, abs_tol=15.0)
