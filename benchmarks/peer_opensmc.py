@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from scripts.law_figures import LawFigures, figures_of
+from scripts.law_figures import figures_of
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
@@ -132,7 +132,7 @@ def peer_law(name: str, design: Design, values: Values) -> Law:
 
 
 def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
-    """The best of ``draws`` designs, and its largest error in m over the machines on the short stroke."""
+    """The best of ``draws`` designs, and its largest error in µm over the machines on the short stroke."""
     random = np.random.default_rng(1)
     short = with_values(values, "stage", SHORT)
     best, least = DESIGNS[name], math.inf
@@ -142,7 +142,7 @@ def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
         for node, changes in MACHINES.values():
             try:
                 machine = with_values(short, node, changes)
-                worst = max(worst, figures_of(machine, peer_law(name, design, machine), starts=1).pp.max)
+                worst = max(worst, figures_of(machine, peer_law(name, design, machine), starts=1)["pp_um"]["max"])
             except (MetricsError, FloatingPointError, OverflowError, ZeroDivisionError, ValueError):
                 worst = math.inf  # the loop ran away
             if worst >= least:
@@ -152,10 +152,10 @@ def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
     return best, least
 
 
-def compare(values: Values) -> dict[str, dict[str, LawFigures]]:
+def compare(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures by law and machine: ours first, then the peer's."""
     jobs = [(law, machine) for law in (*LAWS, *DESIGNS) for machine in MACHINES]
-    found: dict[str, dict[str, LawFigures]] = {}
+    found: dict[str, dict[str, dict[str, Any]]] = {}
     for law, machine in track(jobs, "running the strokes", console=Console(stderr=True)):
         node, changes = MACHINES[machine]
         varied = with_values(values, node, changes)
@@ -167,15 +167,13 @@ def compare(values: Values) -> dict[str, dict[str, LawFigures]]:
     return found
 
 
-def to_display(found: Mapping[str, Mapping[str, LawFigures]]) -> list[dict[str, Any]]:
+def to_display(found: Mapping[str, Mapping[str, dict[str, Any]]]) -> list[dict[str, Any]]:
     """One row for each law, unit in each name."""
     return [
         {
             "law": law,
-            "pp_um": {machine: figures.pp.scaled(1e6)._asdict() for machine, figures in by_machine.items()},
-            "rms_um": by_machine["nominal"].rms.scaled(1e6)._asdict(),
-            "control_rms_step_mA": by_machine["nominal"].control_rms_step.scaled(1e3)._asdict(),
-            "step_us": by_machine["nominal"].step_time * 1e6,
+            "pp_um": {machine: figures["pp_um"] for machine, figures in by_machine.items()},
+            **{name: by_machine["nominal"][name] for name in ("rms_um", "control_rms_step_mA", "step_us")},
         }
         for law, by_machine in found.items()
     ]
@@ -208,7 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.search is not None:
         for name in DESIGNS:
             best, least = search(name, values, options.search)
-            print(f"{name}: {best}, {least * 1e6:.3f} µm")
+            print(f"{name}: {best}, {least:.3f} µm")
         return 0
     rows = to_display(compare(values))
     if options.json:

@@ -1,38 +1,26 @@
 """Figures for a comparison of laws: the error, the changes of the coils' current, the processor time of a step."""
 
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import STARTS, Spread, first_cycle, spread, values_of_starts
+from straightcomp_ros.offline.starts import STARTS, first_cycle, spreads, values_of_starts
 from straightcomp_ros.parameters.node_parameters import Values
 
 _TIMED_SAMPLES = 2000
 _REPEATS = 5
-
-
-@dataclass(frozen=True)
-class LawFigures:
-    """One law over one cycle of the stage, offline, from several starts.
-
-    Attributes:
-        pp, rms: true compensation error, m.
-        control_activity: Σ |Δ i_c| over the motion, A.
-        control_rms_step: root mean square of Δ i_c from sample to sample, A.
-        step_time: processor time of one step of the law alone, s; the least of several repetitions.
-    """
-
-    pp: Spread
-    rms: Spread
-    control_activity: Spread
-    control_rms_step: Spread
-    step_time: float
+_FIGURES = {
+    "pp_um": ("true_pp_um", 1.0),
+    "rms_um": ("true_rms_um", 1.0),
+    "control_rms_step_mA": ("control_rms_step_A", 1e3),
+    "control_activity_A": ("control_activity_A", 1.0),
+}
+"""By name the figure of `Metrics.to_display`, and its factor."""
 
 
 def law_of(values: Values) -> Law:
@@ -41,13 +29,17 @@ def law_of(values: Values) -> Law:
     return make_law(controller.control, controller.stage)
 
 
-def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> LawFigures:
+def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> dict[str, Any]:
     """Run one cycle from each of ``starts`` starts, and time the law's step on the samples of the first.
 
     Args:
         values: parameters by node and dotted name.
         law: replaces the law that ``values`` name; it need not be compilable.
         starts: number of starts.
+
+    Returns:
+        By name the median, least and largest of the true error, the RMS change of i_c from sample to sample, and
+        Σ |Δ i_c| over the motion; and ``step_us``, the least processor time of several repetitions for one step.
 
     Raises:
         ParameterError, SurveyError: the parameters are refused.
@@ -60,15 +52,13 @@ def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> 
     record = simulation.run(
         observe=lambda sample, truth, reference, command, age: samples.append((sample.y, *reference, sample.current))
     )
-    found = [evaluate(record, simulation.map), *(evaluate(*first_cycle(other, law)) for other in others)]
-    return LawFigures(
-        # A simulation knows the truth.
-        spread(metrics.true_pp or math.nan for metrics in found),
-        spread(metrics.true_rms or math.nan for metrics in found),
-        spread(metrics.control_activity for metrics in found),
-        spread(metrics.control_rms_step for metrics in found),
-        _step_time(timed, samples[len(samples) // 4 :][:_TIMED_SAMPLES]),
+    found = spreads(
+        evaluate(*one).to_display() for one in ((record, simulation.map), *(first_cycle(one, law) for one in others))
     )
+    return {
+        **{name: found[figure].scaled(factor)._asdict() for name, (figure, factor) in _FIGURES.items()},
+        "step_us": _step_time(timed, samples[len(samples) // 4 :][:_TIMED_SAMPLES]) * 1e6,
+    }
 
 
 def _step_time(law: Law, samples: Sequence[tuple[float, ...]]) -> float:

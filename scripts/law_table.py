@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scripts.law_figures import LawFigures, figures_of, law_of
+from scripts.law_figures import figures_of, law_of
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.starts import Spread, Values, with_values
@@ -88,18 +88,6 @@ def margins_of(values: Values) -> dict[str, float | None]:
     }
 
 
-def row(law: str, figures: LawFigures) -> dict[str, Any]:
-    """What is told of one law's strokes."""
-    return {
-        "law": law,
-        "pp_um": figures.pp.scaled(1e6)._asdict(),
-        "rms_um": figures.rms.scaled(1e6)._asdict(),
-        "control_rms_step_mA": figures.control_rms_step.scaled(1e3)._asdict(),
-        "control_activity_A": figures.control_activity._asdict(),
-        "step_us": figures.step_time * 1e6,
-    }
-
-
 def chosen_laws(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
     """Parameters of each row: all laws, then the one with sgn σ."""
     chosen = {law: with_values(values, "controller", {"control.law": law}) for law in LAWS}
@@ -110,7 +98,7 @@ def chosen_laws(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
 def rows(values: Values, robustness: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The table, one row for each of `chosen_laws`."""
     return [
-        {**row(law, figures_of(one)), **robustness.get(law, {}), **margins_of(one)}
+        {"law": law, **figures_of(one), **robustness.get(law, {}), **margins_of(one)}
         for law, one in chosen_laws(values).items()
     ]
 
