@@ -17,10 +17,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from scripts.stage_files import STAGES, stage_names, stage_scenario
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.offline.starts import spread
+from straightcomp_ros.offline.starts import Spread, spread
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
@@ -57,7 +57,7 @@ def best_found(name: str, scenario: Scenario, gains: Mapping[str, float]) -> Fig
     """Keep ``gains`` if they leave less error than those that are kept; the figures of the better ones."""
     rounded = {gain: float(f"{value:.5g}") for gain, value in gains.items()}
     kept = found_gains().get(name)
-    ours, theirs = figures_with(scenario, rounded), figures_with(scenario, kept) if kept else None
+    ours, theirs = figures_of(scenario, rounded), figures_of(scenario, kept) if kept else None
     if theirs is not None and theirs.pp <= ours.pp:
         return theirs
     write_whole(FOUND, json.dumps({**found_gains(), name: rounded}, indent=1) + "\n")
@@ -76,30 +76,27 @@ def search_long(name: str, evaluations: int) -> None:
     print(name, best_found(name, scenario, best.gains), flush=True)
 
 
-def figures_with(scenario: Scenario, gains: Mapping[str, float]) -> Figures:
-    """Figures of ``gains`` on the stage as described."""
-    return figures_of(scenario, with_gains(next(iter(scenario.controls.values())), LAW, gains))
-
-
-def figures_of(scenario: Scenario, control: ControlParameters) -> Figures:
-    """Figures of a law on the stage as described."""
+def over_starts(scenario: Scenario, law: str, gains: Mapping[str, float], count: int) -> tuple[Spread, Spread]:
+    """p-p in m and work of the coils in A that ``gains`` of ``law`` leave on the stage as described."""
     stage, stroke = scenario.description, prepared_stroke(scenario)
-    law = make_law(control, stage)
-    runs = [stroke.run(law, stage.drive.delay * stage.period, start) for start in range(5)]
-    pp, work = spread(run.pp for run in runs), spread(run.work for run in runs)
-    return Figures(pp.median, work.median)
+    made = make_law(with_gains(next(iter(scenario.controls.values())), law, gains), stage)
+    runs = [stroke.run(made, stage.drive.delay * stage.period, start) for start in range(count)]
+    return spread(run.pp for run in runs), spread(run.work for run in runs)
+
+
+def figures_of(scenario: Scenario, gains: Mapping[str, float], law: str = LAW) -> Figures:
+    """Figures of ``gains`` on the stage as described."""
+    return Figures(*(one.median for one in over_starts(scenario, law, gains, 5)))
 
 
 def row_of_delay(name: str, delay: float, quiet: float, law: str, evaluations: int, machines: int) -> str:
     """One line of the table of delays: one stage whose commands are ``delay`` samples late."""
     scenario = stage_scenario(name, law, delay)
-    stage, control, stroke = scenario.description, scenario.controls[law], prepared_stroke(scenario)
+    stage, control = scenario.description, scenario.controls[law]
 
     def figures(gains: Mapping[str, float]) -> str:
-        made = make_law(with_gains(control, law, gains), stage)
-        runs = [stroke.run(made, delay * stage.period, start) for start in range(9)]
-        work = spread(run.work for run in runs).scaled(1e3)
-        return f"{spread(run.pp for run in runs).scaled(1e6).text(3)} / {work.median:.2f}"
+        pp, work = over_starts(scenario, law, gains, 9)
+        return f"{pp.scaled(1e6).text(3)} / {work.median * 1e3:.2f}"
 
     ours, head = f"| `{name}` | {delay:g}", figures(closed_form(scenario, law))
     try:
@@ -116,7 +113,7 @@ def row_of_delay(name: str, delay: float, quiet: float, law: str, evaluations: i
 def row(name: str, quiet: float, law: str, evaluations: int, machines: int) -> str:
     """One line of the table."""
     scenario = stage_scenario(name)
-    shipped = figures_of(scenario, with_gains(next(iter(scenario.controls.values())), law, {}))
+    shipped = figures_of(scenario, {}, law)
     began, cpu = time.monotonic(), time.process_time()
     try:
         # In this process: the CPU time of others would not be counted.
