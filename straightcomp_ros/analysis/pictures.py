@@ -101,14 +101,25 @@ def _shade(axes: Axes, record: StrokeRecord) -> None:
 
 
 def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None:
-    """Titles, grid, and the legend above the curves, so that it covers none of them."""
+    label(axes, title, x, y)
+    axes.margins(x=0.01)
+    legend_above(axes, legend_columns)
+
+
+def label(axes: Axes, title: str, x: str, y: str) -> None:
+    """Title, and what the axes show, as ``quantity / unit``; a pale grid behind the curves."""
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    show_grid(axes)
+    axes.grid(color=GRID, linewidth=0.5)
+    axes.set_axisbelow(True)
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """A legend at the top; the y axis is extended by a quarter, so that the legend covers no curve."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))
-    axes.legend(loc="upper center", fontsize=8, ncols=legend_columns)
+    axes.legend(loc="upper center", fontsize=8, ncols=columns)
 
 
 def show_grid(axes: Axes) -> None:

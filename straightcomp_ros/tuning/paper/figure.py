@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.style import GRID
-
 SMALL = 8
 """Size in points of legends and remarks."""
 
@@ -57,19 +55,3 @@ def sheet(title: str, places: str, size: tuple[float, float]) -> tuple[Figure, l
     figure = Figure(figsize=size, dpi=150, layout="constrained")
     figure.suptitle(title, fontsize=12)
     return figure, list(figure.subplot_mosaic(places).values())
-
-
-def label(axes: Axes, title: str, x: str, y: str) -> None:
-    """Title, and what the axes show, as ``quantity / unit``; a grid behind the curves."""
-    axes.set_title(title, fontsize=10)
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    axes.grid(color=GRID, linewidth=0.5)
-    axes.set_axisbelow(True)
-
-
-def legend_above(axes: Axes, columns: int) -> None:
-    """A legend at the top; the y axis is extended by a quarter, so that the legend covers no curve."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.25 * (high - low))
-    axes.legend(loc="upper center", fontsize=SMALL, ncols=columns)

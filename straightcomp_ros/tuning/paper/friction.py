@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 from scipy.stats import binned_statistic
 
+from straightcomp_ros.analysis.pictures import label, legend_above
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
-from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, legend_above, sheet
+from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.paper.machine import (
     AMPLITUDE,
     OMEGA,

@@ -3,10 +3,11 @@
 import numpy as np
 from scipy.optimize import brentq
 
+from straightcomp_ros.analysis.pictures import label
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
-from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
+from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.paper.machine import Machine, Response, release
 
 PAPER_LIMIT = 0.35

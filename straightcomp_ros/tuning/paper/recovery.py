@@ -16,12 +16,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.pictures import label
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import run_cycle
-from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
+from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
 from straightcomp_ros.tuning.paper.machine import Machine
 

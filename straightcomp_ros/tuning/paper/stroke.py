@@ -7,13 +7,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.pictures import label, legend_above
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
-from straightcomp_ros.tuning.paper.figure import Claim, PaperFigure, label, legend_above, sheet
+from straightcomp_ros.tuning.paper.figure import Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.paper.machine import Machine
 from straightcomp_ros.tuning.paper.surface import lag
 

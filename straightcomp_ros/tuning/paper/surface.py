@@ -7,9 +7,10 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from straightcomp_ros.analysis.pictures import label
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles, reaching_demand
-from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, label, sheet
+from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.paper.machine import Machine, release
 
 NEAR = 0.2
