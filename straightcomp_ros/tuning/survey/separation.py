@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.map_building import MAP
 from straightcomp_ros.analysis.straightness_statement import Input, Statement, stated
 from straightcomp_ros.straightness.smoothing import measured, point_noise
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
 
 Array = NDArray[np.float64]
@@ -41,20 +41,22 @@ _SMOOTH = 1e-12
 """Third difference of a form of unit length that is a parabola but for rounding; a cubic over 2000 points has 1e-8."""
 
 
-class Separated(NamedTuple):
-    """Runs of the ``guide`` and of the ``edge``, one for each pair of runs; at ``x`` (n,) in m the mean deviations in m
-    of both, and their standard uncertainties (n,) by the noise (None if no run was repeated). ``left_out`` is the
-    number of runs without a partner."""
+class Form(NamedTuple):
+    """Of guide or straightedge: a run for each pair of runs; the mean deviation (n,) in m, and its standard uncertainty
+    ``s`` (n,) by the noise, None if no run was repeated; the statements on it."""
 
-    guide: Survey
-    edge: Survey
+    survey: Survey
+    mean: Array
+    s: Array | None
+    lines: list[Statement]
+
+
+class Separated(NamedTuple):
+    """Guide and straightedge at ``x`` (n,) in m, and the number of runs without a partner."""
+
+    guide: Form
+    edge: Form
     x: Array
-    guide_mean: Array
-    edge_mean: Array
-    guide_s: Array | None
-    edge_s: Array | None
-    guide_lines: list[Statement]
-    edge_lines: list[Statement]
     left_out: int
 
 
@@ -78,33 +80,30 @@ def separated(
         )
     of_edge, of_guide = _shifted(x, shift, moved) if shift else _reversed(x)
     first, other = values[: len(normal.runs)], values[len(normal.runs) :]
-    guides, edges = list[Run](), list[Run]()
-    for way in ("forward", "backward"):
-        pairs = (
+    pairs = list[tuple[str, Direction, Array]]()
+    ways: tuple[Direction, ...] = ("forward", "backward")
+    for way in ways:
+        both = (
             of_survey[[run.direction == way for run in survey.runs]]
             for survey, of_survey in ((normal, first), (second, other))
         )
-        for number, pair in enumerate(zip(*pairs, strict=False), 1):
-            readings = np.concatenate(pair)
-            for runs, operator in ((guides, of_guide), (edges, of_edge)):
-                runs.append(Run(str(number), way, x, operator @ readings))
-    if not guides:
+        pairs += [(str(number), way, np.concatenate(pair)) for number, pair in enumerate(zip(*both, strict=False), 1)]
+    if not pairs:
         raise SurveyError(f"survey {second.source}: has no run in a direction of {normal.source}; allowed: the same")
-    guide, edge = Survey(tuple(guides), "guide"), Survey(tuple(edges), "edge")
-    guide_mean, edge_mean = (
-        repeatability(one, x, np.array([run.deviation for run in one.runs])).mean for one in (guide, edge)
-    )
     noises = [point_noise(one, x, of_survey, measured(one, x)) for one, of_survey in ((normal, first), (second, other))]
-    each, found, lines = np.repeat(np.array(noises, np.float64), x.size), list[Array | None](), list[list[Statement]]()
-    for mean, operator in ((guide_mean, of_guide), (edge_mean, of_edge)):
+    each = np.repeat(np.array(noises, np.float64), x.size)
+
+    def form(name: str, operator: Array) -> Form:
+        survey = Survey(tuple(Run(number, way, x, operator @ readings) for number, way, readings in pairs), name)
+        mean = repeatability(survey, x, np.array([run.deviation for run in survey.runs])).mean
         errors = operator * each
         s = np.sqrt(np.sum(errors**2, axis=1))
         noise = None if None in noises else float(np.sqrt(np.mean(s**2)))
         source = Input("noise", noise, x, form=errors / (noise or 1.0))
-        found.append(None if noise is None else s)
-        lines.append(stated("before", guides[0].direction, [(x, x, mean)], [source], repeats=False))
-    left_out = len(every) - 2 * len(guides)
-    return Separated(guide, edge, x, guide_mean, edge_mean, found[0], found[1], lines[0], lines[1], left_out)
+        lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False)
+        return Form(survey, mean, None if noise is None else s, lines)
+
+    return Separated(form("guide", of_guide), form("edge", of_edge), x, len(every) - 2 * len(pairs))
 
 
 def _levelling(x: Array, powers: int = 2) -> Array:

@@ -355,21 +355,22 @@ def _reverse(options: argparse.Namespace) -> None:
         raise CommandFailed(str(error)) from error
     names = f"{Path(options.normal).name} and {Path(options.second).name}"
     how = "straightedge reversal" if shift is None else f"a shift of the {options.moved} by {shift:g} mm"
-    figures: dict[str, Any] = {"points": len(found.x), "pairs": len(found.guide.runs), "left_out_runs": found.left_out}
-    for name, lines, s in (("guide", found.guide_lines, found.guide_s), ("edge", found.edge_lines, found.edge_s)):
+    pairs = len(found.guide.survey.runs)
+    figures: dict[str, Any] = {"points": len(found.x), "pairs": pairs, "left_out_runs": found.left_out}
+    for name, (_, _, s, lines) in (("guide", found.guide), ("edge", found.edge)):
         for one in lines:
             figures[f"{name}_{one.line}_um"] = one.value * 1e6
             figures[f"{name}_{one.line}_U_um"] = None if one.unknown else one.expanded_uncertainty * 1e6
         figures[f"{name}_standard_uncertainty_um"] = None if s is None else float(np.sqrt(np.mean(s**2))) * 1e6
     kept = [f"{name}: {text}" for name, text in normal.facts.items()]
-    write_survey(output, found.guide, [*kept, f"separated by: {how}, guide of {names}"])
+    write_survey(output, found.guide.survey, [*kept, f"separated by: {how}, guide of {names}"])
     if edge is not None:
-        write_survey(edge, found.edge, [*kept, f"separated by: {how}, straightedge of {names}"])
+        write_survey(edge, found.edge.survey, [*kept, f"separated by: {how}, straightedge of {names}"])
     if options.json:
         print_json({"output": str(output), **figures})
         return
     console.print(figures_table(f"Guide and straightedge, by {how}: {names}", figures))
-    if found.guide_s is None:
+    if found.guide.s is None:
         notes.print("without repeated runs the noise is not known; repeat the runs of both surveys")
     if shift is not None:
         blind = f"waves of {abs(shift):g} mm and of a half, a third … of it"

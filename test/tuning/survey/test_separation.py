@@ -37,9 +37,11 @@ def surveys(random, noise, ways=WAYS, guide=GUIDE, edge=EDGE):
 
 def test_a_guide_of_a_tenth_of_the_straightedge_s_error_comes_out_with_its_sign_and_the_edge_with_its_own():
     found = separated(*surveys(np.random.default_rng(0), 0.0))
-    assert found.guide_mean == pytest.approx(centred(GUIDE), abs=1e-12)
-    assert found.edge_mean == pytest.approx(centred(EDGE), abs=1e-12)
-    assert [run.direction for run in found.guide.runs] == ["forward"] * 3 + ["backward"] * 3 and found.left_out == 0
+    assert found.guide.mean == pytest.approx(centred(GUIDE), abs=1e-12)
+    assert found.edge.mean == pytest.approx(centred(EDGE), abs=1e-12)
+    assert [run.direction for run in found.guide.survey.runs] == ["forward"] * 3 + [
+        "backward"
+    ] * 3 and found.left_out == 0
 
 
 def shifted(random, noise, shift, moved, guide=GUIDE, edge=cosine):
@@ -77,23 +79,23 @@ def test_the_uncertainties_of_guide_and_edge_hold_95_percent_of_what_surveys_wit
     points, lines = [], []
     for seed in range(draws):
         found, exact = apart(seed, 0.2e-6, moved, drawn), apart(seed, 0.0, moved, drawn)
-        points.append(np.abs(found.guide_mean - exact.guide_mean) <= 1.96 * found.guide_s)
-        points.append(np.abs(found.edge_mean - exact.edge_mean) <= 1.96 * found.edge_s)
-        pairs = zip(found.guide_lines + found.edge_lines, exact.guide_lines + exact.edge_lines, strict=True)
+        points.append(np.abs(found.guide.mean - exact.guide.mean) <= 1.96 * found.guide.s)
+        points.append(np.abs(found.edge.mean - exact.edge.mean) <= 1.96 * found.edge.s)
+        pairs = zip(found.guide.lines + found.edge.lines, exact.guide.lines + exact.edge.lines, strict=True)
         lines.append([abs(one.value - true.value) <= one.expanded_uncertainty for one, true in pairs])
     assert 0.93 <= np.mean(points) <= 0.97
     wrong = 0.135 if draws < 1000 else 0.05 if moved and not drawn else 0.02
     assert np.mean(lines, axis=0) == pytest.approx(0.95, abs=wrong + 1e-9)
     if moved is None:
         # Six pairs of runs: √(s² + s²) / 2 / √6.
-        assert found.guide_s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
+        assert found.guide.s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
 
 
 def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_are_refused():
     normal, turned = surveys(np.random.default_rng(2), 0.0, ("forward", "forward", "backward"))
     forward = Survey(turned.runs[:1])
     found = separated(normal, forward)
-    assert (len(found.guide.runs), found.left_out, found.guide_s) == (1, 2, None)
+    assert (len(found.guide.survey.runs), found.left_out, found.guide.s) == (1, 2, None)
     with pytest.raises(SurveyError, match="no run in a direction"):
         separated(Survey(normal.runs[2:]), forward)
 
@@ -103,7 +105,7 @@ def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_ar
 def test_a_shift_separates_a_smooth_straightedge_of_ten_times_the_guide_but_for_the_parabola_if_moved(shift, moved):
     found = separated(*shifted(np.random.default_rng(0), 0.0, shift, moved), shift, moved)
     powers = 1 if moved == "sensor" else 2
-    for mean, truth in ((found.guide_mean, GUIDE), (found.edge_mean, EDGE)):
+    for mean, truth in ((found.guide.mean, GUIDE), (found.edge.mean, EDGE)):
         apart = mean - truth
         assert apart - np.polyval(np.polyfit(X, apart, powers), X) == pytest.approx(0.0, abs=1e-8)
 
@@ -114,7 +116,7 @@ def test_waves_of_the_straightedge_as_long_as_the_shift_stay_in_the_guide(moved)
     normal, second = shifted(np.random.default_rng(0), 0.0, 0.1, moved)
     waves = [Survey(tuple(Run(r.name, r.direction, X, r.deviation + wave) for r in s.runs)) for s in (normal, second)]
     with_waves, without = separated(*waves, 0.1, moved), separated(normal, second, 0.1, moved)
-    assert with_waves.guide_mean - without.guide_mean == pytest.approx(centred(wave), abs=2e-8)
+    assert with_waves.guide.mean - without.guide.mean == pytest.approx(centred(wave), abs=2e-8)
     for shift in (0.01, 0.11):
         with pytest.raises(SurveyError, match="20 mm, to a tenth of their length, 100 mm"):
             separated(normal, second, shift, moved)
