@@ -34,6 +34,7 @@ from straightcomp_ros.parameters.node_parameters import Values, by_node, node_pa
 from straightcomp_ros.parameters.output_files import making, remove, write_whole
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.commissioning.closed_loop import DELAY_STAYS, STAYS_OPEN
 from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import Procedure
 from straightcomp_ros.tuning.design.automatic_design import design_gains
@@ -144,13 +145,9 @@ def with_full_knowledge(values: Values) -> dict[str, dict[str, Any]]:
         "friction.viscous": plant.friction.viscous,
         "drive.bandwidth": plant.drive.bandwidth,
         "drive.delay": driver.stage.drive.delay,
-        "uncertainty.mass": 0.02,
-        "uncertainty.force": 0.05,
-        "uncertainty.air_gap": 0.02,
-        "uncertainty.friction": 1.3,
-        "uncertainty.amplifier": 1.05,
-        "uncertainty.shortest_delay": 0.9,
-        "uncertainty.longest_delay": 1.1,
+        **{f"uncertainty.{name}": least for name, least in STAYS_OPEN.items()},
+        "uncertainty.shortest_delay": 1.0 - DELAY_STAYS,
+        "uncertainty.longest_delay": 1.0 + DELAY_STAYS,
     }
     for name in ("first", "second"):
         truth = {k.removeprefix("simulated.truth."): v for k, v in values["driver"].items() if f".modes.{name}." in k}

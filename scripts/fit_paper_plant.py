@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.margins import loop_margins
+from straightcomp_ros.control.margins import bisected, loop_margins
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import make_scenario
@@ -185,12 +185,7 @@ def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
 def stable_slope(delay: float, bandwidth: float) -> float:
     """Slope ρ/ε in 1/s, to 10 /s, up to which the sampled loop inside the boundary layer is stable."""
     stage = from_mapping(StageParameters, {"drive.delay": delay, "drive.bandwidth": bandwidth})
-    low, high = 0.0, 5000.0
-    while high - low > 10.0:
-        middle = 0.5 * (low + high)
-        margins = loop_margins(law(middle), stage)
-        low, high = (middle, high) if np.abs(margins.poles).max() < 1.0 else (low, middle)
-    return low
+    return bisected(lambda slope: bool(np.abs(loop_margins(law(slope), stage).poles).max() < 1.0), 0.0, 5000.0, 9)
 
 
 def show_guides(slope: float) -> None:

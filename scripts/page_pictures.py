@@ -58,18 +58,15 @@ class Browser:
         self._numbers, self._read = count(1), b""
         for one in (reads, writes):
             os.close(one)
-        target = self._ask("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session: dict[str, str] = {}
+        target = self.ask("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = {"sessionId": attached["sessionId"]}
         self.ask("Page.enable")
 
     def ask(self, method: str, **parameters: Any) -> Any:
-        return self._ask(method, sessionId=self._session, **parameters)
-
-    def _ask(self, method: str, sessionId: str | None = None, **parameters: Any) -> Any:
         number = next(self._numbers)
-        message = {"id": number, "method": method, "params": parameters} | (
-            {"sessionId": sessionId} if sessionId else {}
-        )
+        message = {"id": number, "method": method, "params": parameters, **self._session}
         os.write(self._to, json.dumps(message).encode() + b"\0")
         while (answer := self._message()).get("id") != number:
             pass

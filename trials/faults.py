@@ -164,9 +164,6 @@ def _set(node: str, name: str, value: object) -> Callable[[Stand], int]:
     return make
 
 
-_TIGHT, _WIDE = (_set("controller", "error_limit", metres) for metres in (1e-9, 0.1))
-
-
 def _loop_missed(stand: Stand, _: Sequence[Fault]) -> int | None:
     """The heartbeats of all three nodes must be missed."""
     return time.time_ns() if stand.until(lambda: {*IN_THE_LOOP} <= {*stand.heartbeats.silent()}) else None

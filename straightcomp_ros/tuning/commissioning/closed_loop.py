@@ -58,9 +58,9 @@ LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
 _KNOWN, _FILTERS = "platform.mass", "control.filters."
 _LENGTH = 0.5
 """m; of the excitation's stroke, at most."""
-_STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
+STAYS_OPEN = {"mass": 0.02, "force": 0.05, "air_gap": 0.02, "friction": 1.3, "amplifier": 1.05}
 """Uncertainty that stays, however narrow an interval is: a model is not the machine."""
-_DELAY_STAYS = 0.1
+DELAY_STAYS = 0.1
 _FORCES = tuple(f"friction.{name}" for name in ("coulomb", "static", "bristle_stiffness", "bristle_damping", "viscous"))
 _BEFORE = 0.25
 """s in which an oscillation is looked for when the platform leaves its travel."""
@@ -109,9 +109,7 @@ def identification(work: Work) -> Outcome:
         gains = _excited(work, bag)
         work.progress(0.1)
         found = estimate_from_bag(bag, stage, [_KNOWN], lambda fraction: work.progress(0.1 + 0.9 * fraction))
-    except LeftTravel as error:
-        return Outcome(False, str(error))
-    except IdentificationError as error:
+    except (LeftTravel, IdentificationError) as error:
         return Outcome(False, str(error))
     figures = {
         **found.to_display(),
@@ -259,8 +257,8 @@ def scaled_by(
         **facts,
         **scaled,
         "actuator.turns": turns * math.sqrt(gain.value),
-        "uncertainty.mass": min(ranges.mass, _STAYS_OPEN["mass"]),
-        "uncertainty.force": min(ranges.force, max(_STAYS_OPEN["force"], gain.high / gain.value - 1.0)),
+        "uncertainty.mass": min(ranges.mass, STAYS_OPEN["mass"]),
+        "uncertainty.force": min(ranges.force, max(STAYS_OPEN["force"], gain.high / gain.value - 1.0)),
     }, scale
 
 
@@ -327,14 +325,14 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
         facts["friction.static"] = max(facts.get("friction.static", ratio * coulomb), coulomb)
     if found.path.rate_found:
         facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}
-    for name, least in _STAYS_OPEN.items():
+    for name, least in STAYS_OPEN.items():
         fact, width = intervals.get(name, (None, 0.0))
         if fact is None or fact.name in facts:
             facts[f"uncertainty.{name}"] = min(getattr(before, name), max(least, width))
     return {
         **facts,
-        "uncertainty.shortest_delay": 1.0 - _DELAY_STAYS,
-        "uncertainty.longest_delay": 1.0 + _DELAY_STAYS,
+        "uncertainty.shortest_delay": 1.0 - DELAY_STAYS,
+        "uncertainty.longest_delay": 1.0 + DELAY_STAYS,
     }
 
 

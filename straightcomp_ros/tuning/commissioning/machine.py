@@ -82,11 +82,6 @@ class Machine(Protocol):
         """The frequency response under the controller of ``values``."""
 
 
-def sound(hardware: SimulatedHardware) -> Hardware:
-    """The machine as its parameters say."""
-    return hardware
-
-
 class SimulatedMachine(Machine):
     """The simulated stage; what the controller is given never changes it.
 
@@ -97,7 +92,7 @@ class SimulatedMachine(Machine):
 
     simulated = True
 
-    def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] = sound) -> None:
+    def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] | None = None) -> None:
         self._wiring = wiring
         self._driver: DriverNodeParameters = node_parameters("driver", values)
         # Its own copy of the description: what is found out about the machine must not change it.
@@ -144,7 +139,7 @@ class SimulatedMachine(Machine):
         wired: list[Hardware] = []
 
         def kept(hardware: SimulatedHardware) -> Hardware:
-            wired.append(self._wiring(hardware))
+            wired.append(self._wiring(hardware) if self._wiring else hardware)
             return wired[-1]
 
         try:

@@ -107,7 +107,7 @@ class RunningMachine:
         """See `Machine`."""
         self._prepare(values, error_limit=travel)
         motion = node_parameters("cell", values).stage.motion
-        self._approach(motion.start, motion.speed, motion.acceleration)
+        self._approach(motion)
         with self._recorded(bag), self._switched_on():
             self._sleep(_SETTLE_S)
             for _ in range(count):
@@ -126,7 +126,7 @@ class RunningMachine:
         bag, duration = self._folder / "bags" / "frequency_response", excitation.seconds + 2.0 * _SETTLE_S
         motion = nodes.stage.motion
         if moving:
-            self._approach(motion.start, motion.speed, motion.acceleration)
+            self._approach(motion)
         try:
             with self._recorded(bag), self._switched_on():
                 self._sleep(2.0 * _SETTLE_S)
@@ -195,16 +195,16 @@ class RunningMachine:
         client.bring(node, "active")
         self._given[node] = wanted
 
-    def _approach(self, start: float, speed: float, acceleration: float) -> None:
-        """Move the stage to ``start``, the amplifier off."""
+    def _approach(self, motion: MotionParameters) -> None:
+        """Move the stage to where its cycle begins, the amplifier off."""
         client = self._client
         here = Waypoint(0, client.observation().x, 0.0)
-        if not abs(here.position - start) > _ARRIVED:
+        if not abs(here.position - motion.start) > _ARRIVED:
             return
-        points = [here, *trapezoid(here, start, speed, acceleration)]
+        points = [here, *trapezoid(here, motion.start, motion.speed, motion.acceleration)]
         client.wait(lambda: client.stage_listens, _START_S, "no node subscribes to the stage's trajectory")
         client.move(points)
-        self._arrive(start, points[-1].time_ns * 1e-9 + _LATE_S)
+        self._arrive(motion.start, points[-1].time_ns * 1e-9 + _LATE_S)
 
     def _arrive(self, start: float, within: float) -> None:
         self._client.wait(

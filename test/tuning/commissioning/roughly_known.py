@@ -9,7 +9,7 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, Work, sound
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, Work
 from straightcomp_ros.tuning.survey.survey_check import LEAST_POINTS, WIDEST_GAP
 
 ROUGH = Path(__file__).with_name("rough.yaml")
@@ -31,7 +31,7 @@ def values_of(machine={}, **stage):  # noqa: B006
     return values
 
 
-def work_on(values, folder, wiring=sound):
+def work_on(values, folder, wiring=None):
     """What a first step works on."""
     description = node_parameters("controller", values).stage
     return Work(SimulatedMachine(values, wiring), values, description, folder, 40, 20, {})

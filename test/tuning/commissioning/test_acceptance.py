@@ -15,7 +15,7 @@ from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance, allowed_cost_um, timing_budget
-from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine, sound
+from straightcomp_ros.tuning.commissioning.machine import SimulatedMachine
 
 STALL, APART = 0.03, 0.5
 """s."""
@@ -39,7 +39,7 @@ def stalled(hardware):
 def bags(tmp_path_factory):
     """A calm stroke and one whose host stalled, recorded once."""
     folder = tmp_path_factory.mktemp("strokes")
-    for name, wiring in (("calm", sound), ("stalled", stalled)):
+    for name, wiring in (("calm", None), ("stalled", stalled)):
         SimulatedMachine(VALUES, wiring).stroke(VALUES, folder / name, 2e-4)
     return folder
 
