@@ -153,31 +153,27 @@ def services() -> Iterator[tuple[str, str, str, str]]:
         node = name if name in NODE_PARAMETERS else "NODE"
         tree = ast.parse(path.read_text(encoding="utf-8"))
         methods = {one.name: ast.get_docstring(one) or "" for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)}
-        for names, kind, callback in _offered(tree):
-            for name, method in names:
-                text = methods[method or callback].split("\n\n")[0]
-                yield node, name, kind, _cell(" ".join(text.split()))
+        for service, kind, method in _offered(tree):
+            text = methods[method].split("\n\n")[0]
+            yield node, service, kind, _cell(" ".join(text.split()))
 
 
-def _offered(tree: ast.AST) -> Iterator[tuple[list[tuple[str, str]], str, str]]:
-    """([(service, callback if it is in the loop)], type, callback) of each call that makes a service."""
+def _offered(tree: ast.AST) -> Iterator[tuple[str, str, str]]:
+    """Service, type and method of each call that makes services."""
     loops = {id(call): loop for loop in ast.walk(tree) if isinstance(loop, ast.For) for call in ast.walk(loop)}
     for call in ast.walk(tree):
         if not (isinstance(call, ast.Call) and getattr(call.func, "attr", "") in ("create_service", "offer")):
             continue
-        kind, name, callback = call.args[0], call.args[1], call.args[2]
-        if isinstance(name, ast.Name):
-            continue  # passes on what a node of ours calls
+        kind, name, callback = ast.unparse(call.args[0]), call.args[1], call.args[2]
         if isinstance(name, ast.Constant):
-            yield [(name.value.removeprefix("~/"), "")], ast.unparse(kind), _method(callback)
-            continue
-        # A loop over callbacks or over the names of steps, and the name in an f-string.
-        items = loops[id(call)].iter  # type: ignore[attr-defined]
-        if isinstance(items, ast.Name):
-            yield [("STEP", callback.args[0].attr)], ast.unparse(kind), ""  # type: ignore[attr-defined]
-            continue
-        callbacks = [_method(entry) for entry in items.elts]
-        yield [(callback.strip("_"), callback) for callback in callbacks], ast.unparse(kind), ""
+            yield name.value.removeprefix("~/"), kind, _method(callback)
+        elif isinstance(name, ast.JoinedStr):
+            # In a loop over methods, which have the names of their services, or over the names of steps.
+            items = loops[id(call)].iter
+            if isinstance(items, ast.Name):
+                yield "STEP", kind, callback.args[0].attr  # type: ignore[attr-defined]
+            else:
+                yield from ((method.strip("_"), kind, method) for method in map(_method, items.elts))  # type: ignore[attr-defined]
 
 
 def _method(callback: ast.expr) -> str:
