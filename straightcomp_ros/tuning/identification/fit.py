@@ -86,7 +86,7 @@ def _advance_sample(constants: Array, state: Array, record: Record, k: int) -> N
 
 
 @compiled
-def filter_gains(constants: Array, record: Record, deviations: Array, gains: Array, errors: Array) -> None:
+def filter_gains(constants: Array, record: Record, deviations: Array, gains: Array) -> None:
     """Run the filter once with the plant's ``constants``, the amplifier's being that of the current path.
 
     Args:
@@ -94,7 +94,6 @@ def filter_gains(constants: Array, record: Record, deviations: Array, gains: Arr
             and bristle (m).
         gains: (n, 4), filled: corrections of the three states per m of prediction error, and one over the prediction
             error's standard deviation in 1/m.
-        errors: (n,), filled: prediction errors in their standard deviations.
     """
     y = record.y
     state = np.zeros(7)
@@ -107,7 +106,6 @@ def filter_gains(constants: Array, record: Record, deviations: Array, gains: Arr
         error = y[k] - state[0]
         variance = covariance[0, 0] + noise
         gains[k, 3] = 1.0 / math.sqrt(variance)
-        errors[k] = error * gains[k, 3]
         for i in range(3):
             first[i] = covariance[0, i]
             gains[k, i] = covariance[i, 0] / variance
@@ -131,7 +129,7 @@ def filter_gains(constants: Array, record: Record, deviations: Array, gains: Arr
 
 @compiled_for_threads
 def prediction_errors(constants: Array, record: Record, gains: Array, errors: Array) -> None:
-    """Fill ``errors`` as :func:`filter_gains` does, with the given ``gains`` (n, 4)."""
+    """Fill ``errors`` (n,) with the filter's prediction errors in their standard deviations, with these ``gains``."""
     y = record.y
     state = np.zeros(7)
     state[0], state[4] = y[0], record.bias
@@ -177,9 +175,8 @@ class Search:
 
     def take_gains(self, vector: Array, missed: float) -> None:
         """Run the filter at ``vector``, and keep its gains."""
-        errors = np.empty(len(self.gains))
         deviations = np.array([self._noise, missed, 1e-3 * missed])
-        filter_gains(self._unknowns.constants(vector, self._rate), self._record, deviations, self.gains, errors)
+        filter_gains(self._unknowns.constants(vector, self._rate), self._record, deviations, self.gains)
 
     def residuals(self, vector: Array) -> Array:
         """Prediction errors (n − burn-in,) in standard deviations, with the present gains."""
