@@ -44,7 +44,6 @@ _MACHINES = 200
 _ROUNDS = 3
 _TIGHTER = 1.1
 _FINALISTS = 4
-_FINAL_STARTS = STARTS
 
 
 class DesignFigures(NamedTuple):
@@ -136,7 +135,7 @@ def design_gains(
 
     def runs(gains: Mapping[str, float]) -> list[RunFigures]:
         made = make_law(with_gains(base, law, gains), stage)
-        return [full.run(made, stage.drive.delay * stage.period, number) for number in range(_FINAL_STARTS)]
+        return [full.run(made, stage.drive.delay * stage.period, number) for number in range(STARTS)]
 
     def figures(gains: Mapping[str, float]) -> DesignFigures:
         found = runs(gains)

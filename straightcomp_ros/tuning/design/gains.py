@@ -12,7 +12,6 @@ Two parameters of `smc_observer` are not searched, since they follow from the st
 """
 
 import dataclasses
-import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -170,15 +169,14 @@ def shapes_for(stage: StageParameters) -> dict[str, dict[str, float]]:
     any loop that is slow enough, and so may none: that is among them.
     """
     modes = stage.platform.modes.present
+    if not modes:
+        return {"no filter": {}}
     notches = {
         f"{_FILTERS}{notch}.{name}": value
         for notch, mode in zip(("first", "second"), modes, strict=False)
         for name, value in (("frequency", mode.frequency), ("width", 0.3), ("depth", 0.05), ("poles", 1.4))
     }
-    lowest = min((mode.frequency for mode in modes), default=0.0)
-    roll_off = {_FILTERS + "roll_off.frequency": 0.7 * lowest}
-    if not modes:
-        return {"no filter": {}}
+    roll_off = {_FILTERS + "roll_off.frequency": 0.7 * min(mode.frequency for mode in modes)}
     return {"a notch": notches, "a roll-off": roll_off, "less bandwidth": {}}
 
 
@@ -211,22 +209,18 @@ def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
 
 
 def scaled_facts(described: T, facts: Sequence[str], factor: float) -> T:
-    """A stage or a plant with the ``facts``, dotted names of its numbers, times ``factor``."""
-    now = {fact: operator.attrgetter(fact)(described) for fact in facts}
-    # The rate alone is a whole number.
-    scale = {fact: round(factor * one) if isinstance(one, int) else factor * one for fact, one in now.items()}
-    return replaced(described, scale)
+    """A stage or a plant with the ``facts``, dotted names of its numbers, times ``factor``; ParameterError if one is
+    refused."""
+    groups: dict[str, list[str]] = {}
+    for fact in facts:
+        name, _, rest = fact.partition(".")
+        groups.setdefault(name, []).append(rest)
 
+    def changed(name: str) -> Any:
+        now = getattr(described, name)
+        if dataclasses.is_dataclass(now):
+            return scaled_facts(now, groups[name], factor)
+        # The rate alone is a whole number.
+        return round(factor * now) if isinstance(now, int) else factor * now
 
-def replaced(described: T, values: Mapping[str, Any]) -> T:
-    """Parameters with these ``values``, by dotted name; ParameterError if one is refused."""
-    own: dict[str, Any] = {}
-    groups: dict[str, dict[str, Any]] = {}
-    for name, value in values.items():
-        group, _, rest = name.partition(".")
-        if rest:
-            groups.setdefault(group, {})[rest] = value
-        else:
-            own[name] = value
-    inner = {group: replaced(getattr(described, group), each) for group, each in groups.items()}
-    return dataclasses.replace(described, **own, **inner)  # type: ignore[type-var]
+    return dataclasses.replace(described, **{name: changed(name) for name in groups})  # type: ignore[type-var]
