@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from scripts.law_figures import figures_of
+from scripts.law_table import figures_of
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS

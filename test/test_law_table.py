@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import peer_opensmc as peer
-from scripts.law_figures import figures_of, law_of
+from scripts.law_table import figures_of, law_of
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
