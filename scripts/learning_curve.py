@@ -12,12 +12,11 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.options import Values, add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import STARTS, Spread, spreads, values_of_starts
@@ -26,13 +25,6 @@ from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 
 AMPLITUDE, FREQUENCY, SPEED, WAVES = 50e-6, 0.8, 0.1, 4
 """m, Hz, m/s, and waves along the stroke."""
-
-Values = dict[str, dict[str, Any]]
-
-
-def stroke(values: Values, delay: float) -> None:
-    """The shipped stroke with a delay in sampling periods."""
-    values["stage"]["drive.delay"] = delay
 
 
 def harmonic(values: Values, folder: Path) -> None:
@@ -65,8 +57,8 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         cases = {
-            "stroke": lambda values: stroke(values, 0.5),
-            "late": lambda values: stroke(values, 1.0),
+            "stroke": lambda values: values["stage"].update({"drive.delay": 0.5}),
+            "late": lambda values: values["stage"].update({"drive.delay": 1.0}),
             "harmonic": lambda values: harmonic(values, Path(folder)),
         }
         if set(options.cases) - set(cases):

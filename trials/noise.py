@@ -8,12 +8,12 @@ import argparse
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scripts.stage_files import STAGES
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
@@ -27,7 +27,6 @@ from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Direction, Run, Survey
 
 SUMMARY = "error of the map by spacing and noise of the survey"
-_STAGES = Path(__file__).parent.parent / "test/stages"
 GUIDE = load_map(MapParameters("config/guide_synthetic.csv", smooth="none"))
 FINE = np.linspace(*GUIDE.span, 17_601)
 JOINT, KINK = 0.9, 5e-5
@@ -65,8 +64,8 @@ class Kind(NamedTuple):
 
 
 def _of_stage(stage: str, survey: str, hysteresis: float = 0.0) -> Kind:
-    file = str(_STAGES / survey)
-    return Kind(load_map(MapParameters(file, smooth="none", direction="mean")), 0.0, hysteresis, str(_STAGES / stage))
+    file = str(STAGES / survey)
+    return Kind(load_map(MapParameters(file, smooth="none", direction="mean")), 0.0, hysteresis, str(STAGES / stage))
 
 
 def kinds() -> dict[str, Kind]:
