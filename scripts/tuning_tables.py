@@ -4,7 +4,7 @@ True error p-p and RMS in µm, RMS step of i_c in mA; each is the median of nine
 `straightcomp simulate --starts 9` has them. Shipped values are bold. Two minutes.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from straightcomp_ros.analysis.metrics import evaluate
@@ -56,17 +56,14 @@ def over_starts(values: Values, count: int = STARTS) -> dict[str, Spread]:
     return {row: found[name].scaled(factor) for row, (name, factor, _) in FIGURES.items()}
 
 
-def values_of(shipped: Values, law: str, changes: Mapping[str, Mapping[str, Any]]) -> Values:
-    """Parameters of one cell: the shipped ones under ``law``, with ``changes``."""
-    values = with_values(shipped, "controller", {"control.law": law})
-    for node, changed in changes.items():
-        values = with_values(values, node, changed)
-    return values
+def values_of(shipped: Values, law: str, node: str = "controller", changes: Mapping[str, Any] | None = None) -> Values:
+    """Parameters of one cell: the shipped ones under ``law``, with ``changes`` of a node."""
+    return with_values(with_values(shipped, "controller", {"control.law": law}), node, changes or {})
 
 
 def column(shipped: Values, table: Table, value: float) -> Values:
     """Parameters of one column of ``table``."""
-    return values_of(shipped, table.law, {table.node: {table.parameter: value}})
+    return values_of(shipped, table.law, table.node, {table.parameter: value})
 
 
 def markdown(shipped: Values, table: Table) -> Iterator[str]:
@@ -80,10 +77,9 @@ def markdown(shipped: Values, table: Table) -> Iterator[str]:
         yield f"| {row} | " + " | ".join(one[row].text(FIGURES[row][2]) for one in columns) + " |"
 
 
-def line(name: str, values: Values, rows: Sequence[str] = tuple(FIGURES)) -> str:
+def line(name: str, values: Values) -> str:
     """One case as a row of its own."""
-    found = over_starts(values)
-    return f"| {name} | " + " | ".join(found[row].text(FIGURES[row][2]) for row in rows) + " |"
+    return f"| {name} | " + " | ".join(one.text(FIGURES[row][2]) for row, one in over_starts(values).items()) + " |"
 
 
 def main() -> None:
@@ -91,20 +87,13 @@ def main() -> None:
     shipped = shipped_parameters()
     print("| law | " + " | ".join(FIGURES) + " |\n|---|---|---|---|")
     for law in ("linear", "smc", "smc_observer"):
-        print(line(f"`{law}`", values_of(shipped, law, {})), flush=True)
-    print(
-        line(
-            "`smc` without feedforward",
-            values_of(shipped, "smc", {"controller": {"control.smc.feedforward": False}}),
-        )
-    )
+        print(line(f"`{law}`", values_of(shipped, law)), flush=True)
+    literal = values_of(shipped, "smc", changes={"control.smc.feedforward": False})
+    print(line("`smc` without feedforward", literal))
     for law in ("smc", "smc_observer"):
         for coulomb in (0.2, 0.43, 1.0):
-            friction = {
-                "stage.friction.coulomb": coulomb,
-                "stage.friction.static": round(1.5 * coulomb, 3),
-            }
-            print(line(f"`{law}`, F_C = {coulomb:g} N", values_of(shipped, law, {"driver": friction})), flush=True)
+            friction = {"stage.friction.coulomb": coulomb, "stage.friction.static": round(1.5 * coulomb, 3)}
+            print(line(f"`{law}`, F_C = {coulomb:g} N", values_of(shipped, law, "driver", friction)), flush=True)
     for table in TABLES:
         print(f"\n`{table.law}`")
         for text in markdown(shipped, table):
