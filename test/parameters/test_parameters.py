@@ -123,6 +123,7 @@ driver | hardware=can stage.actuator.current_limit=50.0 | stage.actuator.current
 driver | lockstep=true simulated.referenced=false | simulated.referenced | lockstep
 driver | can.log=frames.txt | can.log |
 driver | can.options=bitrate | can.options |
+driver | hardware=can can.wire.x.message=pos | can.wire.x.message | can.dbc
 driver | stage.platform.stop=0.002 | stage.platform.stop | stage.actuator.air_gap
 driver | stage.friction.static=0.1 | stage.friction.static | stage.friction.coulomb
 driver | stage.friction.coulomb=0.0 | stage.friction.static | stage.friction.coulomb
