@@ -76,9 +76,9 @@ _OF_A_MODE = 0.1
 _STANDS, _STANDING = 0.4, 0.2
 """Least fraction of the time in which the platform stands in stick-slip, at less than this fraction of its RMS
 velocity: 0.16 of noise. It was 0.4 to 0.9 with stiction, 0.1 to 0.25 without."""
-_JUMPING, _IN_BURSTS = 2.0, 0.5
+_JUMPING, _IN_BURSTS = 2.0, 0.25
 """Velocity of a jump relative to its RMS; and the time for which the platform stands between jumps to opposite sides
-relative to that in all of the run: it was 1.1 to 2 with stiction, 0.1 to 0.2 in the bursts of a loop at its limit."""
+relative to that in all of the run: it was 0.3 to 2 with stiction, 0.1 to 0.2 in the bursts of a loop at its limit."""
 _JUMPS = 4.5
 """Least kurtosis of the velocity then, 3 of noise. It was 5 to 20 with stiction, 1.5 to 4.6 without; an oscillation
 that comes and goes has as much, but stands less."""
