@@ -160,28 +160,35 @@ def comes_and_goes(pieces: Sequence[Array], frequency: float, period: float) -> 
 
 def stick_slip(error: Array, period: float) -> bool:
     """Whether the platform stands and jumps: ``error`` (n,) in m of samples ``period`` s apart without a gap."""
-    velocity, kurtosis, standing = _jumps(error, period)
-    return kurtosis >= _JUMPS and float(standing.mean()) >= _STANDS and not _in_bursts(velocity, standing)
+    velocity = _relative_velocity(error, period)
+    return _jumps(velocity) and float(_standing(velocity).mean()) >= _STANDS and not _in_bursts(velocity)
 
 
-def _in_bursts(velocity: Array, standing: NDArray[np.bool_]) -> bool:
+def _relative_velocity(error: Array, period: float) -> Array:
+    """The velocity, relative to its RMS."""
+    span = max(1, round(_VELOCITY_OVER / period))
+    velocity = error[span:] - error[:-span]
+    square = float(np.mean(velocity**2)) if velocity.size else 0.0
+    return np.asarray(velocity / math.sqrt(square)) if square else velocity
+
+
+def _jumps(velocity: Array) -> bool:
+    return bool(velocity.size) and float(np.mean(velocity**4)) >= _JUMPS
+
+
+def _standing(velocity: Array) -> NDArray[np.bool_]:
+    return np.abs(velocity) < _STANDING
+
+
+def _in_bursts(velocity: Array) -> bool:
     """Whether the platform stands less between two jumps to opposite sides than else: the loop oscillates now and
     then."""
-    jumps = np.flatnonzero(np.abs(velocity) > _JUMPING * velocity.std())
+    jumps, standing = np.flatnonzero(np.abs(velocity) > _JUMPING), _standing(velocity)
     back = np.flatnonzero(velocity[jumps[1:]] * velocity[jumps[:-1]] < 0.0)
     begins, ends = jumps[back] + 1, jumps[back + 1]
     stood = np.concatenate([[0], np.cumsum(standing)])
     between = (stood[ends] - stood[begins]) / np.maximum(1, ends - begins)
     return bool(between.size and between.mean() < _IN_BURSTS * standing.mean())
-
-
-def _jumps(error: Array, period: float) -> tuple[Array, float, NDArray[np.bool_]]:
-    """The velocity, up to a factor, its kurtosis, and where it is next to none."""
-    span = max(1, round(_VELOCITY_OVER / period))
-    velocity = error[span:] - error[:-span]
-    rms = math.sqrt(float(np.mean(velocity**2))) if velocity.size else 0.0
-    kurtosis = float(np.mean(velocity**4)) / rms**4 if rms else 0.0
-    return velocity, kurtosis, np.abs(velocity) <= _STANDING * rms
 
 
 def of_map(
@@ -277,9 +284,9 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     # The law answers to the rate of a force that is locked to x, which has the other sign on the way back.
     if all(map(any, of_way)) and float(np.abs(alike[np.ix_(*of_way)]).min()) > _REPEATS:
         return same_place
-    found = [_jumps(error[one.samples], period) for one in strokes]
-    if found and min(kurtosis for _, kurtosis, _ in found) >= _JUMPS:
-        if any(_in_bursts(velocity, standing) for velocity, _, standing in found):
+    velocities = [_relative_velocity(error[one.samples], period) for one in strokes]
+    if velocities and all(map(_jumps, velocities)):
+        if any(map(_in_bursts, velocities)):
             return (
                 "it comes in bursts, as of a loop that is hardly stable: compare stage.platform.mass, stage.actuator, "
                 "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains for a description"

@@ -57,7 +57,7 @@ def in_words(name: str) -> tuple[str, str]:
     return stem.replace("_", " "), unit
 
 
-def decimal(value: float, digits: int) -> str:
+def with_digits(value: float, digits: int) -> str:
     """``value`` with so many digits behind the point, or two that count where these would show less of it."""
     return f"{value:.2g}" if 0.0 < abs(value) < 10.0 ** (1 - digits) else f"{value:.{digits}f}"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis import html_page as page
 from straightcomp_ros.analysis import style
 from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck
-from straightcomp_ros.analysis.figure_words import decimal, heading
+from straightcomp_ros.analysis.figure_words import heading, with_digits
 from straightcomp_ros.analysis.judged_motion import is_simulated
 from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
@@ -114,7 +114,7 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
         chosen = np.isin(record.motion.samples(), record.motion.samples(direction))
         if chosen.any():
             shown = values[chosen] * 1e6
-            _curve(figure, x[chosen] * 1e3, shown, f"{name}: {decimal(float(np.ptp(shown)), 2)} µm p-p", colour)
+            _curve(figure, x[chosen] * 1e3, shown, f"{name}: {with_digits(float(np.ptp(shown)), 2)} µm p-p", colour)
     return figure
 
 

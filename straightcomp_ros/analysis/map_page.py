@@ -61,6 +61,7 @@ def plot_map(built: BuiltMap, path: Path, machine: str = "") -> None:
         axes.set_ylabel("deviation / µm", fontsize=8)
         axes.tick_params(labelsize=7, labelbottom=True)
         show_grid(axes)
+        axes.margins(x=0.01)
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.2 * (high - low))
         axes.legend(fontsize=6.5, ncols=5, loc="upper center")

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.metrics import Metrics, straightness_over
 from straightcomp_ros.analysis.record import StrokeRecord, group_means
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, GRID, PALE_BLUE, PALE_VERMILION, VERMILION
@@ -43,7 +43,7 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
         ("true", truth, metrics.true_pp, metrics.true_rms, BLUE, 0.8),
     ):
         if values is not None and pp is not None and rms is not None:
-            label = f"{name}: {decimal(pp * 1e6, 2)} µm p-p, {decimal(rms * 1e6, 3)} µm RMS"
+            label = f"{name}: {with_digits(pp * 1e6, 2)} µm p-p, {with_digits(rms * 1e6, 3)} µm RMS"
             error.plot(moving.time, values * 1e6, color=colour, linewidth=width, label=label)
     _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
     label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
@@ -72,8 +72,8 @@ def _straightness(
     x_mm, before_um, after_um = x * 1e3, before * 1e6, after_m * 1e6
     forward = np.isin(record.motion.samples(), record.motion.samples("forward"))
 
-    both.plot(x_mm, before_um, color=BLACK, label=f"before: {decimal(metrics.uncompensated_pp * 1e6, 2)} µm p-p")
-    both.plot(x_mm, after_um, color=BLUE, label=f"after: {decimal(metrics.residual_pp * 1e6, 2)} µm p-p")
+    both.plot(x_mm, before_um, color=BLACK, label=f"before: {with_digits(metrics.uncompensated_pp * 1e6, 2)} µm p-p")
+    both.plot(x_mm, after_um, color=BLUE, label=f"after: {with_digits(metrics.residual_pp * 1e6, 2)} µm p-p")
     for name, mask, colour, pale, style in (
         ("forward", forward, BLUE, PALE_BLUE, "-"),
         ("backward", ~forward, VERMILION, PALE_VERMILION, "--"),
@@ -81,7 +81,7 @@ def _straightness(
         if mask.any():
             after.plot(x_mm[mask], after_um[mask], ".", color=pale, markersize=1.0, zorder=2)
             centres, means = group_means(x_mm[mask], after_um[mask], np.floor(x_mm[mask] / LENGTH_OF_MEAN_MM))
-            label = f"{name}: {decimal(float(np.ptp(after_um[mask])), 2)} µm p-p"
+            label = f"{name}: {with_digits(float(np.ptp(after_um[mask])), 2)} µm p-p"
             after.plot(centres, means, color=colour, linestyle=style, linewidth=1.6, zorder=3, label=label)
     seen = "map + encoder" if record.guide is None else "true"
     enlarged = f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)"
@@ -111,8 +111,7 @@ def label(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    axes.grid(color=GRID, linewidth=0.5)
-    axes.set_axisbelow(True)
+    show_grid(axes)
 
 
 def legend_above(axes: Axes, columns: int) -> None:
@@ -123,7 +122,6 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 
 def show_grid(axes: Axes) -> None:
-    """Draw a pale grid behind the curves, which fill the width."""
+    """Draw a pale grid behind the curves."""
     axes.grid(color=GRID, linewidth=0.5)
     axes.set_axisbelow(True)
-    axes.margins(x=0.01)

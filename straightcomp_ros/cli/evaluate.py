@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.analysis.figure_words import decimal, in_words
+from straightcomp_ros.analysis.figure_words import in_words, with_digits
 from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, output_file
 from straightcomp_ros.cli.output import (
     CommandFailed,
@@ -146,7 +146,7 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     for stroke in assessment.strokes:
         numbers = stroke.to_display()
         found = ((name, numbers[name]) for name in (*names, "after_least_squares_um", "after_end_points_um"))
-        cells = (marked(name, "" if value is None else decimal(value, 3), words) for name, value in found)
+        cells = (marked(name, "" if value is None else with_digits(value, 3), words) for name, value in found)
         strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *cells)
     console.print(strokes)
     _print_straightness(assessment, words)

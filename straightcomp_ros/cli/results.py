@@ -13,7 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from straightcomp_ros.analysis.figure_words import decimal, in_words
+from straightcomp_ros.analysis.figure_words import in_words, with_digits
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, printable, styled
 
@@ -119,7 +119,7 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
     for key, digits in _ROWS.items():
         words, unit = in_words(key)
         if figures.get(key) is not None:
-            value = over_starts[key].text(digits) if key in over_starts else decimal(figures[key], digits)
+            value = over_starts[key].text(digits) if key in over_starts else with_digits(figures[key], digits)
             table.add_row(words, marked(key, value, figures), unit)
     return table
 
@@ -145,7 +145,7 @@ def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
     title = f"True compensation error from cycle to cycle, law '{law}'"
     table = titled_table(title, "cycle", "p-p / µm", "RMS / µm")
     for number, each in enumerate(cycles, 1):
-        cells = (marked(key, decimal(each[key], n), each) for key, n in (("true_pp_um", 3), ("true_rms_um", 4)))
+        cells = (marked(key, with_digits(each[key], n), each) for key, n in (("true_pp_um", 3), ("true_rms_um", 4)))
         table.add_row(str(number), *cells)
     return table
 

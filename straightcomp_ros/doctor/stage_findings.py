@@ -92,9 +92,8 @@ class Consequences:
         self.difficulty = self.unstable_pole * stage.dead_time
         self.dac_force = stage.drive.current_step * actuator.current_stiffness  # of one step of the D/A converter
         # Of one step, against the bristles; without dry friction there is only mass, until the loop answers.
-        self.sticks = friction.static > 0.0
-        free = 0.5 / mass * stage.dead_time**2
-        self.dac_displacement = self.dac_force * (1.0 / friction.bristle_stiffness if self.sticks else free)
+        compliance = 1.0 / friction.bristle_stiffness if friction.static > 0.0 else 0.5 / mass * stage.dead_time**2
+        self.dac_displacement = self.dac_force * compliance
         self.breakaway_current = friction.static / actuator.current_stiffness  # that overcomes static friction
         self.reference_slope = slope  # largest |dr/dx|
         self.correction = r  # largest |r| over the stroke
@@ -327,7 +326,7 @@ def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Fin
     detail = (
         f"a count of {count * 1e9:g} nm leaves some {found.encoder_floor * 1e9:.0f} nm p-p at best; a step of the D/A "
         f"converter is {found.dac_force * 1e3:.3g} mN, or {found.dac_displacement * 1e9:.3g} nm "
-        f"{'against the bristles' if found.sticks else 'within the dead time'}"
+        f"{'against the bristles' if stage.friction.static > 0.0 else 'within the dead time'}"
     )
     remedy = "The D/A converter is coarser than the encoder: use more bits, or a smaller range or gain."
     yield judged("quanta", found.dac_displacement <= count, detail, remedy)

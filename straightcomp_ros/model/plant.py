@@ -65,9 +65,9 @@ def plant_state(y: float = 0.0, velocity: float = 0.0, control: float = 0.0, bia
     """A state (29,): position m, velocity m/s, bristle deflection m, control and bias current A, friction and magnetic
     force N.
 
-    Only friction beyond plain LuGre, modes and disturbances use the others: time s, age s of one that ages, the blocks
-    that slip (bit i of an integer is block i), and the forces of the Maxwell-slip blocks in N; two modes, q in m and
-    its rate in m/s (`modes.py`); and what disturbs, in the order of `disturbances.py`.
+    Only friction beyond plain LuGre, modes and disturbances use the others: time s, age of the contact s where friction
+    grows with it, the blocks that slip (bit i of an integer is block i), and the forces of the Maxwell-slip blocks in
+    N; two modes, q in m and its rate in m/s (`modes.py`); and what disturbs, in the order of `disturbances.py`.
     """
     state = np.zeros(_FIELDS)
     state[[0, 1, 3, 4]] = y, velocity, control, bias

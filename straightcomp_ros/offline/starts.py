@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import LOWEST_RATE, Cycle, Scenario, Stroke, laws_of, make_scenario, node_set
@@ -40,9 +40,9 @@ class Spread(NamedTuple):
         return Spread(*(number * factor for number in self))
 
     def text(self, digits: int) -> str:
-        """``median (min to max)`` by :func:`~straightcomp_ros.analysis.figure_words.decimal`; the median alone if the
-        range rounds to it."""
-        median, least, greatest = (decimal(number, digits) for number in self)
+        """``median (min to max)`` as :func:`~straightcomp_ros.analysis.figure_words.with_digits` shows them; the median
+        alone if the range rounds to it."""
+        median, least, greatest = (with_digits(number, digits) for number in self)
         return median if least == greatest else f"{median} ({least} to {greatest})"
 
 

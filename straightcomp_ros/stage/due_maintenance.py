@@ -24,7 +24,7 @@ def read_advice(path: Path) -> str:
         with path.open("rb") as file:
             tree = json.loads(file.read(_LARGEST))
         sentences = [f"{one['text']}; {one['remedy']}" for one in tree["advice"]]
-        _, day = tree["stage"], tree["as_of"]
+        _, day = tree["stage"], tree["as_of"]  # both must be there
         return f"as of {day}: {' | '.join(sentences)}" if sentences else ""
     except OSError as error:
         raise MaintenanceError(f"maintenance file {path}: cannot be read: {error.strerror}") from error

@@ -268,11 +268,9 @@ def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     found = []
     for name in map(_spelled, names):
         quantity, _, unit = name.rpartition("_")
-        if unit in _UNITS and (quantity := _SYNONYMS.get(quantity, quantity)) in ("x", "deviation"):
-            usual = f"{quantity}_{unit}"
-            found.append(own.get(name, f"({usual})" if quantity in chosen else usual))
-        else:
-            found.append(own.get(name, name))
+        quantity = _SYNONYMS.get(quantity, quantity)
+        usual = f"{quantity}_{unit}" if unit in _UNITS else name
+        found.append(own.get(name, f"({usual})" if unit in _UNITS and quantity in chosen else usual))
     return found
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pytest import approx
 
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.metrics import evaluate, force_balance, standstill_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
@@ -254,4 +254,4 @@ def test_settling_lasts_until_the_error_stays_in_the_band_and_is_unknown_where_i
     [(0.139, 3, "0.139"), (22.4, 2, "22.40"), (0.00682, 3, "0.0068"), (-0.0004, 3, "-0.0004"), (0.0, 3, "0.000")],
 )
 def test_a_small_figure_is_shown_with_two_digits_that_count(value, digits, text):
-    assert decimal(value, digits) == text
+    assert with_digits(value, digits) == text

@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
@@ -79,7 +79,7 @@ def acceptance(work: Work) -> Outcome:
     figures = {**stroke.figures, "disturbed_strokes": disturbed}
     again = f" ({len(disturbed)} before it, disturbed by the host: {disturbed[0]})" if disturbed else ""
     learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
-    pp, rms = decimal(figures["encoder_pp_um"], 2), decimal(figures["encoder_rms_um"], 3)
+    pp, rms = with_digits(figures["encoder_pp_um"], 2), with_digits(figures["encoder_rms_um"], 3)
     found = f"{pp} µm p-p, {rms} µm RMS by the encoder{learned}"
     if not learning and not stroke.disturbance and (before := _presliding(work, stroke)):
         gives_way = "its friction gives way as blocks do, not bristles, for which the law is designed once more"

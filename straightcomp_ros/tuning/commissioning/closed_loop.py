@@ -22,7 +22,7 @@ import numpy as np
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.error_detail import sustained_oscillation
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.control.excitation import ExcitationEnded, FrequencyResponseError, MultisineParameters
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.offline.scenario import make_scenario
@@ -363,7 +363,7 @@ def design(work: Work) -> Outcome:
     if not found.holds:
         verdict = found.verification.verdict
         return Outcome(False, f"the designed law is not in order on all machines that are left: {verdict}", figures)
-    sentence = f"{decimal(pp, 3)} µm p-p predicted, at {step:.2f} mA from sample to sample"
+    sentence = f"{with_digits(pp, 3)} µm p-p predicted, at {step:.2f} mA from sample to sample"
     sentence = "; ".join([sentence, *found.warnings])
     return Outcome(True, sentence, figures, gains={"control.law": LAW, **unset, **found.values})
 

@@ -297,5 +297,6 @@ def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
     axes.set_ylabel("fraction of the machines at or below")
     axes.set_title(as_text(title), fontsize=11)
     show_grid(axes)
+    axes.margins(x=0.01)
     axes.legend(loc="lower right", fontsize=9)
     save_whole(figure, path)

@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.cli.options import (
     add_force,
     add_json,
@@ -159,7 +159,7 @@ def _print(design: Design, name: str) -> None:
     )
     headings = ("figure", "closed form", "designed", "unit")
     console.print(titled_table("What it promises", *headings, left=("unit",), rows=promised))
-    budget = ((one.cause, decimal(one.pp * 1e6, 3), decimal(one.rms * 1e6, 4)) for one in design.budget)
+    budget = ((one.cause, with_digits(one.pp * 1e6, 3), with_digits(one.rms * 1e6, 4)) for one in design.budget)
     title = "What limits it, one cause changed at a time"
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
     for remark in [*design.warnings, *remarks(design.budget, 1e6)]:
@@ -172,5 +172,5 @@ def _print(design: Design, name: str) -> None:
             highlight=False,
         )
     sweep = design.verification
-    shown = ", ".join(f"{key} {decimal(value * 1e6, 2)}" for key, value in sweep.percentiles("pp").items())
+    shown = ", ".join(f"{key} {with_digits(value * 1e6, 2)}" for key, value in sweep.percentiles("pp").items())
     console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)

@@ -9,7 +9,7 @@ code is 1 if a law is not in order on a machine.
 import argparse
 import time
 
-from straightcomp_ros.analysis.figure_words import decimal
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.options import (
     PICTURES,
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> None:
         console.print(table)
         for summary in summaries:
             if summary.outliers:
-                worst = ", ".join(f"{trial} ({decimal(pp * 1e6, 2)} µm)" for trial, pp in summary.outliers.items())
+                worst = ", ".join(f"{trial} ({with_digits(pp * 1e6, 2)} µm)" for trial, pp in summary.outliers.items())
                 console.print(f"{summary.law}, worse than {OUTLIER:g} times its median: machine {worst}")
                 console.print("Run one alone with --machine K.")
             print_verdict(summary.verdict, summary.law)
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _row(summary: LawSummary) -> list[object]:
-    texts = {name: decimal(value * 1e6, 3) for name, value in summary.percentiles("pp").items()}
+    texts = {name: with_digits(value * 1e6, 3) for name, value in summary.percentiles("pp").items()}
     pp = [doubtful(text) if name in summary.doubtful else text for name, text in texts.items()]
     step = f"{summary.percentiles('control_rms_step')['p50'] * 1e3:.1f}"
     return [summary.law, *pp, step, len(summary.not_in_order)]
