@@ -129,9 +129,8 @@ def _check(options: argparse.Namespace) -> int:
 
     plot, values = output_file(options, "--plot", PICTURES), stage_values(options)
     controller = node_parameters("controller", values)
-    tracking = node_parameters("feedforward", values).feedforward
     driver = node_parameters("driver", values)
-    found = stage_findings(controller.stage, controller.control, tracking)
+    found = stage_findings(controller, node_parameters("feedforward", values).feedforward)
     code = show_findings(itertools.chain(found, board_findings(driver)), json=options.json)
     if plot is not None:
         from straightcomp_ros.analysis.map_building import as_it_is

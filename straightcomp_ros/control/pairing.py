@@ -1,7 +1,8 @@
 """Gives each sample its reference: that of an earlier sample, extrapolated.
 
-The map is smooth and the stage slow: the reference of a few milliseconds ago and its two rates give the present one to
-a fraction of a nanometre. The feedforward therefore runs in parallel with the loop, and no sample waits for its answer.
+The map is smooth and most stages are slow: the reference of a few milliseconds ago and its two rates give the present
+one to a fraction of a nanometre; `stage check` says by how much a faster stage misses it. The feedforward therefore
+runs in parallel with the loop, and no sample waits for its answer.
 """
 
 from collections import deque

@@ -24,7 +24,7 @@ from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.model.actuator import MU_0
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, handover
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
@@ -116,10 +116,9 @@ class Consequences:
             self.margins = loop_margins(make_law(law, stage), stage)
 
 
-def stage_findings(
-    stage: StageParameters, control: ControlParameters, tracking: FeedforwardParameters
-) -> Iterator[Finding]:
-    """Check the description with the law of ``control`` and the feedforward's ``tracking``."""
+def stage_findings(controller: ControllerNodeParameters, tracking: FeedforwardParameters) -> Iterator[Finding]:
+    """Check the description with the law of the ``controller`` and the feedforward's ``tracking``."""
+    stage, control = controller.stage, controller.control
     try:
         straightness = load_map(stage.guide)
     except SurveyError as error:
@@ -140,7 +139,8 @@ def stage_findings(
     detail = ", ".join(unusual)
     remedy = "Check the units: all are SI, as kg, m, N and A."
     yield judged("units", not detail, detail or "every fact is usual for such a stage", remedy)
-    yield from _guide_findings(stage, straightness, found, tracking.bandwidth)
+    yield from _guide_findings(stage, straightness, found)
+    yield _reference(controller, straightness, found, stage.tracking(tracking, straightness).bandwidth)
     yield from _loop_findings(stage, control, found)
     yield from _drive_findings(stage, found)
 
@@ -185,10 +185,8 @@ def _related(
     yield "times the rate as the amplifier's bandwidth", drive.bandwidth / stage.rate, 0.02, 19.0, "drive.bandwidth"
 
 
-def _guide_findings(
-    stage: StageParameters, straightness: StraightnessMap, found: Consequences, bandwidth: float
-) -> Iterator[Finding]:
-    """Survey, travel and reference; ``bandwidth`` (Hz) is that of the feedforward's tracking filter."""
+def _guide_findings(stage: StageParameters, straightness: StraightnessMap, found: Consequences) -> Iterator[Finding]:
+    """Survey and travel."""
     motion, stop = stage.motion, stage.platform.stop
     first, last = straightness.span
     start, end = reach(motion)
@@ -234,15 +232,35 @@ def _guide_findings(
     else:
         yield Finding("travel", "ok", detail)
 
-    # The stage's acceleration changes within a sample; the tracking filter knows it late by about 1/(2π f).
-    late = found.reference_slope * motion.acceleration / (2.0 * math.pi * bandwidth)
-    error = late * stage.dead_time
+
+def _reference(
+    controller: ControllerNodeParameters, straightness: StraightnessMap, found: Consequences, bandwidth: float
+) -> Finding:
+    """What tracking with ``bandwidth`` (Hz), and references from a while ago, lack of the stage's motion."""
+    stage, motion, lead = controller.stage, controller.stage.motion, controller.reference_lead
+    jump = found.reference_slope * motion.acceleration  # of r̈, where a ramp begins or ends
+    tracked = 3.0 * jump / (2.0 * math.pi * bandwidth) ** 2
+    # Along the map at full speed, and at such a jump, which nobody knows before.
+    low, high = reach(motion)
+    x, way = np.arange(low, high, _GRID), motion.speed * lead
+    r, slope, curvature = straightness.evaluate(x)
+    missed = straightness.evaluate(x + way)[0] - (r + (slope + 0.5 * curvature * way) * way)
+    extrapolated = float(np.abs(missed).max(initial=0.0)) + 0.5 * jump * lead**2
     detail = (
-        f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; at the ends "
-        f"of a ramp ṙ errs by {late * 1e6:.1f} µm/s, {error * 1e9:.0f} nm within the dead time"
+        f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; tracking "
+        f"with {bandwidth:.0f} Hz lacks {tracked * 1e9:.1f} nm at a ramp's ends, a reference that is {lead * 1e3:g} ms "
+        f"old {extrapolated * 1e9:.1f} nm; a count of y rounds by {stage.encoder.y_rounding * 1e9:.1f} nm RMS"
     )
+    rounding = 1.01 * stage.encoder.y_rounding  # of which tracking takes all
     remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
-    yield judged("reference", error <= stage.encoder.y_resolution, detail, remedy)
+    if extrapolated > rounding:
+        # It grows at least with the square of the lead.
+        enough = lead * math.sqrt(rounding / extrapolated)
+        remedy = (
+            f"Lower reference_lead (node controller) to {enough * 1e3:.2g} ms; driver, feedforward and controller in "
+            "one process (servo_node, demo --composed) have a reference after a sample."
+        )
+    return judged("reference", max(tracked, extrapolated) <= rounding, detail, remedy)
 
 
 def _loop_findings(stage: StageParameters, control: ControlParameters, found: Consequences) -> Iterator[Finding]:

@@ -41,6 +41,11 @@ class EncoderParameters:
         """``y_reading(position)``: the same for y."""
         return partial(nearest_count, self.y_resolution)
 
+    @property
+    def y_rounding(self) -> float:
+        """RMS error of y in m by rounding to counts."""
+        return self.y_resolution / math.sqrt(12.0)
+
 
 @dataclass(frozen=True)
 class DriveParameters:

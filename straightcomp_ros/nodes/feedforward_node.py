@@ -43,7 +43,8 @@ class FeedforwardComponent:
         self._node, self._parameters = node, parameters
         self._map = load_map(parameters.stage.guide)
         self._report_map()
-        self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
+        tracking = parameters.tracking(self._map)
+        self._feedforward = Feedforward(self._map, tracking, parameters.stage.motion.highest_speed)
         self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
         self._samples = 0
@@ -79,7 +80,7 @@ class FeedforwardComponent:
             self._parameters, self._map = parameters, straightness
             self._report_map()
             if not self._centred:
-                self._feedforward.change(follower(straightness))
+                self._feedforward.change(follower(straightness), parameters.tracking(straightness).bandwidth)
 
         return take_over
 
@@ -99,7 +100,8 @@ class FeedforwardComponent:
             raise Refused("the previous change of reference has not finished")
         if middle != self._centred:
             self._centred = middle
-            self._feedforward.change(_middle if middle else follower(self._map))
+            reference = _middle if middle else follower(self._map)
+            self._feedforward.change(reference, self._parameters.tracking(self._map).bandwidth)
         return f"reference goes to {'the middle of the travel' if middle else 'the map'}"
 
     def _look_at_map(self) -> None:

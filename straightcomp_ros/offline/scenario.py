@@ -256,7 +256,8 @@ class Scenario:
         straightness = map_of(survey or self.survey, self.followed.guide)
         true_x = self.trajectory.at(stamps)
         x = readings(self.driver.stage.encoder.x_resolution, true_x)
-        found = references(straightness, self.feedforward, self.followed.motion.highest_speed, stamps, x)
+        tracking = self.followed.tracking(self.feedforward, straightness)
+        found = references(straightness, tracking, self.followed.motion.highest_speed, stamps, x)
         # As `Pairing` gives them to the law: extrapolated from those of the lead before each sample.
         earlier = np.searchsorted(stamps, np.maximum(stamps - self.lead_ns, stamps[0]), side="right") - 1
         given = np.column_stack(extrapolated(*found[earlier].T, (stamps - stamps[earlier]) * 1e-9))

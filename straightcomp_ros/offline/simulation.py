@@ -65,7 +65,8 @@ class Simulation:
         hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
         self._period_ns = hardware.period_ns
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
-        self._feedforward = Feedforward(self.map, feedforward.feedforward, feedforward.stage.motion.highest_speed)
+        tracking = feedforward.tracking(self.map)
+        self._feedforward = Feedforward(self.map, tracking, feedforward.stage.motion.highest_speed)
         self._pairing = Pairing(controller.lead_ns, wait=True)
         learning = controller.learning
         self._learning = Learning(learning, control.law, stage.rate) if learning.learn else None

@@ -20,6 +20,7 @@ from straightcomp_ros.model.modes import ModeParameters, TrueModesParameters, mo
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 
 T = TypeVar("T", ActuatorParameters, LuGreParameters)
@@ -142,6 +143,17 @@ class StageParameters:
     def dead_time(self) -> float:
         """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
         return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)
+
+    def tracking(self, least: FeedforwardParameters, straightness: StraightnessMap) -> FeedforwardParameters:
+        """The feedforward's tracking of this stage: ``least``, with as much bandwidth as its ramps on the map ask for.
+
+        Three poles at ω = 2πf learn of a step a of the acceleration so late that ṙ leads the platform by 3 r' a/ω² too
+        little (final value of the filter's error), which is to be no more than the rounding of y. The rounding of x
+        allows that: it moves r itself by more than what ṙ and r̈ make of it.
+        """
+        late = 3.0 * straightness.steepest * self.motion.acceleration
+        asked = min(math.sqrt(late / self.encoder.y_rounding), float(self.rate)) / (2.0 * math.pi)
+        return dataclasses.replace(least, bandwidth=max(least.bandwidth, asked))
 
     def with_modes(self, *modes: ModeParameters) -> "StageParameters":
         """The stage with these modes of its platform, at most two, in the place of its own."""

@@ -59,7 +59,10 @@ class FeedforwardParameters:
     """Tracking of the stage."""
 
     bandwidth: float = parameter(
-        30.0, "Bandwidth of the filter that estimates speed and acceleration of the stage", "[0.1, 500] Hz"
+        30.0,
+        "Least bandwidth of the filter that estimates speed and acceleration of the stage; fast ramps on a steep map "
+        "raise it",
+        "[0.1, 500] Hz",
     )
     restart_gap: float = parameter(
         0.05, "Time without a sample after which the estimate of speed and acceleration restarts", "(0, 10] s"
@@ -220,9 +223,10 @@ class Feedforward:
         """Whether a change of the map is not finished yet."""
         return self._left is not None
 
-    def change(self, reference: Lookup) -> None:
+    def change(self, reference: Lookup, bandwidth: float) -> None:
         """Fade to another map's ``reference`` within :data:`FADE_TIME`; before the first sample, change
-        at once. Not while :attr:`changing`."""
+        at once. Not while :attr:`changing`. The stage is tracked with ``bandwidth`` (Hz) from now on."""
+        self._bandwidth = bandwidth
         if self._stamp_ns != _NEVER:
             self._left, self._left_ns = self._reference, self._stamp_ns
         self._reference = reference

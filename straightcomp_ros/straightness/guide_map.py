@@ -4,7 +4,7 @@ import os
 from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -149,6 +149,13 @@ class StraightnessMap:
     def hysteresis(self) -> float:
         """Largest distance in m of the tables at the survey's points; 0 for one table."""
         return 0.0 if self._half is None else 2.0 * float(np.abs(self._half.over(self.report.x)[0]).max())
+
+    @cached_property
+    def steepest(self) -> float:
+        """Largest |dr/dx| of all tables at the survey's points and in the middle between them."""
+        points = self.report.x
+        x = np.concatenate([points, 0.5 * (points[1:] + points[:-1])])
+        return max(float(np.abs(self.evaluate(x, way)[1]).max()) for way in ("forward", "backward"))
 
     def tables(self, x: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """:attr:`reference` of the forward and of the backward table, where there are two."""

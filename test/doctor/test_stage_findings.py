@@ -126,7 +126,7 @@ def found(path, **facts):
     except ParameterError:
         yield "refused", "fail"
         return
-    for one in stage_findings(controller.stage, controller.control, feedforward.feedforward):
+    for one in stage_findings(controller, feedforward.feedforward):
         if one.state != "ok":
             yield one.name, one.state
 

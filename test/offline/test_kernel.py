@@ -70,6 +70,7 @@ CASES = {
     **{f"{law}, {delay}": case(law, {"drive.delay": delay}, driver=AWAY) for law in LAWS for delay in DELAYS},
     **{f"friction {model}": case(driver=contact) for model, contact in CONTACTS.items()},
     "disturbed": case("smc_observer", {"motion.start": 0.1}, driver=DISTURBED),
+    "fast ramps": case("smc_observer", {"motion.stroke": 0.3, "motion.acceleration": 10.0}),
     "begins elsewhere": case(stage={"motion.start": 0.4}, feedforward={"stage.motion.speed": 0.01}),
 }
 

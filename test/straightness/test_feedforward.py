@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import (
     FADE_TIME,
     Feedforward,
@@ -20,6 +22,7 @@ from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 PERIOD_NS = 500_000
 T = PERIOD_NS * 1e-9
 QUANTUM = 0.1e-6
+BANDWIDTH = FeedforwardParameters().bandwidth
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +76,19 @@ def test_a_repeated_stamp_gives_the_same_answer_and_changes_nothing(straightness
     for k, x in enumerate(_profile()[0][5000:5200].tolist()):
         answer = twice.step(k * PERIOD_NS, x)
         assert twice.step(k * PERIOD_NS, x + 1.0) == once.step(k * PERIOD_NS, x) == answer
+
+
+@pytest.mark.parametrize("acceleration", [0.2, 5.0, 50.0])
+def test_fast_ramps_are_tracked_so_that_the_platform_lacks_no_more_way_than_a_count_hides(straightness, acceleration):
+    stage = from_mapping(StageParameters, {"motion.acceleration": acceleration})
+    bandwidth = stage.tracking(FeedforwardParameters(), straightness).bandwidth
+    tracked, lacking = restarted(0.0)._replace(samples=0), 0.0  # long at rest: the gains are the steady ones
+    for t in (np.arange(2000) * T).tolist():
+        tracked = updated(bandwidth, tracked, T, 0.5 * acceleration * t * t)
+        lacking += straightness.steepest * T * (acceleration * t - tracked.v)
+    raised = bandwidth > BANDWIDTH
+    assert raised == (acceleration > 0.2)
+    assert (0.7 if raised else 0.0) <= lacking / stage.encoder.y_rounding <= 1.1
 
 
 def test_lost_samples_do_not_matter(straightness):
@@ -154,7 +170,7 @@ def test_the_weight_and_its_rates_belong_together():
 
 def test_the_reference_and_its_rates_stay_within_the_bounds_of_the_change(straightness):
     plain = references(straightness, lambda feedforward: None)
-    changed = references(straightness, lambda feedforward: feedforward.change(other(straightness)))
+    changed = references(straightness, lambda feedforward: feedforward.change(other(straightness), BANDWIDTH))
     beyond = changed - plain
     assert abs(np.diff(beyond[:, 0])).max() <= 1.875 * DIFFERENCE / FADE_TIME * T * 1.0001
     assert abs(beyond[:, 1]).max() <= 1.875 * DIFFERENCE / FADE_TIME * 1.0001
@@ -164,7 +180,7 @@ def test_the_reference_and_its_rates_stay_within_the_bounds_of_the_change(straig
     np.testing.assert_allclose(beyond[BEFORE + FADE :, 0], DIFFERENCE, rtol=1e-12)
     # Before the first sample a map is changed at once.
     feedforward = Feedforward(straightness)
-    feedforward.change(other(straightness))
+    feedforward.change(other(straightness), BANDWIDTH)
     assert feedforward.step(0, 0.2)[0] == pytest.approx(straightness.reference(0.2)[0] + DIFFERENCE)
 
 
