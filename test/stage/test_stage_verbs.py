@@ -156,6 +156,22 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, printed, na
     assert given or {check["state"] for check in checks.values()} == {"ok"}
 
 
+@pytest.mark.parametrize(
+    ("facts", "gains", "verb"),
+    [
+        ("", "", "simulate"),
+        ("    stage.platform.mass: 4.0\n", "", "design"),
+        ("    stage.platform.mass: 4.0\n", "    control.smc_observer.bandwidth: 300.0\n", "simulate"),
+    ],
+)
+def test_a_stage_without_gains_of_its_own_is_sent_to_the_design(tmp_path, capsys, facts, gains, verb):
+    file = tmp_path / "stage.yaml"
+    shipped = "    stage.name: mine\n"
+    file.write_text(f"/**:\n  ros__parameters:\n{shipped}{facts}controller:\n  ros__parameters:\n{gains or shipped}")
+    assert main(["stage", "check", str(file)]) == 0
+    assert f"next: straightcomp {verb} " in capsys.readouterr().err
+
+
 def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, printed):
     (tmp_path / "stage.yaml").write_text("/**:\n  ros__parameters:\n    stage.guide.file: nowhere.csv\n")
     code, found, _ = printed("stage", "check", tmp_path / "stage.yaml")
