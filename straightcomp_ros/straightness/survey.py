@@ -5,12 +5,12 @@
     1,forward,0,-3.796
     1,forward,10,-3.12
 
-The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
-instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
-cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and ``direction`` may be left
-out: another run then begins where x turns back or begins anew, and the trend of x gives the direction. Rows with the
-same run and direction belong to one run, so that a cycle may count forward and backward as one. Other columns are
-ignored.
+The column's name ends with the unit: x in m, mm, um or in (inch), deviation in m, mm, um, nm, in or uin. The names and
+separators of instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or
+tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and
+``direction`` may be left out: another run then begins where x turns back or begins anew, and the trend of x gives the
+direction. Rows with the same run and direction belong to one run, so that a cycle may count forward and backward as
+one. Other columns are ignored.
 """
 
 import csv
@@ -140,10 +140,16 @@ class Quantity(NamedTuple):
     largest: float
 
 
-X = Quantity("x", {"x_m": 1.0, "x_mm": 1e3, "x_um": 1e6}, 0.01, 20.0)
-DEVIATION = Quantity(
-    "deviation", {"deviation_m": 1.0, "deviation_mm": 1e3, "deviation_um": 1e6, "deviation_nm": 1e9}, 1e-8, 5e-3
-)
+PER_METRE = {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9, "in": 1.0 / 0.0254, "uin": 1e6 / 0.0254}
+"""How many of a unit make a metre."""
+
+
+def _quantity(name: str, units: str, smallest: float, largest: float) -> Quantity:
+    return Quantity(name, {f"{name}_{unit}": PER_METRE[unit] for unit in units.split()}, smallest, largest)
+
+
+X = _quantity("x", "m mm um in", 0.01, 20.0)
+DEVIATION = _quantity("deviation", "m mm um nm in uin", 1e-8, 5e-3)
 
 
 class Row(NamedTuple):
@@ -166,9 +172,9 @@ class Table(NamedTuple):
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
-_UNITS = ("m", "mm", "um", "nm")
-_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(_UNITS)})\s*[\])]?")
-_OWN_UNIT = re.compile(rf".*?[^a-z]({'|'.join(_UNITS)})\s*[\])]?")
+_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
+_OWN_UNIT = re.compile(rf".*?[^a-z]({'|'.join(PER_METRE)})\s*[\])]?")
+_INCH = re.compile(r"(?<![a-z])(u|micro)?inch(?:es)?\b")
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 """Excel's own first line, which names the delimiter."""
@@ -269,8 +275,8 @@ def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     for name in map(_spelled, names):
         quantity, _, unit = name.rpartition("_")
         quantity = _SYNONYMS.get(quantity, quantity)
-        usual = f"{quantity}_{unit}" if unit in _UNITS else name
-        found.append(own.get(name, f"({usual})" if unit in _UNITS and quantity in chosen else usual))
+        usual = f"{quantity}_{unit}" if unit in PER_METRE else name
+        found.append(own.get(name, f"({usual})" if unit in PER_METRE and quantity in chosen else usual))
     return found
 
 
@@ -282,8 +288,9 @@ def _spelled(name: str) -> str:
 
 
 def _plain(cell: str) -> str:
-    """In lower case, with either micro sign as ``u``."""
-    return cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    """In lower case, with either micro sign as ``u``, and inches as ``in``."""
+    text = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    return _INCH.sub(lambda found: "uin" if found[1] else "in", text)
 
 
 def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int]) -> None:

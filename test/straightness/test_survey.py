@@ -33,6 +33,8 @@ def _write(tmp_path, rows, header="run,direction,x_mm,deviation_um"):
         ("X_MM, Deviation_µm", 1e3, 1e6),
         ("x_mm,deviation_nm", 1e3, 1e9),
         ("Position (mm),Straightness [µm]", 1e3, 1e6),
+        ("Position (in),Deviation [µin]", 1.0 / 0.0254, 1e6 / 0.0254),
+        ("Target inches,Straightness (microinch)", 1.0 / 0.0254, 1e6 / 0.0254),
         ("Position / mm,Straightness / µm", 1e3, 1e6),
         ("Target mm, Deviation nm", 1e3, 1e9),
     ],

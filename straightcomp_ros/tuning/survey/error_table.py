@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey import PER_METRE, Direction, Run, Survey, SurveyError
 
-UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
+UNITS = {"mm": PER_METRE["mm"], "inch": PER_METRE["in"], "m": PER_METRE["m"], "um": PER_METRE["um"]}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
 Points = Sequence[Sequence[float]]
 """Position of the stage and deviation of the guide in m, or position and the deviations forward and backward; the
