@@ -19,7 +19,7 @@ from straightcomp_ros.runtime.safety_panel import tripper
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, follower
-from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.delays import StampGaps
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
@@ -73,14 +73,19 @@ class FeedforwardComponent:
         """Load another map; the reference fades over to it."""
         if self._feedforward.changing:
             raise ParameterError(f"the previous change of reference takes {FADE_TIME:g} s; try again after it")
+
+        def load() -> tuple[StraightnessMap, float]:
+            straightness = load_map(parameters.stage.guide)
+            return straightness, parameters.tracking(straightness).bandwidth
+
         # In the worker thread, where samples are answered meanwhile: it takes longer than the controller waits.
-        straightness = awaited(lambda: load_map(parameters.stage.guide), self._node.go_on)
+        straightness, bandwidth = awaited(load, self._node.go_on)
 
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
             self._report_map()
             if not self._centred:
-                self._feedforward.change(follower(straightness), parameters.tracking(straightness).bandwidth)
+                self._feedforward.change(follower(straightness), bandwidth)
 
         return take_over
 
