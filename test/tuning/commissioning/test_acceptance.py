@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from roughly_known import check_of, other_guide, values_of, work_on
+from tiers import nightly
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import Stall
@@ -128,8 +129,7 @@ def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the
     [
         ({}, "lugre", {}),
         ({"contact.model": BLOCKS}, "lugre", {"friction.model": BLOCKS}),
-        ({}, BLOCKS, {}),
-        ({"friction": 1.05, "force": 1.03}, "lugre", {}),
+        *nightly([({}, BLOCKS, {}), ({"friction": 1.05, "force": 1.03}, "lugre", {})]),
     ],
 )
 def test_a_stroke_shows_that_friction_gives_way_as_blocks_do(tmp_path, monkeypatch, machine, described, found):

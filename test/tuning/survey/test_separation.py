@@ -74,7 +74,7 @@ def apart(seed, noise, moved, drawn):
 
 
 @pytest.mark.parametrize(("draws", "drawn"), [(30, True), *nightly([(1000, True), (1000, False)])])
-@pytest.mark.parametrize("moved", [None, "straightedge", "sensor"])
+@pytest.mark.parametrize("moved", [None, "straightedge", *nightly(["sensor"])])
 def test_the_uncertainties_of_guide_and_edge_hold_95_percent_of_what_surveys_without_noise_give(moved, draws, drawn):
     points, lines = [], []
     for seed in range(draws):
