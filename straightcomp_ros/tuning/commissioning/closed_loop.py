@@ -124,8 +124,8 @@ def identification(work: Work) -> Outcome:
     gain, scale, mechanics, words = Interval(1.0, 1.0, 1.0), 1.0, FoundPlant(), ""
     # The second look has the machine of the first one for its model, and sees more.
     for _ in range(2):
-        values = with_values(with_values(work.values, "stage", facts), "controller", gains)
-        seen, said, other = _looked_at(dataclasses.replace(work, values=values))
+        values = with_values(work.values, "controller", gains)
+        seen, said, other = _looked_at(dataclasses.replace(work, values=values), facts)
         gains |= other
         if seen == FoundPlant():
             words = words or said
@@ -207,24 +207,37 @@ def _swinging(y: Array, stage: StageParameters) -> float:
     return line.frequency if line.amplitude >= _SWUNG * float(np.ptp(y)) else 0.0
 
 
-def _looked_at(work: Work) -> tuple[FoundPlant, str, dict[str, Any]]:
-    """Gain and modes of the machine by its response, its modes in words, and the gains of another safe law if it took
-    one; nothing where it cannot be measured."""
-    gains = dict[str, Any]()
+def _looked_at(before: Work, facts: Mapping[str, Any]) -> tuple[FoundPlant, str, dict[str, Any]]:
+    """Gain relative to a description with ``facts`` and modes of the machine by its response, its modes in words, and
+    the gains of another safe law if it took one; nothing where it cannot be measured."""
+    work = dataclasses.replace(before, values=with_values(before.values, "stage", facts))
+    gains, scale = dict[str, Any](), 1.0
     try:
-        left: ValueError = FrequencyResponseError("the platform swings by itself")
-        try:
-            found = _measured(work, **_SEARCH)
-            swing, seen = found.measured.swing, True
-        except ExcitationEnded as error:
-            left, swing, seen = error, _swinging(error.reading, work.stage), False
-        if swing or not seen:
+        found, left, swing = _response_or_swing(work)
+        if found is None:
+            # With a force over mass that a mode has put into the record, the safe law may be none.
+            found, _, _ = _response_or_swing(before)
+            scale = before.stage.actuator.current_stiffness / work.stage.actuator.current_stiffness
+        if found is None:
             gains, _ = _leaving_alone(work, swing, left)
             work = dataclasses.replace(work, values=with_values(work.values, "controller", gains))
-            found = _measured(work, **_SEARCH)
+            found, scale = _measured(work, **_SEARCH), 1.0
     except (FrequencyResponseError, LeftTravel) as error:
         return FoundPlant(), f"; resonances were not looked for: {error}", {}
-    return found.mechanics, "".join(f"; {mode.text}" for mode in found.mechanics.modes), gains
+    gain, modes = found.mechanics
+    words = "".join(f"; {mode.text}" for mode in modes)
+    return FoundPlant(Interval(*(scale * one for one in gain)), modes), words, gains
+
+
+def _response_or_swing(work: Work) -> tuple[ComparedResponse | None, ValueError, float]:
+    """The response in search of modes; none of a platform that swings, with what it did and at which frequency in Hz,
+    0 if that is not seen."""
+    left: ValueError = FrequencyResponseError("the platform swings by itself")
+    try:
+        found = _measured(work, **_SEARCH)
+    except ExcitationEnded as error:
+        return None, error, _swinging(error.reading, work.stage)
+    return None if found.measured.swing else found, left, found.measured.swing
 
 
 def modes_found(mechanics: FoundPlant, stage: StageParameters) -> dict[str, float]:
