@@ -221,7 +221,9 @@ def _looked_at(before: Work, facts: Mapping[str, Any]) -> tuple[FoundPlant, str,
         if found is None:
             gains, _ = _leaving_alone(work, swing, left)
             work = dataclasses.replace(work, values=with_values(work.values, "controller", gains))
-            found, scale = _measured(work, **_SEARCH), 1.0
+            (found, left, _), scale = _response_or_swing(work), 1.0
+        if found is None:
+            raise left
     except (FrequencyResponseError, LeftTravel) as error:
         return FoundPlant(), f"; resonances were not looked for: {error}", {}
     gain, modes = found.mechanics

@@ -85,7 +85,7 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
     response = SimpleNamespace(mechanics=FoundPlant(modes=(found, known)), measured=SimpleNamespace(swing=0.0))
     monkeypatch.setattr(closed_loop, "_measured", lambda work, **excited: response)
-    mechanics, words, gains = closed_loop._looked_at(work)
+    mechanics, words, gains = closed_loop._looked_at(work, {})
     assert gains == {}
     facts = modes_found(mechanics, work.stage)
     assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
@@ -97,7 +97,7 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
         raise ExcitationEnded("the excitation was ended early: too far")
 
     monkeypatch.setattr(closed_loop, "_measured", fails)
-    mechanics, words, _ = closed_loop._looked_at(work)
+    mechanics, words, _ = closed_loop._looked_at(work, {})
     assert mechanics == FoundPlant() and "resonances were not looked for: the excitation was ended early" in words
 
 
@@ -126,8 +126,9 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     mode = FoundMode(Interval(180.0, 179.0, 181.0), *2 * (Interval(0.01, 0.008, 0.013),), "")
     seen = []
 
-    def looked_at(work):
-        seen.append(work.stage.actuator.turns)
+    def looked_at(before, facts):
+        assert before.stage == work.stage
+        seen.append(facts["actuator.turns"])
         # Of the machine as described, but for a tenth of its force.
         force = 0.9 * (STAGE.actuator.turns / seen[-1]) ** 2
         gain = Interval(force, 0.98 * force, 1.02 * force)
@@ -139,7 +140,8 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     monkeypatch.setattr(Estimate, "to_display", lambda self: {})
     monkeypatch.setattr(Estimate, "not_identifiable", [])
     monkeypatch.setattr(found.path, "rate", 1.0, raising=False)
-    outcome = identification(work_on(values_of(), tmp_path))
+    work = work_on(values_of(), tmp_path)
+    outcome = identification(work)
     assert outcome.passed and outcome.stage["platform.modes.first.frequency"] == 180.0
     turns = STAGE.actuator.turns
     assert seen == pytest.approx([1.2 * turns, 0.9**0.5 * turns])
@@ -147,7 +149,7 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     assert outcome.stage["friction.coulomb"] == pytest.approx(STAGE.friction.coulomb * 0.9 / 1.44)
     # Where the second look fails, the first one counts.
     looks = [(FoundPlant(Interval(0.625, 0.62, 0.63), (mode,)), "; one mode", {}), (FoundPlant(), "; none", {})]
-    monkeypatch.setattr(closed_loop, "_looked_at", lambda work: looks.pop(0))
+    monkeypatch.setattr(closed_loop, "_looked_at", lambda *_: looks.pop(0))
     outcome = identification(work_on(values_of(), tmp_path))
     assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns) and not looks
     assert outcome.stage["platform.modes.first.frequency"] == 180.0 and "one mode" in outcome.sentence
@@ -227,11 +229,32 @@ def test_a_platform_that_swings_while_modes_are_looked_for_is_looked_at_under_a_
     monkeypatch.setattr(closed_loop, "safe_law", safe_law)
     work = work_on(values_of(), tmp_path)
     if leaves:
-        mechanics, words, gains = closed_loop._looked_at(work)
+        mechanics, words, gains = closed_loop._looked_at(work, {})
         assert mechanics == FoundPlant() and "not looked for: too far" in words and not gains
     again = False
-    mechanics, words, gains = closed_loop._looked_at(work)
+    mechanics, words, gains = closed_loop._looked_at(work, {})
     assert mechanics.modes == (mode,) and gains == {notch: pytest.approx(72.0, rel=0.02)}
+
+
+def test_a_platform_that_swings_under_a_wrong_force_over_mass_is_looked_at_under_the_description_before(
+    tmp_path, monkeypatch
+):
+    work, twice = work_on(values_of(), tmp_path), {"actuator.turns": STAGE.actuator.turns * 2.0**0.5}
+    mode = FoundMode(Interval(72.3, 72.1, 72.5), *2 * (Interval(0.01, 0.008, 0.013),), "")
+
+    def measured(one, **excited):
+        # The machine is as described; twice its force over mass in the law halves the loop's gain.
+        swing = 72.0 if one.stage.actuator.turns > STAGE.actuator.turns else 0.0
+        return SimpleNamespace(
+            mechanics=FoundPlant(Interval(1.0, 0.99, 1.01), () if swing else (mode,)),
+            measured=SimpleNamespace(swing=swing),
+        )
+
+    monkeypatch.setattr(closed_loop, "_measured", measured)
+    mechanics, _, gains = closed_loop._looked_at(work, twice)
+    assert mechanics.modes == (mode,) and not gains
+    # Relative to the facts that were handed over.
+    assert mechanics.gain == pytest.approx((0.5, 0.495, 0.505))
 
 
 @pytest.mark.parametrize(("known", "passes"), [(3.0, True), (1.1, False)])
