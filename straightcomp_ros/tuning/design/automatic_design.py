@@ -25,7 +25,7 @@ from straightcomp_ros.doctor import Finding
 from straightcomp_ros.doctor.stage_findings import stiction
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import STARTS, Spread, spread
-from straightcomp_ros.tuning.design.error_budget import NOTED, OWN, RIGID, BudgetEntry, error_budget
+from straightcomp_ros.tuning.design.error_budget import EXACT, NOTED, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import UNEVEN, Found, Judge, RunFigures, prepared_stroke, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
@@ -85,7 +85,13 @@ class Design:
         found = []
         if self.stiction.state != "ok":
             found.append(f"stiction: {self.stiction.detail}. {self.stiction.remedy}")
-        own, rigid = (next((one.pp for one in self.budget if one.cause == cause), 0.0) for cause in (OWN, RIGID))
+        errors = {one.cause: one.pp for one in self.budget}
+        own, rigid, exact = (errors.get(cause, 0.0) for cause in (OWN, RIGID, EXACT))
+        if own > NOTED * exact > 0.0:
+            found.append(
+                f"reference: {own * 1e6:.2g} µm p-p, where an exact reference leaves {exact * 1e6:.2g} µm: "
+                "straightcomp stage check says how new one has to be (parameter reference_lead of the controller)."
+            )
         if own > NOTED * rigid > 0.0:
             found.append(
                 f"modes: {own * 1e6:.2g} µm p-p, where a rigid platform leaves {rigid * 1e6:.2g} µm: no gains that "

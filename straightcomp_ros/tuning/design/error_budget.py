@@ -140,7 +140,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
         f"amplifier {_AMPLIFIER:g} times as fast, gains faster to match": own._replace(
             plant=scaled_facts(plant, ("drive.bandwidth",), _AMPLIFIER), stage=wide, control=of_wide
         ),
-        "exact reference at each sample": own._replace(stroke=prepared_stroke(scenario, ideal=True)),
+        EXACT: own._replace(stroke=prepared_stroke(scenario, ideal=True)),
         "with the noise of the survey once more in it": own._replace(stroke=prepared_stroke(scenario, survey=again)),
         "with the jitter of the uncertainty": own._replace(stroke=prepared_stroke(scenario, stamps=stamps)),
         **_rigid(own, gains, law),
@@ -149,6 +149,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
 
 
 OWN, RIGID = "as described", "rigid platform, no filters, gains in closed form"
+EXACT = "exact reference at each sample"
 
 
 def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:

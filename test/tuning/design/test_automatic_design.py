@@ -20,7 +20,7 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import read_stage_file, shipped_parameters
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, design_gains
-from straightcomp_ros.tuning.design.error_budget import OWN, RIGID, BudgetEntry, error_budget
+from straightcomp_ros.tuning.design.error_budget import EXACT, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains
 from straightcomp_ros.tuning.design.gain_search import (
     Judge,
@@ -70,13 +70,14 @@ def test_the_budget_begins_with_the_stage_and_has_the_same_causes_for_every_law(
     assert [entry.cause for entry in plain] == list(left)
 
 
-def test_what_modes_cost_is_said_where_a_rigid_platform_would_leave_much_less():
-    def warnings(rigid):
-        budget = [BudgetEntry(OWN, 0.5e-6, 0.1e-6), *([BudgetEntry(RIGID, rigid, 0.1e-6)] if rigid else [])]
+@pytest.mark.parametrize(("cause", "parameter"), [(RIGID, "frequency_error"), (EXACT, "reference_lead")])
+def test_what_costs_a_part_of_the_error_that_no_gains_can_help_is_said(cause, parameter):
+    def warnings(without):
+        budget = [BudgetEntry(OWN, 0.5e-6, 0.1e-6), *([BudgetEntry(cause, without, 0.1e-6)] if without else [])]
         return Design.warnings.fget(SimpleNamespace(budget=budget, stiction=Finding("stiction", "ok", "")))
 
     (said,) = warnings(0.14e-6)
-    assert "0.5 µm p-p, where a rigid platform leaves 0.14 µm" in said and "frequency_error" in said
+    assert "0.5 µm p-p" in said and "leaves 0.14 µm" in said and parameter in said
     assert warnings(0.4e-6) == warnings(None) == []
 
 
