@@ -34,6 +34,9 @@ _TRANSIENT_S = 0.5
 1 s makes no difference to the response or its spread."""
 _HIGHEST_SHARE = 0.4
 """Highest line, relative to the sampling rate: above, the samples show too little of the motion between them."""
+_HIGHEST, _USUAL_SHARE = 500.0, 0.25
+"""Hz, and relative to the sampling rate: the highest line unless another is asked for. A law's crossover moves with the
+rate."""
 _MOST = 3.0
 """Largest factor of the signal at low frequencies."""
 _CROSSOVER = 0.5
@@ -61,7 +64,10 @@ class MultisineParameters:
 
     lowest: float = parameter(2.0, "Lowest frequency of the excitation", "(0, 10000] Hz")
     highest: float = parameter(
-        500.0, "Highest frequency of the excitation; at most 0.4 times the sampling rate is used", "(0, 10000] Hz"
+        0.0,
+        "Highest frequency of the excitation; 0: 500 Hz, or a quarter of the sampling rate where that is more; at most "
+        "0.4 times the sampling rate is used",
+        "[0, 10000] Hz",
     )
     lines: int = parameter(40, "Frequencies of the excitation, evenly spaced on a logarithmic scale", "[2, 1000]")
     period: float = parameter(
@@ -191,7 +197,7 @@ def multisine(parameters: MultisineParameters, rate: float, expected: Callable[[
     """
     samples = round(parameters.period * rate)
     spacing = rate / samples
-    highest = min(parameters.highest, _HIGHEST_SHARE * rate)
+    highest = min(parameters.highest or max(_HIGHEST, _USUAL_SHARE * rate), _HIGHEST_SHARE * rate)
     if not spacing <= parameters.lowest < highest:
         raise FrequencyResponseError(
             f"lowest frequency {parameters.lowest:g} Hz with a period of {parameters.period:g} s; "

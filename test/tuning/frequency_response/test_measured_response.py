@@ -308,8 +308,10 @@ def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_f
     assert np.sqrt(0.5 * np.sum((amplitudes / frequencies**2) ** 2)) <= 1e-4 * (1.0 + 1e-9)
 
 
-def test_a_slow_rate_lowers_the_highest_frequency_and_a_lowest_one_of_less_than_one_period_is_refused():
-    assert multisine(MultisineParameters(), 1000.0, flat).frequencies[-1] == 400.0
+def test_the_highest_frequency_follows_the_rate_and_a_lowest_one_of_less_than_one_period_is_refused():
+    for rate, highest in ((1000.0, 400.0), (2000.0, 500.0), (8000.0, 2000.0)):
+        assert multisine(MultisineParameters(), rate, flat).frequencies[-1] == highest
+    assert multisine(MultisineParameters(highest=700.0), 8000.0, flat).frequencies[-1] == 700.0
     with pytest.raises(FrequencyResponseError, match=r"lowest frequency 0.5 Hz with a period of 1 s; allowed: >= 1 Hz"):
         multisine(MultisineParameters(lowest=0.5), HZ, flat)
 
