@@ -71,6 +71,21 @@ def test_a_shift_of_less_than_half_a_jog_is_no_stroke_and_a_longer_one_is():
         assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.0 + duration), abs=0.003)
 
 
+@pytest.mark.parametrize("speed", [1e-4, 5e-4, 9e-4])
+def test_a_stage_that_creeps_makes_strokes(speed):
+    way, time = 1e-3, np.arange(30_000) * 1e-3
+    there = np.clip((time - 2.0) * speed, 0.0, way)
+    back = np.clip((time - 16.0) * speed, 0.0, way)
+    x = 1e-7 * np.round((there - back) / 1e-7)
+    strokes = motion_of(time, x).strokes
+    assert [one.direction for one in strokes] == ["forward", "backward"]
+    for one, begin in zip(strokes, (2.0, 16.0), strict=True):
+        assert (time[one.start], time[one.stop - 1]) == pytest.approx((begin, begin + way / speed), abs=0.03)
+    # A platform on its way to rest, or a stage that trembles, makes none.
+    with pytest.raises(MetricsError, match="does not move"):
+        motion_of(time, 1e-5 * np.sin(2.0 * np.pi * time))
+
+
 def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
     time = np.arange(3000) * 1e-3
     for way in (1.0, -1.0):
