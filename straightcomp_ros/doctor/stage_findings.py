@@ -237,30 +237,23 @@ def _reference(
     controller: ControllerNodeParameters, straightness: StraightnessMap, found: Consequences, bandwidth: float
 ) -> Finding:
     """What tracking with ``bandwidth`` (Hz), and references from a while ago, lack of the stage's motion."""
-    stage, motion, lead = controller.stage, controller.stage.motion, controller.reference_lead
-    jump = found.reference_slope * motion.acceleration  # of r̈, where a ramp begins or ends
-    tracked = 3.0 * jump / (2.0 * math.pi * bandwidth) ** 2
-    # Along the map at full speed, and at such a jump, which nobody knows before.
-    low, high = reach(motion)
-    x, way = np.arange(low, high, _GRID), motion.speed * lead
-    r, slope, curvature = straightness.evaluate(x)
-    missed = straightness.evaluate(x + way)[0] - (r + (slope + 0.5 * curvature * way) * way)
-    extrapolated = float(np.abs(missed).max(initial=0.0)) + 0.5 * jump * lead**2
+    stage, lead = controller.stage, controller.reference_lead
+    tracked = 3.0 * straightness.steepest * stage.motion.acceleration / (2.0 * math.pi * bandwidth) ** 2
+    outdated, rounding = stage.outdated(straightness, lead), stage.encoder.y_rounding
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; tracking "
         f"with {bandwidth:.0f} Hz lacks {tracked * 1e9:.1f} nm at a ramp's ends, a reference that is {lead * 1e3:g} ms "
-        f"old {extrapolated * 1e9:.1f} nm; a count of y rounds by {stage.encoder.y_rounding * 1e9:.1f} nm RMS"
+        f"old {outdated * 1e9:.1f} nm; a count of y rounds by {rounding * 1e9:.1f} nm RMS"
     )
-    rounding = 1.01 * stage.encoder.y_rounding  # of which tracking takes all
     remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
-    if extrapolated > rounding:
-        # It grows at least with the square of the lead.
-        enough = lead * math.sqrt(rounding / extrapolated)
+    enough = stage.enough_lead(straightness, lead)
+    if enough < lead:
         remedy = (
-            f"Lower reference_lead (node controller) to {enough * 1e3:.2g} ms; driver, feedforward and controller in "
-            "one process (servo_node, demo --composed) have a reference after a sample."
+            f"Lower reference_lead (node controller) to {enough * 1e3:.2g} ms, as straightcomp design does; driver, "
+            "feedforward and controller in one process (servo_node, demo --composed) have a reference after a sample."
         )
-    return judged("reference", max(tracked, extrapolated) <= rounding, detail, remedy)
+    # Tracking may take all of it.
+    return judged("reference", enough == lead and tracked <= 1.01 * rounding, detail, remedy)
 
 
 def _loop_findings(stage: StageParameters, control: ControlParameters, found: Consequences) -> Iterator[Finding]:

@@ -11,13 +11,15 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import DisturbanceParameters
 from straightcomp_ros.model.friction import DESCRIBED, ContactParameters, LuGreParameters
 from straightcomp_ros.model.modes import ModeParameters, TrueModesParameters, modes_of, off
-from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.model.motion import MotionParameters, reach
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
@@ -27,6 +29,8 @@ T = TypeVar("T", ActuatorParameters, LuGreParameters)
 _CHANGEABLE = ("motion.", "guide.", "actuator.current_limit", "serial")
 """Facts that may differ between nodes: the strokes, what a single node may be given anew while it runs, and what no
 node computes with."""
+_PLACES = 20_001
+"""Of a stroke, at which its references are looked at: nearer to each other than the points of its survey."""
 _FASTEST_POLE = 20.0
 """Of the magnets' negative stiffness, √(K̄_y/M), per sampling period: none is controllable beyond 0.65, and much faster
 ones are no numbers after a sample."""
@@ -154,6 +158,25 @@ class StageParameters:
         late = 3.0 * straightness.steepest * self.motion.acceleration
         asked = min(math.sqrt(late / self.encoder.y_rounding), float(self.rate)) / (2.0 * math.pi)
         return dataclasses.replace(least, bandwidth=max(least.bandwidth, asked))
+
+    def outdated(self, straightness: StraightnessMap, lead: float) -> float:
+        """Largest error in m of a reference of a while ago (``lead`` in s), extrapolated by its two rates: along the
+        map at full speed, together with a ramp's begin or end, which nobody knows before."""
+        low, high = reach(self.motion)
+        x, way = np.linspace(low, high, _PLACES), self.motion.speed * lead
+        r, slope, curvature = straightness.evaluate(x)
+        missed = straightness.evaluate(x + way)[0] - (r + (slope + 0.5 * curvature * way) * way)
+        return float(np.abs(missed).max()) + 0.5 * straightness.steepest * self.motion.acceleration * lead**2
+
+    def enough_lead(self, straightness: StraightnessMap, longest: float) -> float:
+        """How old a reference may be, in s: as ``longest``, or where that errs by more than the rounding of y, by as
+        many samples as it does not, at least one."""
+        error = self.outdated(straightness, longest)
+        if error <= self.encoder.y_rounding:
+            return longest
+        # The error grows at least with the square of the lead.
+        samples = math.floor(longest * math.sqrt(self.encoder.y_rounding / error) * self.rate)
+        return min(longest, max(1, samples) / self.rate)
 
     def with_modes(self, *modes: ModeParameters) -> "StageParameters":
         """The stage with these modes of its platform, at most two, in the place of its own."""

@@ -14,7 +14,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.scenario import kernel, references, run_cycle
+from straightcomp_ros.offline.scenario import kernel, make_scenario, references, run_cycle
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import can_run, compiled_cycle, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -143,6 +143,22 @@ def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
     np.testing.assert_array_equal(
         references(MAP, FeedforwardParameters(), STAGE.motion.highest_speed, stamps, x), expected
     )
+
+
+@pytest.mark.parametrize(("acceleration", "speed"), [(40.0, 0.3), (10.0, 1.3)])
+def test_a_reference_of_a_while_ago_errs_by_what_the_stage_says_at_most_and_with_enough_lead_by_no_count(
+    acceleration, speed
+):
+    stage = {"motion.stroke": 1.0, "motion.speed": speed, "motion.acceleration": acceleration}
+    for values in ({}, {"encoder.y_resolution": 1e-8}):
+        scenario = make_scenario(case(stage={**stage, **values}), ["smc"])
+        stroke, described, lead = scenario.stroke(), scenario.followed, scenario.lead_ns * 1e-9
+        found = np.abs(stroke.given[:, 0] - stroke.references[:, 0]).max()
+        # The steepest place, the most curved one and the ramps need not meet; tracking adds its share.
+        assert 0.4 <= found / described.outdated(stroke.map, lead) <= 1.2
+        enough = described.enough_lead(stroke.map, lead)
+        assert (enough < lead) == bool(values)
+        assert described.outdated(stroke.map, enough) <= described.encoder.y_rounding
 
 
 def test_noise_reaches_the_encoder_and_not_the_platform_and_a_law_starts_anew_in_each_cycle():

@@ -22,9 +22,12 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, prin
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
+from straightcomp_ros.offline.starts import with_values
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.tuning.design.error_budget import remarks
 from straightcomp_ros.tuning.design.gains import SEARCHED
@@ -63,6 +66,10 @@ def run(options: argparse.Namespace) -> int:
     output = output_file(options, "--output", updates=options.file)
     if output is not None:
         _writable(source, output)
+    controller = node_parameters("controller", values)
+    stage = controller.stage
+    lead = stage.enough_lead(load_map(stage.guide), controller.reference_lead)
+    values = with_values(values, "controller", {"reference_lead": lead})
     scenario, began = make_scenario(values, [options.law]), time.monotonic()
     with progress_bar() as bar:
         task = bar.add_task("design", total=1.0)
@@ -76,12 +83,18 @@ def run(options: argparse.Namespace) -> int:
             progress=lambda part, fraction: bar.update(task, description=part, completed=fraction),
         )
     if output is not None:
-        write_whole(output, _with_gains(source.read_text(encoding="utf-8-sig"), design))
+        write_whole(output, _with_gains(source.read_text(encoding="utf-8-sig"), design, lead))
     if options.json:
-        name = scenario.description.name
-        print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})
+        seconds = time.monotonic() - began
+        also = {"reference_lead_ms": lead * 1e3, "seconds": seconds, "output": options.output}
+        print_json({"stage": stage.name, **_in_json(design), **also})
     else:
-        _print(design, scenario.description.name)
+        _print(design, stage.name)
+        if lead < controller.reference_lead:
+            console.print(
+                f"reference_lead: {lead * 1e3:.2g} ms, since older references miss the motion by more than a count",
+                highlight=False,
+            )
         if output is not None:
             print_written(output, then=f"straightcomp simulate --stage {quote(str(output))}")
         else:
@@ -102,16 +115,19 @@ def _writable(source: Path, output: Path) -> None:
         raise CommandFailed(f"{source}: has a section '{key}' of its own, {words}", exit_code=2)
 
 
-def _with_gains(text: str, design: Design) -> str:
-    """The stage file with a section of gains at its beginning, in the place of an earlier one."""
-    figures = design.figures
+def _with_gains(text: str, design: Design, lead: float) -> str:
+    """The stage file with a section of gains at its beginning, in the place of an earlier one; with the ``lead`` of the
+    references in s where it is not the usual one."""
+    figures, values = design.figures, dict(design.values)
+    if lead != ControllerNodeParameters.reference_lead:
+        values["reference_lead"] = lead
     lines = [
         f"{_BEGIN} law {design.law}, --quiet {design.quiet:g};",
         f"# {figures.pp.median * 1e6:.3f} µm p-p at {figures.work.median * 1e3:.2f} mA from sample to sample.",
         f"{ALL_NODES}/controller:",
         "  ros__parameters:",
         f"    control.law: {as_yaml(design.law)}",
-        *(f"    {name}: {as_yaml(float(f'{value:.6g}'))}" for name, value in design.values.items()),
+        *(f"    {name}: {as_yaml(float(f'{value:.6g}'))}" for name, value in values.items()),
         _END,
     ]
     return "\n".join(lines) + "\n\n" + _OURS.sub("", text)

@@ -226,7 +226,7 @@ def stage(tmp_path):
     """The shipped stage with a stroke of a second, next to its survey."""
     tree = yaml.safe_load((STAGES / "shipped.yaml").read_text())
     tree["/**"]["ros__parameters"]["stage"]["motion"] = {
-        "stroke": 0.06, "speed": 0.2, "acceleration": 1.0, "settle": 0.3, "pause": 0.5
+        "stroke": 0.06, "speed": 0.2, "acceleration": 80.0, "settle": 0.3, "pause": 0.5
     }  # fmt: skip
     path = tmp_path / "stage.yaml"
     path.write_text("# My stage.\n" + yaml.safe_dump(tree))
@@ -246,6 +246,8 @@ def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_t
     assert values["controller"]["control.law"] == "smc_observer"
     for name, value in answer["values"].items():
         assert values["controller"][name] == pytest.approx(value, rel=1e-5)
+    # Its ramps ask for newer references than usual.
+    assert values["controller"]["reference_lead"] == answer["reference_lead_ms"] * 1e-3 < 0.003
     assert stage.read_text().count("/**/controller:") == 1 and stage.read_text().endswith(before)
     # To ROS the last value counts: what holds for all nodes, and with it a command line, comes after the gains.
     assert list(yaml.safe_load(stage.read_text())) == ["/**/controller", "/**"]
