@@ -243,6 +243,11 @@ class Scenario:
         driver = dataclasses.replace(self.driver, stage=stage)
         return dataclasses.replace(self, description=stage, followed=stage, driver=driver)
 
+    def in_time(self) -> Scenario:
+        """The same with references as new as the stage's motion asks for; its controller needs this lead too."""
+        lead = self.followed.enough_lead(map_of(self.survey, self.followed.guide), self.lead_ns / 1e9)
+        return dataclasses.replace(self, lead_ns=round(lead * 1e9))
+
     @property
     def samples(self) -> int:
         """Samples of a cycle."""

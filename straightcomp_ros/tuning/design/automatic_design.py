@@ -62,6 +62,7 @@ class Design:
 
     law: str
     values: Mapping[str, float]  # what to set, by dotted name in the node controller
+    lead: float  # for reference_lead there, s: the references have to be as new
     figures: DesignFigures  # what is predicted
     start_values: Mapping[str, float]  # those of the closed form
     start_figures: DesignFigures
@@ -89,8 +90,8 @@ class Design:
         own, rigid, exact = (errors.get(cause, 0.0) for cause in (OWN, RIGID, EXACT))
         if own > NOTED * exact > 0.0:
             found.append(
-                f"reference: {own * 1e6:.2g} µm p-p, where an exact reference leaves {exact * 1e6:.2g} µm: "
-                "straightcomp stage check says how new one has to be (parameter reference_lead of the controller)."
+                f"reference: {own * 1e6:.2g} µm p-p, where an exact reference leaves {exact * 1e6:.2g} µm: ramps with "
+                "less acceleration help, or a shorter reference_lead (node controller)."
             )
         if own > NOTED * rigid > 0.0:
             found.append(
@@ -131,6 +132,7 @@ def design_gains(
     Raises:
         DesignError: no gains hold the demands; the message says what would have to change.
     """
+    scenario = scenario.in_time()
     plain, stage = closed_form(scenario, law), scenario.description
     # Ways to answer the modes, by a name in words.
     begins = {name: {**plain, **shape} for name, shape in shapes_for(stage).items()}
@@ -207,6 +209,7 @@ def design_gains(
     return Design(
         law=law,
         values=best,
+        lead=scenario.lead_ns / 1e9,
         figures=figures(best),
         start_values=begins[shape],
         start_figures=figures(begins[shape]),

@@ -22,12 +22,10 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, prin
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.offline.starts import with_values
-from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
-from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.tuning.design.error_budget import remarks
 from straightcomp_ros.tuning.design.gains import SEARCHED
@@ -66,10 +64,6 @@ def run(options: argparse.Namespace) -> int:
     output = output_file(options, "--output", updates=options.file)
     if output is not None:
         _writable(source, output)
-    controller = node_parameters("controller", values)
-    stage = controller.stage
-    lead = stage.enough_lead(load_map(stage.guide), controller.reference_lead)
-    values = with_values(values, "controller", {"reference_lead": lead})
     scenario, began = make_scenario(values, [options.law]), time.monotonic()
     with progress_bar() as bar:
         task = bar.add_task("design", total=1.0)
@@ -83,18 +77,12 @@ def run(options: argparse.Namespace) -> int:
             progress=lambda part, fraction: bar.update(task, description=part, completed=fraction),
         )
     if output is not None:
-        write_whole(output, _with_gains(source.read_text(encoding="utf-8-sig"), design, lead))
+        write_whole(output, _with_gains(source.read_text(encoding="utf-8-sig"), design))
     if options.json:
-        seconds = time.monotonic() - began
-        also = {"reference_lead_ms": lead * 1e3, "seconds": seconds, "output": options.output}
-        print_json({"stage": stage.name, **_in_json(design), **also})
+        name = scenario.description.name
+        print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})
     else:
-        _print(design, stage.name)
-        if lead < controller.reference_lead:
-            console.print(
-                f"reference_lead: {lead * 1e3:.2g} ms, since older references miss the motion by more than a count",
-                highlight=False,
-            )
+        _print(design, scenario.description.name)
         if output is not None:
             print_written(output, then=f"straightcomp simulate --stage {quote(str(output))}")
         else:
@@ -115,12 +103,9 @@ def _writable(source: Path, output: Path) -> None:
         raise CommandFailed(f"{source}: has a section '{key}' of its own, {words}", exit_code=2)
 
 
-def _with_gains(text: str, design: Design, lead: float) -> str:
-    """The stage file with a section of gains at its beginning, in the place of an earlier one; with the ``lead`` of the
-    references in s where it is not the usual one."""
-    figures, values = design.figures, dict(design.values)
-    if lead != ControllerNodeParameters.reference_lead:
-        values["reference_lead"] = lead
+def _with_gains(text: str, design: Design) -> str:
+    """The stage file with a section of gains at its beginning, in the place of an earlier one."""
+    figures, values = design.figures, {**design.values, **_lead(design)}
     lines = [
         f"{_BEGIN} law {design.law}, --quiet {design.quiet:g};",
         f"# {figures.pp.median * 1e6:.3f} µm p-p at {figures.work.median * 1e3:.2f} mA from sample to sample.",
@@ -133,11 +118,16 @@ def _with_gains(text: str, design: Design, lead: float) -> str:
     return "\n".join(lines) + "\n\n" + _OURS.sub("", text)
 
 
+def _lead(design: Design) -> dict[str, float]:
+    """The parameter for references that must be newer than usual."""
+    return {"reference_lead": design.lead} if design.lead < ControllerNodeParameters.reference_lead else {}
+
+
 def _in_json(design: Design) -> dict[str, Any]:
     return {
         "law": design.law,
         "quiet": design.quiet,
-        "values": dict(design.values),
+        "values": {**design.values, **_lead(design)},
         "predicted": _figures(design.figures),
         "closed_form": {"values": dict(design.start_values), **_figures(design.start_figures)},
         "uncertain_machines": design.verification.to_display(),
@@ -178,6 +168,9 @@ def _print(design: Design, name: str) -> None:
     budget = ((one.cause, with_digits(one.pp * 1e6, 3), with_digits(one.rms * 1e6, 4)) for one in design.budget)
     title = "What limits it, one cause changed at a time"
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
+    if _lead(design):
+        words = f"reference_lead: {design.lead * 1e3:.2g} ms; older references miss the motion by more than a count"
+        console.print(words, highlight=False)
     for remark in [*design.warnings, *remarks(design.budget, 1e6)]:
         console.print(remark, soft_wrap=True, highlight=False)
     for state, limit in design.limits.items():
