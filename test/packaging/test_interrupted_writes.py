@@ -21,7 +21,7 @@ SHORT = "--set stage.motion.stroke=0.02"
 TABLE = f"""
 can firmware -o | stage new mine --yes; can firmware mine/stage.yaml -o c
 commission --output | stage new mine --yes; commission mine/stage.yaml -o out --only connection
-design --output | stage new mine --yes | design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1
+design --output | stage new mine --yes {SHORT} | design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1
 evaluate --report | evaluate smc --report r.html | evaluate smc --report r.html --force
 frequency-response --plot || frequency-response --plot r.png --force --lines 5 --draws 3 --lowest 10
 friction --output || friction smc -o p.yaml --force
