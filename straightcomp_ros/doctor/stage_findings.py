@@ -95,7 +95,6 @@ class Consequences:
         compliance = 1.0 / friction.bristle_stiffness if friction.static > 0.0 else 0.5 / mass * stage.dead_time**2
         self.dac_displacement = self.dac_force * compliance
         self.breakaway_current = friction.static / actuator.current_stiffness  # that overcomes static friction
-        self.reference_slope = slope  # largest |dr/dx|
         self.correction = r  # largest |r| over the stroke
         self.reference_speed = slope * motion.speed + apart[0]  # largest |ṙ| of a stroke
         # Largest |r̈|: at cruise, at the ends of the ramps, and where tables are handed over.
@@ -238,11 +237,11 @@ def _reference(
 ) -> Finding:
     """What tracking with ``bandwidth`` (Hz), and references from a while ago, lack of the stage's motion."""
     stage, lead = controller.stage, controller.reference_lead
-    tracked = 3.0 * straightness.steepest * stage.motion.acceleration / (2.0 * math.pi * bandwidth) ** 2
-    outdated, rounding = stage.outdated(straightness, lead), stage.encoder.y_rounding
+    lacking, outdated = stage.lacking(straightness, bandwidth), stage.outdated(straightness, lead)
+    rounding = stage.encoder.y_rounding
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; tracking "
-        f"with {bandwidth:.0f} Hz lacks {tracked * 1e9:.1f} nm at a ramp's ends, a reference that is {lead * 1e3:g} ms "
+        f"with {bandwidth:.0f} Hz lacks {lacking * 1e9:.1f} nm at a ramp's ends, a reference that is {lead * 1e3:g} ms "
         f"old {outdated * 1e9:.1f} nm; a count of y rounds by {rounding * 1e9:.1f} nm RMS"
     )
     remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
@@ -253,7 +252,7 @@ def _reference(
             "feedforward and controller in one process (servo_node, demo --composed) have a reference after a sample."
         )
     # Tracking may take all of it.
-    return judged("reference", enough == lead and tracked <= 1.01 * rounding, detail, remedy)
+    return judged("reference", enough == lead and lacking <= 1.01 * rounding, detail, remedy)
 
 
 def _loop_findings(stage: StageParameters, control: ControlParameters, found: Consequences) -> Iterator[Finding]:

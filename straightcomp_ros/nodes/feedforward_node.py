@@ -43,7 +43,7 @@ class FeedforwardComponent:
         self._node, self._parameters = node, parameters
         self._map = load_map(parameters.stage.guide)
         self._report_map()
-        tracking = parameters.tracking(self._map)
+        tracking = parameters.stage.tracking(parameters.feedforward, self._map)
         self._feedforward = Feedforward(self._map, tracking, parameters.stage.motion.highest_speed)
         self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
@@ -76,7 +76,7 @@ class FeedforwardComponent:
 
         def load() -> tuple[StraightnessMap, float]:
             straightness = load_map(parameters.stage.guide)
-            return straightness, parameters.tracking(straightness).bandwidth
+            return straightness, parameters.stage.tracking(parameters.feedforward, straightness).bandwidth
 
         # In the worker thread, where samples are answered meanwhile: it takes longer than the controller waits.
         straightness, bandwidth = awaited(load, self._node.go_on)
@@ -84,8 +84,9 @@ class FeedforwardComponent:
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
             self._report_map()
+            self._feedforward.bandwidth = bandwidth
             if not self._centred:
-                self._feedforward.change(follower(straightness), bandwidth)
+                self._feedforward.change(follower(straightness))
 
         return take_over
 
@@ -105,8 +106,7 @@ class FeedforwardComponent:
             raise Refused("the previous change of reference has not finished")
         if middle != self._centred:
             self._centred = middle
-            reference = _middle if middle else follower(self._map)
-            self._feedforward.change(reference, self._parameters.tracking(self._map).bandwidth)
+            self._feedforward.change(_middle if middle else follower(self._map))
         return f"reference goes to {'the middle of the travel' if middle else 'the map'}"
 
     def _look_at_map(self) -> None:

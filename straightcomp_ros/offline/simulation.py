@@ -65,7 +65,7 @@ class Simulation:
         hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
         self._period_ns = hardware.period_ns
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
-        tracking = feedforward.tracking(self.map)
+        tracking = feedforward.stage.tracking(feedforward.feedforward, self.map)
         self._feedforward = Feedforward(self.map, tracking, feedforward.stage.motion.highest_speed)
         self._pairing = Pairing(controller.lead_ns, wait=True)
         learning = controller.learning

@@ -108,10 +108,6 @@ class FeedforwardNodeParameters:
     feedforward: FeedforwardParameters = group(FeedforwardParameters, "Tracking of the stage")
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
-    def tracking(self, straightness: StraightnessMap) -> FeedforwardParameters:
-        """How the stage is tracked on this map."""
-        return self.stage.tracking(self.feedforward, straightness)
-
 
 @dataclass(frozen=True)
 class ControllerNodeParameters:

@@ -148,20 +148,25 @@ class StageParameters:
         """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
         return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)
 
-    def tracking(self, least: FeedforwardParameters, straightness: StraightnessMap) -> FeedforwardParameters:
-        """The feedforward's tracking of this stage: ``least``, with as much bandwidth as its ramps on the map ask for.
+    def lacking(self, straightness: StraightnessMap, bandwidth: float) -> float:
+        """Way in m that ṙ leads the platform too little where a ramp begins or ends.
 
-        Three poles at ω = 2πf learn of a step a of the acceleration so late that ṙ leads the platform by 3 r' a/ω² too
-        little (final value of the filter's error), which is to be no more than the rounding of y. The rounding of x
-        allows that: it moves r itself by more than what ṙ and r̈ make of it.
+        Three poles at ω = 2πf (``bandwidth`` f in Hz) learn of a step a of the acceleration so late that 3 r' a/ω² is
+        missing (final value of the filter's error).
         """
-        late = 3.0 * straightness.steepest * self.motion.acceleration
-        asked = min(math.sqrt(late / self.encoder.y_rounding), float(self.rate)) / (2.0 * math.pi)
-        return dataclasses.replace(least, bandwidth=max(least.bandwidth, asked))
+        return 3.0 * straightness.steepest * self.motion.acceleration / (2.0 * math.pi * bandwidth) ** 2
+
+    def tracking(self, least: FeedforwardParameters, straightness: StraightnessMap) -> FeedforwardParameters:
+        """The feedforward's tracking of this stage: ``least``, with as much bandwidth that no more is lacking than y is
+        rounded by. The rounding of x allows that: it moves r itself by more than what ṙ and r̈ make of it."""
+        lacking = self.lacking(straightness, least.bandwidth)
+        asked = least.bandwidth * math.sqrt(lacking / self.encoder.y_rounding)
+        bandwidth = max(least.bandwidth, min(asked, self.rate / (2.0 * math.pi)))
+        return dataclasses.replace(least, bandwidth=bandwidth)
 
     def outdated(self, straightness: StraightnessMap, lead: float) -> float:
         """Largest error in m of a reference of a while ago (``lead`` in s), extrapolated by its two rates: along the
-        map at full speed, together with a ramp's begin or end, which nobody knows before."""
+        map at full speed, together with a ramp's begin or end, which no earlier reference shows."""
         low, high = reach(self.motion)
         x, way = np.linspace(low, high, _PLACES), self.motion.speed * lead
         r, slope, curvature = straightness.evaluate(x)

@@ -195,7 +195,7 @@ def along(straightness: StraightnessMap, x: NDArray[np.float64]) -> tuple[NDArra
 class Feedforward:
     """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers.
 
-    ``highest_speed`` in m/s is what the stage cannot reach.
+    ``highest_speed`` in m/s is what the stage cannot reach. It is tracked with ``bandwidth`` (Hz), which may be set.
     """
 
     def __init__(
@@ -206,7 +206,7 @@ class Feedforward:
     ) -> None:
         self._reference = follower(straightness)
         self._left_ns, self._max_speed = 0, highest_speed
-        self._bandwidth, self._restart_gap_ns = parameters.bandwidth, parameters.restart_gap_ns
+        self.bandwidth, self._restart_gap_ns = parameters.bandwidth, parameters.restart_gap_ns
         self.reset()
 
     def reset(self) -> None:
@@ -223,10 +223,9 @@ class Feedforward:
         """Whether a change of the map is not finished yet."""
         return self._left is not None
 
-    def change(self, reference: Lookup, bandwidth: float) -> None:
+    def change(self, reference: Lookup) -> None:
         """Fade to another map's ``reference`` within :data:`FADE_TIME`; before the first sample, change
-        at once. Not while :attr:`changing`. The stage is tracked with ``bandwidth`` (Hz) from now on."""
-        self._bandwidth = bandwidth
+        at once. Not while :attr:`changing`."""
         if self._stamp_ns != _NEVER:
             self._left, self._left_ns = self._reference, self._stamp_ns
         self._reference = reference
@@ -243,7 +242,7 @@ class Feedforward:
         if elapsed_ns == 0:
             return self._last
         if continues(self._restart_gap_ns, self._max_speed, elapsed_ns, x - self._x):
-            self._tracked = updated(self._bandwidth, self._tracked, elapsed_ns * 1e-9, x)
+            self._tracked = updated(self.bandwidth, self._tracked, elapsed_ns * 1e-9, x)
         else:
             self._tracked = restarted(x)
         self._stamp_ns = stamp_ns

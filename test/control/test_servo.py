@@ -142,7 +142,7 @@ def test_the_command_does_not_step_further_during_a_change_of_map_than_without_o
         feedforward = Feedforward(straightness)
         currents, errors = run(
             make_law(ControlParameters(), STAGE),
-            lambda servo: feedforward.change(other, 30.0) if changed else None,
+            lambda servo: feedforward.change(other) if changed else None,
             BEFORE + 1400,
             lambda step: feedforward.step(step * T, 0.2 + 0.1 * step / RATE),
         )

@@ -170,7 +170,7 @@ def test_the_weight_and_its_rates_belong_together():
 
 def test_the_reference_and_its_rates_stay_within_the_bounds_of_the_change(straightness):
     plain = references(straightness, lambda feedforward: None)
-    changed = references(straightness, lambda feedforward: feedforward.change(other(straightness), BANDWIDTH))
+    changed = references(straightness, lambda feedforward: feedforward.change(other(straightness)))
     beyond = changed - plain
     assert abs(np.diff(beyond[:, 0])).max() <= 1.875 * DIFFERENCE / FADE_TIME * T * 1.0001
     assert abs(beyond[:, 1]).max() <= 1.875 * DIFFERENCE / FADE_TIME * 1.0001
@@ -180,7 +180,7 @@ def test_the_reference_and_its_rates_stay_within_the_bounds_of_the_change(straig
     np.testing.assert_allclose(beyond[BEFORE + FADE :, 0], DIFFERENCE, rtol=1e-12)
     # Before the first sample a map is changed at once.
     feedforward = Feedforward(straightness)
-    feedforward.change(other(straightness), BANDWIDTH)
+    feedforward.change(other(straightness))
     assert feedforward.step(0, 0.2)[0] == pytest.approx(straightness.reference(0.2)[0] + DIFFERENCE)
 
 

@@ -380,8 +380,7 @@ def design(work: Work) -> Outcome:
         return Outcome(False, f"the designed law is not in order on all machines that are left: {verdict}", figures)
     sentence = f"{with_digits(pp, 3)} µm p-p predicted, at {step:.2f} mA from sample to sample"
     sentence = "; ".join([sentence, *found.warnings])
-    lead = {"reference_lead": found.lead} if round(found.lead * 1e9) < scenario.lead_ns else {}
-    return Outcome(True, sentence, figures, gains={"control.law": LAW, **unset, **found.values, **lead})
+    return Outcome(True, sentence, figures, gains={"control.law": LAW, **unset, **found.values, **found.newer})
 
 
 def frequency_response(work: Work) -> Outcome:

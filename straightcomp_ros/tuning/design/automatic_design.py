@@ -25,6 +25,7 @@ from straightcomp_ros.doctor import Finding
 from straightcomp_ros.doctor.stage_findings import stiction
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import STARTS, Spread, spread
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.tuning.design.error_budget import EXACT, NOTED, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import UNEVEN, Found, Judge, RunFigures, prepared_stroke, search
@@ -61,8 +62,8 @@ class Design:
     """A design."""
 
     law: str
-    values: Mapping[str, float]  # what to set, by dotted name in the node controller
-    lead: float  # for reference_lead there, s: the references have to be as new
+    values: Mapping[str, float]  # gains, by dotted name in the node controller
+    lead: float  # s; the references have to be as new
     figures: DesignFigures  # what is predicted
     start_values: Mapping[str, float]  # those of the closed form
     start_figures: DesignFigures
@@ -79,6 +80,11 @@ class Design:
     def holds(self) -> bool:
         """Whether all machines of the verification are in order."""
         return not self.verification.not_in_order
+
+    @property
+    def newer(self) -> dict[str, float]:
+        """The controller's parameter for references that must be newer than usual, by its name."""
+        return {"reference_lead": self.lead} if self.lead < ControllerNodeParameters.reference_lead else {}
 
     @property
     def warnings(self) -> list[str]:

@@ -22,7 +22,6 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, prin
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
@@ -105,7 +104,7 @@ def _writable(source: Path, output: Path) -> None:
 
 def _with_gains(text: str, design: Design) -> str:
     """The stage file with a section of gains at its beginning, in the place of an earlier one."""
-    figures, values = design.figures, {**design.values, **_lead(design)}
+    figures, values = design.figures, {**design.values, **design.newer}
     lines = [
         f"{_BEGIN} law {design.law}, --quiet {design.quiet:g};",
         f"# {figures.pp.median * 1e6:.3f} µm p-p at {figures.work.median * 1e3:.2f} mA from sample to sample.",
@@ -118,16 +117,11 @@ def _with_gains(text: str, design: Design) -> str:
     return "\n".join(lines) + "\n\n" + _OURS.sub("", text)
 
 
-def _lead(design: Design) -> dict[str, float]:
-    """The parameter for references that must be newer than usual."""
-    return {"reference_lead": design.lead} if design.lead < ControllerNodeParameters.reference_lead else {}
-
-
 def _in_json(design: Design) -> dict[str, Any]:
     return {
         "law": design.law,
         "quiet": design.quiet,
-        "values": {**design.values, **_lead(design)},
+        "values": {**design.values, **design.newer},
         "predicted": _figures(design.figures),
         "closed_form": {"values": dict(design.start_values), **_figures(design.start_figures)},
         "uncertain_machines": design.verification.to_display(),
@@ -168,7 +162,7 @@ def _print(design: Design, name: str) -> None:
     budget = ((one.cause, with_digits(one.pp * 1e6, 3), with_digits(one.rms * 1e6, 4)) for one in design.budget)
     title = "What limits it, one cause changed at a time"
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
-    if _lead(design):
+    if design.newer:
         words = f"reference_lead: {design.lead * 1e3:.2g} ms; older references miss the motion by more than a count"
         console.print(words, highlight=False)
     for remark in [*design.warnings, *remarks(design.budget, 1e6)]:
