@@ -71,10 +71,8 @@ async def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
         if options.progress and not options.json:
             print(f"progress {done:.3f}", flush=True)
 
-    client, cell = await connected(
-        options.url, options.user, _password(options.user), options.certificates, options.server_certificate
-    )
-    try:
+    certificates = options.certificates, options.server_certificate
+    async with connected(options.url, options.user, _password(options.user), *certificates) as cell:
         await run_cycle(cell, options.strokes, progress)
         error = await cell.read("Live.ErrorPeakToPeak")
         return {
@@ -83,8 +81,6 @@ async def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
             "samples": await cell.read("Live.Samples"),
             "lost_samples": await cell.read("Live.LostSamples"),
         }
-    finally:
-        await client.disconnect()
 
 
 def _password(user: str) -> str:

@@ -1,9 +1,10 @@
 """A reference client: what a PLC does to run a cycle. Copy from here."""
 
 import asyncio
+import contextlib
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 from asyncua import Client, ua
@@ -62,15 +63,18 @@ class CellClient:
         return self._client.get_node(ua.NodeId(f"{CELL}.{path}", self._index))
 
 
+@contextlib.asynccontextmanager
 async def connected(
     url: str, user: str, password: str, certificates: Path | None = None, server_certificate: Path | None = None
-) -> tuple[Client, CellClient]:
-    """Connect to the endpoint ``url`` as an operator, as soon as the gateway is there.
+) -> AsyncIterator[CellClient]:
+    """The cell at the endpoint ``url``, for an operator, as soon as the gateway is there.
 
-    The folder ``certificates`` has this client's certificate.der and key.pem; without one nothing is encrypted.
+    The folder ``certificates`` has this client's certificate.der and key.pem, ``server_certificate`` is the gateway's;
+    without them nothing is encrypted. Before Python 3.12 the tasks of a client that is still connected can outlive
+    asyncio.run, which then never ends: whatever ends the block disconnects.
 
     Raises:
-        CycleFailed: the gateway does not answer within a minute, or refuses.
+        CycleFailed: a certificate cannot be read, the gateway does not answer within a minute, or it refuses.
     """
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     deadline = time.monotonic() + _CONNECT_WITHIN_S
@@ -78,19 +82,29 @@ async def connected(
         client = Client(url)
         client.set_user(user)
         client.set_password(password)
-        try:
-            if certificates is not None:
-                client.application_uri = "urn:straightcomp_ros:client"
-                own = certificates / "certificate.der", certificates / "key.pem"
+        if certificates is not None:
+            client.application_uri = "urn:straightcomp_ros:client"
+            own = certificates / "certificate.der", certificates / "key.pem"
+            try:
                 await client.set_security(SecurityPolicyBasic256Sha256, *own, server_certificate=server_certificate)
+            except (OSError, ValueError) as error:
+                raise CycleFailed(f"{own[0]}, {own[1]} and {server_certificate}: {error}") from error
+        try:
             await client.connect()
-            return client, CellClient(client, await client.get_namespace_index(NAMESPACE))
+            break
         except ua.UaError as error:
             raise CycleFailed(f"{url} refuses: {error}") from error
         except (OSError, asyncio.TimeoutError, ValueError) as error:
             if time.monotonic() > deadline:
                 raise CycleFailed(f"{url} does not answer: {error}") from error
             await asyncio.sleep(0.5)
+    try:
+        namespaces = await client.get_namespace_array()
+        if NAMESPACE not in namespaces:
+            raise CycleFailed(f"{url} is no gateway to a cell: it lacks the namespace {NAMESPACE}")
+        yield CellClient(client, namespaces.index(NAMESPACE))
+    finally:
+        await client.disconnect()
 
 
 async def run_cycle(client: CellClient, strokes: int, progress: Callable[[float], None] = lambda done: None) -> None:

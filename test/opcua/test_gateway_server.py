@@ -4,6 +4,7 @@ import asyncio
 import io
 import json
 import logging
+import re
 import socket
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.opcua.address_space import Snapshot
 from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
+from straightcomp_ros.opcua.client import CycleFailed, connected
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
 
 PROBES = Path(__file__).with_name("probes.py")
@@ -195,3 +197,17 @@ def test_a_port_that_is_taken_is_an_error(plain, folder):
     port = int(plain.url.split(":")[2].split("/")[0])
     with pytest.raises(OSError, match="address already in use"):
         GatewayServer(OpcuaParameters(port=port), ["driver"])
+
+
+@pytest.mark.parametrize("content", [None, b"no certificate"])
+def test_a_certificate_that_cannot_be_read_ends_the_reference_client_at_once(tmp_path, content):
+    if content is not None:
+        for name in ("certificate.der", "key.pem"):
+            (tmp_path / name).write_bytes(content)
+
+    async def connecting():
+        async with connected("opc.tcp://127.0.0.1:1/", "ann", "", tmp_path, tmp_path / "certificate.der"):
+            pass
+
+    with pytest.raises(CycleFailed, match=re.escape(str(tmp_path / "certificate.der"))):
+        asyncio.run(asyncio.wait_for(connecting(), 20))
