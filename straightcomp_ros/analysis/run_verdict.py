@@ -363,11 +363,10 @@ def _more_than_promised(motion: JudgedMotion) -> str:
     if motion.pp <= FEW_COUNTS * motion.count or motion.stalls or not motion.promised:
         return ""
     promised = motion.promised.smooth.pp
-    drawn = motion.promised.largest(Left(motion.pp, 0.0)) if motion.pp > HARM * promised else None
-    if not drawn or motion.pp <= drawn.pp:
+    if motion.pp <= HARM * promised or (cause := _cause(motion)) == causes.UNKNOWN:
         return ""
-    cause = _cause(motion)
-    return "" if cause == causes.UNKNOWN else f"; the described stage leaves {_um(promised)}: {cause}"
+    drawn = motion.promised.largest(Left(motion.pp, 0.0))
+    return f"; the described stage leaves {_um(promised)}: {cause}" if drawn and motion.pp > drawn.pp else ""
 
 
 _REASONS: Sequence[tuple[str, Callable[[JudgedMotion], str]]] = (
