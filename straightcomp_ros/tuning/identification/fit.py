@@ -27,6 +27,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -191,10 +192,12 @@ class Search:
         origin, low, high = (bound[free] for bound in (self._unknowns.start, self._unknowns.low, self._unknowns.high))
         for _ in range(_ROUNDS):
             self.take_gains(vector, missed)
+            # Derivatives are asked for where the residuals have just been.
+            here = lru_cache(maxsize=1)(lambda z: self.residuals(self._whole(np.frombuffer(z))))
             found = least_squares(
-                lambda z: np.concatenate([self.residuals(self._whole(z)), (z - origin) / PRIOR]),
+                lambda z, here=here: np.concatenate([here(z.tobytes()), (z - origin) / PRIOR]),
                 np.clip(vector[free], low + 1e-6, high - 1e-6),
-                jac=lambda z: np.concatenate([self.jacobian(z), np.eye(len(z)) / PRIOR]),
+                jac=lambda z, here=here: np.concatenate([self.jacobian(z, here(z.tobytes())), np.eye(len(z)) / PRIOR]),
                 bounds=(low, high),
                 x_scale=0.3,
                 # In a flat valley a loose end depends on the last bits: by far less than a standard deviation.
@@ -210,11 +213,12 @@ class Search:
         surprise = float(residuals @ residuals - 2.0 * np.log(self.gains[BURN_IN:, 3]).sum())
         return Level(vector, found.jac[: -len(free)], residuals, missed, surprise)
 
-    def jacobian(self, free: Array) -> Array:
-        """Derivatives (n − burn-in, free) of the residuals by the free logarithms, by differences."""
-        vectors = [self._whole(free + step) for step in (np.zeros(len(free)), *self._steps)]
+    def jacobian(self, free: Array, here: Array) -> Array:
+        """Derivatives (n − burn-in, free) of the residuals, ``here`` (n − burn-in,), by the free logarithms, by
+        differences."""
+        vectors = [self._whole(free + step) for step in self._steps]
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
-            here, *moved = threads.map(self.residuals, vectors)
+            moved = threads.map(self.residuals, vectors)
         return np.stack([(there - here) / _STEP for there in moved], axis=1)
 
     def onward(self, level: Level) -> Array:
