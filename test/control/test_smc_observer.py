@@ -328,6 +328,19 @@ def test_only_a_stage_whose_bristles_hide_within_the_count_gets_a_dither_which_r
     assert np.ptp(errors[2000:]) < 0.2e-6
 
 
+@pytest.mark.parametrize("stiffness", [1e8, 1e9])
+def test_on_a_fine_encoder_what_dither_moves_far_beyond_its_bristles_gets_it_and_rests(stiffness):
+    fine = {**STIFF, "encoder__y_resolution": 1e-9, "friction__bristle_stiffness": stiffness}
+    assert dither_of(ObserverDesign(), stage(**fine)).amplitude > 0.0
+    # Half a micrometre is left without.
+    errors, commands = following(stage(**fine), stage(**fine), 2.0, amplitude=5e-6)
+    assert np.ptp(errors[2000:]) < 0.15e-6
+    # Though dither moves the platform by 25 counts.
+    assert not np.diff(commands[1850:2000]).any()
+    softer = stage(**{**fine, "friction__bristle_stiffness": 1e7})
+    assert dither_of(ObserverDesign(), softer).amplitude == 0.0
+
+
 def test_the_dither_follows_the_friction_that_is_found_within_its_bounds():
     described = stage(**STIFF)
     angle, amplitude, _ = dither_of(ObserverDesign(), described)
