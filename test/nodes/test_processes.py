@@ -125,12 +125,12 @@ def test_a_view_without_a_graph_says_in_which_domain_it_looks(single):
     wait_for_line(single, "view", f"no node of the graph is seen in ROS domain {domain}, namespace /alone")
 
 
-BLAS = "import sys, os, straightcomp_ros.nodes; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+BLAS = "import sys, os, straightcomp_ros; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
 
 
 @pytest.mark.parametrize(("chosen", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
-def test_a_node_computes_in_one_thread_unless_its_user_chooses_more(chosen, threads):
-    """OpenBLAS's threads wait in busy loops, for ever with real-time priority."""
+def test_the_package_computes_in_one_thread_unless_its_user_chooses_more(chosen, threads):
+    """OpenBLAS's threads wait in busy loops, for ever with real-time priority, and a map's last bits depend on them."""
     others = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     printed = subprocess.check_output([sys.executable, "-c", BLAS], env={**others, **chosen}, text=True, timeout=120)
     # NumPy reads it once, when it is imported.
