@@ -265,7 +265,10 @@ def scaled_by(
     if not gain.high / gain.value <= POOR:
         return dict(facts), 1.0
     turns = facts.get("actuator.turns", stage.actuator.turns)
-    scale = gain.value * (turns / found.parameters["actuator.turns"].value) ** 2
+    gap = facts.get("actuator.air_gap", stage.actuator.air_gap)
+    # A gap that the record hardly shows is not among the facts: the response has it in the force.
+    own_gap, own_turns = (found.parameters[f"actuator.{name}"].value for name in ("air_gap", "turns"))
+    scale = gain.value * (turns / own_turns * own_gap / gap) ** 2
     ranges = stage.uncertainty
     scaled = {name: x * scale for name, x in facts.items() if name in _FORCES}
     return {

@@ -116,6 +116,14 @@ def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_reco
     scaled, scale = scaled_by(Interval(1.1, 1.09, 1.11), facts_found(poor, STAGE), poor, STAGE)
     assert scaled["actuator.turns"] == pytest.approx(STAGE.actuator.turns * 1.1**0.5)
     assert scale == pytest.approx(1.1 / 1.44) and scaled["uncertainty.force"] == 0.05
+    # Nor is a wide gap lacking force: the response has what the record hardly shows of it.
+    wide = estimate("actuator.air_gap", air_gap=1.2)
+    seen = 0.7 / 1.2**2
+    scaled, scale = scaled_by(
+        Interval(*(seen * one for one in (1.0, 0.99, 1.01))), facts_found(wide, STAGE), wide, STAGE
+    )
+    assert scale == pytest.approx(0.7) and not strangeness(wide, STAGE, scale)
+    assert scaled["actuator.turns"] == pytest.approx(STAGE.actuator.turns * seen**0.5)
     # A response that shows nothing changes nothing.
     assert scaled_by(FoundPlant().gain, facts, found, STAGE) == (facts, 1.0)
     assert "2 times" in strangeness(estimate(turns=2.0**0.5), STAGE) and not strangeness(found, STAGE, 1.0 / 1.44)
