@@ -74,13 +74,6 @@ def plant_state(y: float = 0.0, velocity: float = 0.0, control: float = 0.0, bia
     return state
 
 
-def substep_ns(longest: float, mass: float, stiffness: float, damping: float) -> float:
-    """The substep in ns, at most ``longest``, that resolves a platform of ``mass`` in kg on bristles and a flexure, of
-    this ``stiffness`` in N/m and ``damping`` in N·s/m together."""
-    fastest = max(math.sqrt(stiffness / mass), damping / mass, 1.0)
-    return min(longest, max(_SHORTEST_SUBSTEP_NS, int(_RESOLVED * 1e9 / fastest)))
-
-
 class Plant(NamedTuple):
     """Constants of the plant without what friction does beyond LuGre; mass in kg, stop in m, amplifier rate in
     rad/s, stiffness in N/m and damping in N·s/m of the flexure, longest substep in ns."""
@@ -131,8 +124,9 @@ class PlantParameters:
         rate = 2.0 * math.pi * self.drive.bandwidth
         lugre, actuator, platform = self.friction.constants(), self.actuator.constants(), self.platform
         bristles = lugre.bristle_stiffness if lugre.static > 0.0 else 0.0
-        damping = lugre.bristle_damping + lugre.viscous + platform.damping
-        substep = substep_ns(SUBSTEP_NS, platform.mass, bristles + platform.stiffness, damping)
+        fastest = math.sqrt((bristles + platform.stiffness) / platform.mass)
+        fastest = max(fastest, (lugre.bristle_damping + lugre.viscous + platform.damping) / platform.mass)
+        substep = min(SUBSTEP_NS, max(_SHORTEST_SUBSTEP_NS, int(_RESOLVED * 1e9 / max(fastest, 1.0))))
         plant = Plant(
             platform.mass, platform.stop, rate, actuator, lugre, platform.stiffness, platform.damping, substep
         )

@@ -25,7 +25,7 @@ from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording
 from straightcomp_ros.model.actuator import MU_0, Actuator
 from straightcomp_ros.model.friction import LuGre
-from straightcomp_ros.model.plant import Plant, substep_ns
+from straightcomp_ros.model.plant import Plant
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -49,9 +49,6 @@ FORCE_SCALE = ("platform.mass", "actuator.turns")
 """At least one of these must be known: position and current determine all forces only up to a common factor."""
 _STOP = 0.9
 """Stop as a fraction of the air gap; the platform stays far from it."""
-_LONGEST_NS = 50_000
-"""Of a substep: a prediction goes over a sample alone. Of a record that hardly shows the mass the estimates differ by a
-thirtieth of their interval's half from those with 25 µs; with 100 µs by an eighth."""
 _SMALLEST = {"friction.coulomb": 1e-3, "friction.bristle_damping": 1.0, "friction.viscous": 0.1}
 """Start of parameters that may be zero, which has no logarithm."""
 _REACH = math.log(100.0)
@@ -86,9 +83,7 @@ class Unknowns:
         platform, given = self.stage.platform, self.stage.actuator
         actuator = Actuator(MU_0 * turns * turns * given.pole_area / 4.0, gap, given.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)
-        springs, dampers = stiffness + platform.stiffness, damping + viscous + platform.damping
-        substep = substep_ns(_LONGEST_NS, mass, springs, dampers)
-        return Plant(mass, _STOP * gap, rate, actuator, lugre, platform.stiffness, platform.damping, substep).as_array()
+        return Plant(mass, _STOP * gap, rate, actuator, lugre, platform.stiffness, platform.damping).as_array()
 
 
 def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
