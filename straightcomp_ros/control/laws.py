@@ -86,7 +86,9 @@ class ObserverDesign:
     )
     stiffening: float = parameter(1.4, "Factor of bandwidth, λ and κ from twice that misfit on", "[1, 10]")
     rest_band: float = parameter(
-        2.0, "Largest |y − r| at rest at which the command is held; 0 never holds", "[0, 1000] counts"
+        2.0,
+        "Largest |y − r| at rest at which the command is held, or what dither moves the platform by; 0 never holds",
+        "[0, 1000] counts",
     )
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
@@ -189,7 +191,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     coulomb = max(friction.coulomb, _SMALLEST_SIZE * quantum)
     turn, amplitude, knee = dither_of(design, stage)
     band = design.rest_band * stage.encoder.y_resolution
-    if band > 0.0 and amplitude > 0.0:
+    if band > 0.0:
         # A platform that only dither moves is at rest.
         band = max(band, _STAYING * knee / _dither_rate(stage))
     most = _MOST_DITHER * smc_observer.UNDER_DITHER if amplitude > 0.0 else design.largest_size

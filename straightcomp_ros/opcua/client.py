@@ -74,7 +74,8 @@ async def connected(
     asyncio.run, which then never ends: whatever ends the block disconnects.
 
     Raises:
-        CycleFailed: a certificate cannot be read, the gateway does not answer within a minute, or it refuses.
+        CycleFailed: a certificate cannot be read, the gateway does not answer within a minute, or it refuses, then or
+            within the block.
     """
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     deadline = time.monotonic() + _CONNECT_WITHIN_S
@@ -103,6 +104,8 @@ async def connected(
         if NAMESPACE not in namespaces:
             raise CycleFailed(f"{url} is no gateway to a cell: it lacks the namespace {NAMESPACE}")
         yield CellClient(client, namespaces.index(NAMESPACE))
+    except ua.UaError as error:
+        raise CycleFailed(f"{url} refuses: {error}") from error
     finally:
         await client.disconnect()
 

@@ -22,6 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, Order
+from straightcomp_ros.opcua import client
 from straightcomp_ros.opcua.address_space import Snapshot
 from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
 from straightcomp_ros.opcua.client import CycleFailed, connected
@@ -197,6 +198,18 @@ def test_a_port_that_is_taken_is_an_error(plain, folder):
     port = int(plain.url.split(":")[2].split("/")[0])
     with pytest.raises(OSError, match="address already in use"):
         GatewayServer(OpcuaParameters(port=port), ["driver"])
+
+
+@pytest.mark.parametrize("namespace", [client.NAMESPACE, "urn:another"])
+def test_what_the_gateway_refuses_while_it_is_connected_ends_the_block_with_its_reason(plain, monkeypatch, namespace):
+    monkeypatch.setattr(client, "NAMESPACE", namespace)
+
+    async def asking():
+        async with connected(plain.url, "ann", "correct horse") as cell:
+            await cell._client.get_node("ns=9;s=Nothing").read_value()
+
+    with pytest.raises(CycleFailed, match=f"BadNodeIdUnknown|no gateway.*{namespace}"):
+        asyncio.run(asyncio.wait_for(asking(), 60))
 
 
 @pytest.mark.parametrize("content", [None, b"no certificate"])
