@@ -171,10 +171,15 @@ class GuardedNode(Node):
 
         return super().create_service(kind, name, answer, *more, **options)
 
+    @cached_property
+    def _offered(self) -> dict[str, Callable[[Any, Any], Any]]:
+        return {}
+
     def offer(self, kind: Any, name: str, act: Callable[..., str], *refusals: type[Exception]) -> None:
         """A service that answers with ``success`` and ``message``, of the kind Trigger or SetBool.
 
         ``act`` gets the data of a SetBool; it returns the message, or raises :class:`Refused` or one of ``refusals``.
+        Once offered, the service stays as long as the node, for whatever ``act`` is offered next under its name.
         """
 
         def answer(request: Any, response: Any) -> Any:
@@ -185,7 +190,22 @@ class GuardedNode(Node):
             response.success = True
             return response
 
-        self.create_service(kind, name, answer)
+        first = name not in self._offered
+        self._offered[name] = answer
+        if first:
+            self.create_service(kind, name, lambda request, response: self._offered[name](request, response))
+
+    def refuse_all(self, reason: str) -> None:
+        """Refuse what was offered until it is offered again.
+
+        A client whose service ends and comes again may still see the old one and not yet the new one: its request would
+        never be answered.
+        """
+
+        def refuse(request: Any, response: Any) -> Any:
+            raise Refused(reason)
+
+        self._offered.update(dict.fromkeys(self._offered, refuse))
 
 
 class ThrottledWarning:

@@ -110,7 +110,7 @@ def waiter(node: Node, subscription: Subscription) -> Callable[[int], None]:
 
 
 def withdraw(node: Node, kind: str, entity: Any) -> Callable[[], None]:
-    """Take a service, client, subscription or publisher from its node; returns the function that destroys it, to be
+    """Take a client, subscription or publisher from its node; returns the function that destroys it, to be
     called after the executor's next look at the node.
 
     An EventsExecutor may have an event of the entity in its queue, and crashes if it is destroyed before the executor

@@ -33,8 +33,8 @@ from straightcomp_ros.timing.cpus import at_normal_priority
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
 _HEARTBEAT_S = 0.1
-_ENTITIES = ("service", "client", "subscription", "publisher")
-"""What a component makes on its node."""
+_ENTITIES = ("client", "subscription", "publisher")
+"""What a component makes on its node, besides what it offers."""
 _PAUSE_S = 0.001
 _WITHDRAWN_S = 0.1
 """Time in which the executor drops what was withdrawn from it."""
@@ -222,6 +222,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
 
     def _destroy_entities(self) -> None:
         self.streams.close()
+        self.refuse_all(f"the node '{self.get_name()}' is not configured")
         self.cancel_timers(self._own_timers)
         withdrawn = [
             withdraw(self, kind, entity)

@@ -62,6 +62,12 @@ def test_an_error_of_a_callback_drops_the_message_or_refuses_the_request_and_one
     with pytest.raises(BagError):
         answer("start", Trigger)
     assert len(warnings) == 2
+    # A service is made once, and stays: whoever asks between two of its kind would never have an answer.
+    first = reached.copy()
+    node.refuse_all("not now")
+    assert answer("center", SetBool) == (False, "not now")
+    node.offer(SetBool, "center", lambda middle: f"back to {middle}")
+    assert answer("center", SetBool) == (True, "back to False") and reached == first
     result = refusal(SetParametersAtomically.Response(), "255 is no type").result
     assert not result.successful and result.reason == "255 is no type"
 
