@@ -63,8 +63,7 @@ def _new(options: argparse.Namespace) -> None:
     On a terminal the most important facts are asked for; --set gives them without a question, and --yes takes the
     default of all others. The strokes are those of the survey. What is not known well says so in
     `stage.uncertainty`."""
-    folder = output_folder("DIR", str(options.folder))
-    file, survey = folder / FILE, folder / SURVEY
+    file, survey = options.folder / FILE, options.folder / SURVEY
     declared = {one.name: one for one in declarations(StageParameters)}
     given = _given(options.set)
     source = find_survey(options.survey or MapParameters().file)
@@ -74,6 +73,8 @@ def _new(options: argparse.Namespace) -> None:
     guide = from_mapping(StageParameters, given).guide
     x = [run.x for run in read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
+    # Only now: a survey that is refused leaves no empty folder.
+    folder = output_folder("DIR", str(options.folder))
     found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
     if sys.stdin.isatty() and not options.yes:
         answers = {name: _asked(declared[name]) for name in _ASKED.split() if name not in given}

@@ -94,7 +94,8 @@ def test_a_new_description_has_each_fact_once_with_its_meaning_and_is_kept_unles
 def test_what_no_stage_has_is_refused_before_anything_is_written(tmp_path, capsys, given, words):
     assert new(tmp_path / "one", "--set", given) == 2
     assert words in capsys.readouterr().err
-    assert not list((tmp_path / "one").iterdir())
+    assert new(tmp_path / "one", "--survey", "nowhere.csv") == 2
+    assert not (tmp_path / "one").exists()
 
 
 def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path, monkeypatch, capsys):
