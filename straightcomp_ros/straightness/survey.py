@@ -10,7 +10,7 @@ separators of instruments and spreadsheets are read as well: ``Position (mm)``, 
 tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and
 ``direction`` may be left out: another run then begins where x turns back or begins anew, and the trend of x gives the
 direction. Rows with the same run and direction belong to one run, so that a cycle may count forward and backward as
-one. Other columns are ignored.
+one. Each run may have a column of its own in place of these: ``Run 1 forward [µm]``. Other columns are ignored.
 """
 
 import csv
@@ -22,7 +22,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple, cast
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +174,11 @@ _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
 _NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
 _OWN_UNIT = re.compile(rf".*?[^a-z]({'|'.join(PER_METRE)})\s*[\])]?")
+_RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
+"""What the column of one run may be called, with its number, its direction or both."""
+_DIRECTIONS: dict[str, Direction] = {"forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
+_COLUMN = "column of the run"
+"""Name of the cell that says which column a point is from."""
 _INCH = re.compile(r"(?<![a-z])(u|micro)?inch(?:es)?\b")
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
@@ -214,8 +219,11 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         unit = _OWN_UNIT.fullmatch(_plain(name))
         own[_spelled(name)] = f"{quantity}_{unit[1]}" if unit else _spelled(name)
     first, delimiter, header = _header(lines, own)
+    runs = _columns_of_runs(header)
     try:
-        x, deviation = (_column(f"survey {path}, line {lines[first - 1][0]}", header, one) for one in (X, DEVIATION))
+        header_line = f"survey {path}, line {lines[first - 1][0]}"
+        x = _column(header_line, header, X)
+        deviation = header[runs[0]].partition(" ")[0] if runs else _column(header_line, header, DEVIATION)
     except SurveyError as error:
         text = "\n".join(text for _, text in lines)
         kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
@@ -232,12 +240,14 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     for where, _, row in rows:
         if len(row) != len(header):
             raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
-    numbers = [at for at, name in enumerate(header) if name in (x, deviation, "time_s")]
+    numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, "time_s")]
     for _, _, row in rows:
         for column in numbers:
             row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")
     if delimiter != ",":
         _use_points(rows, numbers)
+    if runs:
+        header, rows = _a_row_for_each(runs, header, rows)
     found = []
     for where, line, row in rows:
         cells = dict(zip(header, map(str.strip, row), strict=True))
@@ -259,7 +269,8 @@ def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[i
             names, below = (next(csv.reader([text], delimiter=delimiter)) for _, text in (lines[at], lines[at + 1]))
             for size, cells in enumerate((names, map(" ".join, zip(names, below, strict=False))), 1):
                 header = _cells(cells, own)
-                if all(any(name in header for name in quantity.columns) for quantity in (X, DEVIATION)):
+                missing = [one for one in (X, DEVIATION) if not any(name in header for name in one.columns)]
+                if not missing or (missing == [DEVIATION] and _columns_of_runs(header)):
                     return at + size, delimiter, header
     delimiter = next((mark for mark in delimiters if mark in lines[first][1]), ",")
     return first + 1, delimiter, _cells(next(csv.reader([lines[first][1]], delimiter=delimiter)), own)
@@ -272,12 +283,50 @@ def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     """
     chosen = {name.partition("_")[0] for name in own.values()}
     found = []
-    for name in map(_spelled, names):
+    for cell in names:
+        name = _spelled(cell)
         quantity, _, unit = name.rpartition("_")
         quantity = _SYNONYMS.get(quantity, quantity)
         usual = f"{quantity}_{unit}" if unit in PER_METRE else name
-        found.append(own.get(name, f"({usual})" if unit in PER_METRE and quantity in chosen else usual))
+        other = f"({usual})" if unit in PER_METRE and quantity in chosen else usual
+        of_run = "" if "deviation" in chosen else _of_run(cell)
+        found.append(own.get(name) or of_run or other)
     return found
+
+
+def _of_run(name: str) -> str:
+    """``deviation_um (forward run)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
+    unit = _OWN_UNIT.fullmatch(_plain(name))
+    words = re.findall(r"[a-z]+", unit[0][: unit.start(1)]) if unit else []
+    ways = [_DIRECTIONS[word] for word in words if word in _DIRECTIONS]
+    others = set(words) - _DIRECTIONS.keys() - _RUN_WORDS - {"deviation", "straightness"}
+    if unit is None or others or len(ways) > 1 or not (ways or _RUN_WORDS.intersection(words)):
+        return ""
+    return f"deviation_{unit[1]} ({' '.join([*ways, 'run'])})"
+
+
+def _columns_of_runs(header: Sequence[str]) -> list[int]:
+    """Where the runs are that have a column each, if the file is one of these."""
+    found = [at for at, name in enumerate(header) if " " in name and name.partition(" ")[0] in DEVIATION.columns]
+    units = {header[at].partition(" ")[0] for at in found}
+    directed = {header[at].endswith("(run)") for at in found}
+    other = {"run", "direction", "time_s", *DEVIATION.columns}.intersection(header)
+    return found if len(units) == len(directed) == 1 and not other else []
+
+
+def _a_row_for_each(
+    runs: Sequence[int], header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]
+) -> tuple[list[str], list[tuple[str, int, list[str]]]]:
+    """Header and rows with one column of deviation in place of one for each of ``runs``; an empty cell is no point."""
+    shared = [at for at in range(len(header)) if at not in runs]
+    found = [
+        (where, line, [*(row[at] for at in shared), f"{at}", header[at].split()[1].lstrip("("), row[at]])
+        for where, line, row in rows
+        for at in runs
+        if row[at].strip()
+    ]
+    unit, way = header[runs[0]].split()[:2]
+    return [*(header[at] for at in shared), _COLUMN, "" if way == "(run)" else "direction", unit], found
 
 
 def _spelled(name: str) -> str:
@@ -358,13 +407,13 @@ def _survey_of(
     table = table_of(path, lines, dict(names))
     groups: Groups = {}
     for line, cells, x, deviation in table.rows:
-        direction = cells["direction"].lower() if "direction" in cells else None
-        direction = {"fwd": "forward", "bwd": "backward"}.get(direction or "", direction)
-        if direction not in (None, "forward", "backward"):
+        word = cells.get("direction", "").lower()
+        if "direction" in cells and word not in _DIRECTIONS:
             raise SurveyError(
-                f"survey {path}, line {line}: direction {direction!r}; allowed: forward or backward, fwd or bwd"
+                f"survey {path}, line {line}: direction {word!r}; allowed: forward or backward, fwd or bwd"
             )
-        key = (cells.get("run", "1"), cast(Direction | None, direction))
+        direction = _DIRECTIONS.get(word)
+        key = (cells.get("run", cells.get(_COLUMN, "1")), direction)
         groups.setdefault(key, []).append((line, x, deviation))
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")

@@ -174,6 +174,50 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
 
 
+@pytest.mark.parametrize(
+    ("header", "back", "expected"),
+    [
+        ("x_mm,run 1 [um],Run_2_um", False, [WAYS[0], WAYS[2]]),
+        ("x_mm,cycle 1 [um],cycle 2 [um]", True, WAYS),
+        ("x_mm,Run 1 fwd (\u00b5m),Run 1 backward (\u00b5m)", False, WAYS[:2]),
+        ("Position,1 Forward,1 bwd\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
+    ],
+)
+def test_each_run_may_have_a_column_of_its_own(tmp_path, header, back, expected):
+    ways = range(0, 210, 10), range(200, -1, -10)
+    rows = [f"{x},{x % 30},{2 * (x % 30)}" for way in ways[: 1 + back] for x in way]
+    (tmp_path / "survey.csv").write_text(f"{header}\n" + "\n".join(rows), encoding="utf-8")
+    runs = read_survey(tmp_path / "survey.csv").runs
+    assert [(run.name, run.direction) for run in runs] == expected
+    halves = len(runs) // 2
+    for run, column in zip(runs, [1] * halves + [2] * halves, strict=True):
+        np.testing.assert_allclose(run.deviation, column * (run.x * 1e3 % 30).round() * 1e-6, atol=1e-15)
+
+
+def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_chosen(tmp_path):
+    rows = [f"{x},{x % 30},{x if x != 50 else ''}" for x in range(0, 240, 10)]
+    (tmp_path / "survey.csv").write_text("x_mm,run 1 [um],run 2 [um]\n" + "\n".join(rows), encoding="utf-8")
+    assert [run.x.size for run in read_survey(tmp_path / "survey.csv").runs] == [24, 23]
+    (run,) = read_survey(tmp_path / "survey.csv", names={"deviation": "Run 1 [um]"}).runs
+    assert run.deviation.max() == pytest.approx(20e-6)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "run 1 [um],run 2 [nm]",  # one unit is wrong, most likely
+        "run 1 [um],run 2 backward [um]",  # which way was the first?
+        "straightness 1 [um],straightness 2 [um]",  # of two directions, perhaps
+        "horizontal [um],vertical [um]",
+    ],
+)
+def test_columns_that_need_not_be_runs_are_refused(tmp_path, names):
+    rows = "".join(f"{x},{x % 30},{x % 30}\n" for x in range(0, 240, 10))
+    (tmp_path / "survey.csv").write_text(f"x_mm,{names}\n{rows}", encoding="utf-8")
+    with pytest.raises(SurveyError, match="no column for deviation"):
+        read_survey(tmp_path / "survey.csv")
+
+
 def test_where_directions_are_named_alone_x_that_begins_anew_is_another_run(tmp_path):
     rows = [row for _ in range(2) for row in (*_rows(OUT, "fwd,"), *_rows(BACK, "BWD,"))]
     runs = read_survey(_write(tmp_path, rows, "direction,x_mm,deviation_um")).runs
