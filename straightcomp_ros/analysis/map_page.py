@@ -97,14 +97,14 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
     )
     for one in lines:
         value, uncertainty = one.value * 1e6, one.expanded_uncertainty * 1e6
-        yield one.line.replace("_", " "), f"{value:.3f} µm ± {uncertainty:.3f} µm (ISO 230-1, map, U)"
+        yield one.line.replace("_", " "), f"{value:.3f} µm ± {uncertainty:.2g} µm (ISO 230-1, map, U)"
     for name in ("forward", "backward", "bidirectional"):
         value = figures[f"repeatability_{name}_um"]
         yield f"R {name}", "unknown" if value is None else f"{value:.3f} µm (ISO 230-2, k = 2)"
     largest, average = (figures[f"reversal_{name}_um"] for name in ("max", "mean"))
     yield "reversal", "unknown" if largest is None else f"{largest:.3f} µm at most, mean {average:.3f} µm"
     yield "noise of mean", f"{noise.point * 1e6:.3f} µm (1 s)" + ("" if noise.repeated else ", of the residual")
-    yield "band of map", f"± {noise.half_width * 1e6:.3f} µm (95 %, RMS over x)"
+    yield "band of map", f"± {noise.half_width * 1e6:.2g} µm (95 %, RMS over x)"
 
 
 def _survey(axes: Axes, built: BuiltMap) -> None:
