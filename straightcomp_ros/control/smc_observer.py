@@ -86,8 +86,10 @@ would shrink to nothing, and the model to a switch that the encoder's noise thro
 _PATIENCE = 5.0
 """Times the wait at rest after which the band grows in which a platform may toggle."""
 _DOUBTING = 7.0
-"""Times the wait at rest after which friction is doubted. The band has grown to three times by then: what holds the
-platform at all has held it, under dither too."""
+"""Times the wait at rest after which friction is doubted, unless the platform stands beside the reference for one."""
+_STANDING = 15.0
+"""Times the motion of a reference at rest: a platform that stands between two counts toggles by one. What has no
+friction leaves a count within some 50 ms, or swings by more."""
 _TOGGLING = 20.0
 """Times the band at rest: noise and stiction move a platform by counts. What moves one with friction farther is a push,
 after which the hold is as narrow as before."""
@@ -198,13 +200,16 @@ class Gains(NamedTuple):
 
 class Rest(NamedTuple):
     """Where the reference came to rest in m, time within the band in s, mean command in A, what is added to the
-    computed command in A, and for how much longer than held it was free since the reference came to rest, s."""
+    computed command in A, and for how much longer than held it was free since the reference came to rest, s; about
+    which place in m the platform has stood since then, and for how long, s."""
 
     place: float
     time: float
     mean: float
     offset: float
     restless: float
+    stand: float
+    stood: float
 
 
 class State(NamedTuple):
@@ -229,7 +234,7 @@ def fit_at_start(size: float) -> Fit:
 
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
-    prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(y, 0.0, 0.0, 0.0, 0.0)
+    prior, rest = Estimate(y, 0.0, 0.0, 0.0), Rest(y, 0.0, 0.0, 0.0, 0.0, y, 0.0)
     return State(prior, 0.0, 0.0, fit_at_start(size), size, rest, Dither(1.0, 0.0, 0.0), EMPTY)
 
 
@@ -380,9 +385,10 @@ def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
     """The fit, with less friction where the platform does not come to rest and no motion has shown friction yet.
 
     At rest the friction model answers to the encoder's noise: without friction in the machine it makes a limit cycle.
+    A platform that has stood, beside the reference or not, is held by friction.
     """
     # Without a band nothing is ever at rest.
-    if g.band <= 0.0 or rest.restless <= _DOUBTING * g.wait or fit.p22 < _FIRST_VARIANCE:
+    if g.band <= 0.0 or rest.restless <= _DOUBTING * g.wait or rest.stood > g.wait or fit.p22 < _FIRST_VARIANCE:
         return fit
     size = max(g.smallest, (1.0 - g.weight) * fit.size)
     return Fit(fit.constant, fit.slope, size, *fit[3:])
@@ -408,13 +414,15 @@ def _held(g: Gains, rest: Rest, fit: Fit, asked: float, y: float, r: float, r_do
     # Before a motion has shown friction it may be a limit cycle of the friction that is assumed.
     if not resting or (miss > _TOGGLING * g.band and fit.p22 < _FIRST_VARIANCE):
         restless = 0.0
+    stands = rest.stood > g.wait or (miss > 0.5 * g.band and abs(y - rest.stand) <= _STANDING * g.still)
+    stand, stood = (rest.stand, rest.stood + g.loop.period) if resting and stands else (y, 0.0)
     if held:
         # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.
         offset = rest.offset + g.weight * (rest.mean - asked - rest.offset)
-        return rest.mean, Rest(place, time, rest.mean, offset, restless)
+        return rest.mean, Rest(place, time, rest.mean, offset, restless, stand, stood)
     offset = (1.0 - g.weight) * rest.offset
     mean = rest.mean + g.weight * (limited(g.loop, asked + offset) - rest.mean)
-    return asked + offset, Rest(place, time, mean, offset, restless)
+    return asked + offset, Rest(place, time, mean, offset, restless, stand, stood)
 
 
 @compilable
