@@ -243,7 +243,8 @@ def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> tuple[State, Command]:
     """One sample; see the module."""
-    believed = state.believed if _SETTLED < state.fit.p22 < _FIRST_VARIANCE else state.fit.size
+    settling = _SETTLED < state.fit.p22 < _FIRST_VARIANCE
+    believed = max(state.believed, state.fit.size) if settling else state.fit.size
     s = _stiffness(g, believed, state.fit.misfit_square)
     gains, loop = ObserverGains(s.position, s.velocity, s.disturbance), with_mass(g.loop, s.mass)
     observed = corrected(gains, with_measured_current(loop, state.prior, current), y)
