@@ -76,7 +76,7 @@ _FIRST_VARIANCE = 1.0
 _LARGEST_TRACE = 30.0
 _SETTLED = 0.1
 """Variance of s below which the fit is believed again after a motion has begun: what it finds in the first tenths of a
-second may be no friction on a machine that has it."""
+second may be no friction on a machine that has it. More than before is believed at once."""
 UNDER_DITHER = 2.0 / math.pi
 """Size that Coulomb friction has under dither: the mean of its sign over a sine of velocity V is 2/π v/V."""
 SMALLEST_SHAPE = 0.1
@@ -213,8 +213,8 @@ class Rest(NamedTuple):
 
 
 class State(NamedTuple):
-    """The next sample as predicted with friction but for d, the command in A, z in m, the fit and the s of it that is
-    believed, rest, dither and filters."""
+    """The next sample as predicted with friction but for d, the command in A, z in m, the fit and the least s of it
+    that is believed, rest, dither and filters."""
 
     prior: Estimate
     command: float
@@ -243,8 +243,8 @@ def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> tuple[State, Command]:
     """One sample; see the module."""
-    settling = _SETTLED < state.fit.p22 < _FIRST_VARIANCE
-    believed = max(state.believed, state.fit.size) if settling else state.fit.size
+    kept = state.believed if _SETTLED < state.fit.p22 < _FIRST_VARIANCE else state.fit.size
+    believed = max(kept, state.fit.size)
     s = _stiffness(g, believed, state.fit.misfit_square)
     gains, loop = ObserverGains(s.position, s.velocity, s.disturbance), with_mass(g.loop, s.mass)
     observed = corrected(gains, with_measured_current(loop, state.prior, current), y)
@@ -269,7 +269,7 @@ def step(
         others += fit.slope / g.travel * r_dot * g.loop.period
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, bristle, fit, believed, rest, dither, memory), command
+    return State(prior, answer, bristle, fit, kept, rest, dither, memory), command
 
 
 @compilable

@@ -261,17 +261,22 @@ def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_f
     assert servo.step(500_000, 0.0, 0.0, REST).current == pytest.approx(0.3 + 1e-4)
 
 
+UNREST = np.random.default_rng(1).normal(0.0, 3e-6, 2000)
+STANDS = np.where(UNREST > 0.0, 3e-7, 4e-7)
+
+
 @pytest.mark.parametrize(
-    ("excited", "rest_band", "doubted"), [(False, 2.0, True), (True, 2.0, False), (False, 0.0, False)]
+    ("path", "excited", "rest_band", "doubted"),
+    [(UNREST, False, 2.0, True), (UNREST, True, 2.0, False), (UNREST, False, 0.0, False), (STANDS, False, 2.0, False)],
 )
-def test_unrest_before_the_first_motion_says_that_friction_is_less_than_described(excited, rest_band, doubted):
-    """Not where a test signal moves the platform, and not for a law that never lets it rest."""
+def test_unrest_before_the_first_motion_says_that_friction_is_less_than_described(path, excited, rest_band, doubted):
+    """Not where a test signal moves the platform, not for a law that never lets it rest, and not of one that stands."""
     control = replace(ControlParameters().smc_observer, rest_band=rest_band)
     law = make_law(ControlParameters(smc_observer=control), StageParameters())
     servo = Servo(law)
     if excited:
         servo.inject(made(np.zeros(2000), fade=1))
-    for k, y in enumerate(np.random.default_rng(1).normal(0.0, 3e-6, 2000)):
+    for k, y in enumerate(path):
         servo.step(k * T, float(y), 0.0, REST)
     left = _rebuilt(law.start(0.0), iter(law._state)).fit.size / law.start(0.0).fit.size
     assert left < 0.1 if doubted else left == 1.0

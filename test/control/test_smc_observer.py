@@ -230,6 +230,11 @@ def test_a_fit_that_a_motion_has_only_begun_is_not_believed(variance, kept):
     state = state._replace(fit=state.fit._replace(size=1e-12, p22=variance), believed=1.0)
     after, _ = step(one.gains, state, 0.0, 0.0, 0.0, 0.0, math.nan)
     assert after.believed == (1.0 if kept else 1e-12)
+    # More friction than that is believed at once: the command is that of a fit that is certain.
+    state = state._replace(believed=1e-12)
+    certain, begun = (state._replace(fit=state.fit._replace(size=1.0, p22=p22)) for p22 in (1e-3, variance))
+    commands = [step(one.gains, each, 1e-6, 0.0, 0.0, 0.0, math.nan)[1] for each in (certain, begun)]
+    assert commands[0] == commands[1]
 
 
 @pytest.mark.parametrize("changes", [{}, {"surface": 460.0, "reaching": 520.0, "third_pole": 0.7, "bandwidth": 230.0}])
