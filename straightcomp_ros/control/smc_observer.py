@@ -386,7 +386,7 @@ def _doubted(g: Gains, fit: Fit, rest: Rest) -> Fit:
     """The fit, with less friction where the platform does not come to rest and no motion has shown friction yet.
 
     At rest the friction model answers to the encoder's noise: without friction in the machine it makes a limit cycle.
-    A platform that has stood, beside the reference or not, is held by friction.
+    A platform that has stood beside the reference is held by friction.
     """
     # Without a band nothing is ever at rest.
     if g.band <= 0.0 or rest.restless <= _DOUBTING * g.wait or rest.stood > g.wait or fit.p22 < _FIRST_VARIANCE:
