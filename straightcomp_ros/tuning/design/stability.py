@@ -4,8 +4,9 @@ The law is linearised as in `control/margins.py` and closed over plants that are
 one with more and less gain and with later commands, and one for each corner of the uncertainty of mass, force and air
 gap. There no current is measured, which a board may lack and which changes nothing while amplifier and delay are as
 described. With it, the amplifier's gain may be off by a factor, which is the gain margin that a frequency response of
-the machine shows. Friction is left out: in truth it helps. Growth and decay are compared in units of the loop's dead
-time T_d, so that the same numbers hold for every stage.
+the machine shows, and commands may act as soon as the uncertainty says: without it, a law at 1 kHz that endures a fifth
+of its delay leaves more than twice the error. Friction is left out: in truth it helps. Growth and decay are compared in
+units of the loop's dead time T_d, so that the same numbers hold for every stage.
 """
 
 import dataclasses
@@ -84,6 +85,7 @@ class StabilityCheck:
     def __init__(self, stage: StageParameters, demands: Demands = STANDARD) -> None:
         self._stage, self._phase = stage, demands.phase
         latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
+        earliest = stage.drive.delay * min(1.0, stage.uncertainty.shortest_delay)
         self._nominal = plain = _sampled(stage)
 
         rung = {name: _sampled(machine) for name, machine in with_modes_off(stage).items()}
@@ -96,6 +98,7 @@ class StabilityCheck:
                 _Case(f"amplifier's gain × {less:.2g}{where}", plain, less, with_current=True),
                 _Case(f"amplifier's gain × {amplifier:.2g}{where}", plain, amplifier, with_current=True),
                 _Case(f"late commands{where}", _sampled(stage, latest + spare)),
+                _Case(f"early commands{where}", _sampled(stage, earliest), with_current=True),
                 *(_Case(f"modes at {name}{where}", plant) for name, plant in rung.items()),
             )
 

@@ -11,7 +11,7 @@ from scripts.stage_files import stage_names, stage_scenario
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, loop_margins, missing_margin, sampled_plant
 from straightcomp_ros.model.modes import ModeParameters, modes_of
-from straightcomp_ros.offline.scenario import make_scenario
+from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
@@ -29,6 +29,7 @@ from straightcomp_ros.tuning.design.gains import (
     with_gains,
 )
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, StabilityCheck, corners_of, failing_limits
+from straightcomp_ros.tuning.sweep.trial import run_trial
 
 STAGE = StageParameters()
 OBSERVER = "control.smc_observer."
@@ -163,6 +164,31 @@ def test_gains_for_a_fine_encoder_that_hold_without_the_measured_current_may_not
     assert refused is not None and "at its stiffest, with the coils' current measured, stable up to 1.0" in refused
     stiff = failing_limits(scenario, control)["stiff"]
     assert stiff.gain_high > 1.9 and stiff.amplifier_high < 1.1
+
+
+def test_gains_are_not_admitted_whose_stiffest_loop_is_unstable_where_commands_act_sooner_than_described():
+    """At 1 kHz a command acts a sample late as described, and from 0.2 to 1.5 by the uncertainty."""
+    scenario = stage_scenario("rate_1_khz")
+    control = with_gains(
+        scenario.controls["smc_observer"],
+        "smc_observer",
+        {
+            "control.smc_observer.bandwidth": 269.2,
+            "control.smc_observer.third_pole": 0.33534,
+            "control.smc_observer.delay": 0.88,
+            "control.smc_observer.surface": 123.4,
+            "control.smc_observer.reaching": 754.37,
+            "control.smc_observer.gain_allowance": 1.7838,
+            "control.smc_observer.velocity_share": 0.34645,
+            "control.smc_observer.first_size": 0.45,
+            "control.smc_observer.memory": 9.807,
+        },
+    )
+    assert StabilityCheck(scenario.description).missed(control) == ["early commands, stiffest"]
+    scenario = dataclasses.replace(scenario, controls={"smc_observer": control})
+    # A machine that was drawn with 0.22 samples, and is lost.
+    (lost,) = run_trial(scenario, laws_of(scenario), 1, 161)
+    assert not lost.verdict.in_order and lost.pp > 5e-6
 
 
 def test_the_loop_is_unstable_just_outside_its_mass_limits(shipped):
