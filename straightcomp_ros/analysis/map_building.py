@@ -22,8 +22,9 @@ from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 GAUSSIAN = 1.4826
 FLOOR = 20e-9

@@ -21,7 +21,8 @@ from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_V
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import MARK, Direction, Run
+from straightcomp_ros.straightness.survey import Run
+from straightcomp_ros.straightness.survey_table import MARK, Direction
 
 _POINTS = 2000
 _LONGEST, _LINES = 54, 3

@@ -16,7 +16,7 @@ from straightcomp_ros.straightness.residual import (
     minimum_zone,
     peak_to_peak,
 )
-from straightcomp_ros.straightness.survey import Direction
+from straightcomp_ros.straightness.survey_table import Direction
 
 _UNITS = {
     **dict.fromkeys(("control_activity", "control_rms_step", "resting_rms_step"), ("_A", 1.0)),

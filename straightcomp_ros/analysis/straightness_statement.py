@@ -39,8 +39,8 @@ from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Array, group_means
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, zone_along
-from straightcomp_ros.straightness.survey import Direction
 from straightcomp_ros.straightness.survey_runs import cubic_spline
+from straightcomp_ros.straightness.survey_table import Direction
 
 COVERAGE_FACTOR = 2.0
 _COVERAGE = 0.9545

@@ -87,7 +87,8 @@ def output_file(
     Raises:
         CommandFailed: exit code 2: it would replace a file, cannot be written, or has another ending.
     """
-    name = getattr(options, option.strip("-").replace("-", "_"))
+    own = option.strip("-").replace("-", "_")
+    name = getattr(options, own)
     if not name:
         return None
     path = Path(name)
@@ -97,6 +98,10 @@ def output_file(
         raise CommandFailed(f"{option} {name}: is a folder; name a file", exit_code=2)
     if not path.parent.is_dir():
         raise CommandFailed(f"{option} {name}: there is no folder {path.parent}; make it first", exit_code=2)
+    others = [str(value) for key, value in vars(options).items() if key != own and isinstance(value, (str, Path))]
+    # Two outputs of one name, neither of which is there yet, also through a link.
+    if not path.exists() and os.path.realpath(path) in map(os.path.realpath, filter(None, others)):
+        raise CommandFailed(f"{option} {name}: another option names it too; name another file", exit_code=2)
     if path.is_file() and not (updates and same_or_within(path, Path(updates))):
         for read in named_files(options, option):
             if same_or_within(path, read):

@@ -34,7 +34,7 @@ from straightcomp_ros.offline.starts import Spread, can_run, run_stroke, runs_of
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 SUMMARY = "run strokes forward and back offline"
 PURPOSE = "run"

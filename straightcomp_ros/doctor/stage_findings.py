@@ -28,7 +28,7 @@ from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, handover
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 EASY, FEASIBLE = 0.5, 0.65
 """Of the unstable pole times the dead time: gains with usual margins exist below the first, none beyond the second."""
@@ -203,10 +203,15 @@ def _guide_findings(stage: StageParameters, straightness: StraightnessMap, found
     good = beyond <= 1e-6 and quiet
     yield judged("survey", good, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
 
-    if mark := straightness.survey.mark or stage.guide.reference:
+    mark, described = straightness.survey.mark, stage.guide.reference
+    if mark or described:
         remedy = "Align the survey, or home the machine to the reference that it was made with."
-        wrong = straightness.mismatch()
-        yield judged("reference", not wrong, wrong or f"x is counted from {mark!r}", remedy, "fail")
+        wrong, agreed = straightness.mismatch(), f"x is counted from {mark!r}"
+        if not mark:
+            agreed = f"the machine's x is counted from {described!r}; the survey does not say from what its own is"
+        elif not described:
+            agreed += " in the survey; stage.guide.reference does not say from what the machine's is"
+        yield judged("reference", not wrong, wrong or agreed, remedy, "fail")
 
     detail = (
         f"correction of {found.correction * 1e6:.1f} µm to each side; travel {stage.guide.travel * 1e6:g} µm, "

@@ -19,7 +19,7 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey
-from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 _WAYPOINT_EVERY = 0.01
 """Time in s between waypoints: at a corner of the speed profile, 0.2 m/s², x errs by up to 3 µm, r by 1 nm."""

@@ -100,7 +100,7 @@ def marked_encoding(content: bytes) -> str | None:
 def bounded_lines(path: Path, where: str) -> list[str]:
     """The lines of such a file; ParameterError, which begins with ``where``, if it cannot be read, or is no UTF-8."""
     try:
-        return bounded_bytes(path).decode().splitlines()
+        return bounded_bytes(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 

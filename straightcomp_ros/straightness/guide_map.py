@@ -15,8 +15,9 @@ from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
-from straightcomp_ros.straightness.survey import Direction, Survey, SurveyError, read_survey
+from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
+from straightcomp_ros.straightness.survey_table import Direction, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.residual import peak_to_peak
-from straightcomp_ros.straightness.survey import Survey, SurveyError
+from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -77,6 +77,23 @@ def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyon
 
 
 @pytest.mark.parametrize(
+    ("survey", "machine", "state", "words"),
+    [
+        ("index 3", "index 3", "ok", "x is counted from 'index 3'"),
+        ("index 3", "index 5", "fail", "'index 5'"),
+        ("", "index 5", "ok", "the survey does not say"),
+        ("index 3", "", "ok", "does not say from what the machine's is"),
+    ],
+)
+def test_what_x_is_counted_from_is_agreed_only_where_both_say_it(check, tmp_path, survey, machine, state, words):
+    write_survey(tmp_path / "survey.csv", surveyed(1e-3, 2e-7), [f"encoder reference: {survey}"] if survey else [])
+    facts = {"guide.file": str(tmp_path / "survey.csv"), "guide.reference": machine}
+    found = check(OWN, "reference", stage=facts)
+    (finding,) = (one for one in found if one["name"] == "reference")
+    assert finding["state"] == state and words in finding["detail"]
+
+
+@pytest.mark.parametrize(
     ("facts", "dither", "state", "words"),
     [
         ({}, 1.7, "ok", "the bristles bend by 645 nm"),

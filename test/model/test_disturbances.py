@@ -45,7 +45,8 @@ def test_forces_over_x_are_cogging_cable_and_table(tmp_path):
     assert there - back == pytest.approx(0.6)
     assert 0.5 * (there + back) == pytest.approx(0.5 * math.sin(2.0 * math.pi * 0.113 / 0.02) + 0.226)
     file = tmp_path / "force.csv"
-    file.write_text("# measured\nx_m,force_n\n0.1,1\n0.2,3\n0.5,-1\n")
+    # Windows puts a byte order mark in front.
+    file.write_text("x_m,force_n\n0.1,1\n0.2,3\n0.5,-1\n# measured\n", encoding="utf-8-sig")
     table = constants(force_file=str(file))
     assert [locked_force(table, x, 0.0) for x in (0.0, 0.15, 0.35, 0.9)] == pytest.approx([1.0, 2.0, 1.0, -1.0])
 

@@ -170,7 +170,7 @@ def test_a_cycle_goes_to_equal_steps_or_to_the_positions_of_a_file_and_back_to_i
     rests = [point.position for point in cycle.waypoints if point.velocity == 0.0]
     assert rests == pytest.approx([0.1, 0.1, 0.07, 0.07, 0.04, 0.04, 0.01, 0.01, 0.1, 0.1])
     file = tmp_path / "positions.txt"
-    file.write_text("0.2  # first\n\n-0.01\n")
+    file.write_text("0.2  # first\n\n-0.01\n", encoding="utf-8-sig")
     assert goals(MotionParameters(file=str(file))) == [0.2, -0.01, 0.0]
     for text, words in (("", "0 positions; allowed: 1 to 1000"), ("0.1\nzwei", "line 2: 'zwei'"), ("nan", "line 1")):
         file.write_text(text)

@@ -16,7 +16,8 @@ from straightcomp_ros.straightness.guide_map import (
     load_map,
     runout,
 )
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, write_survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 X = np.linspace(0.0, 1.76, 177)
 

@@ -1,6 +1,7 @@
 """Reading a survey: what is accepted, how each fault is named, where a file without names of runs is split; its runs
 on one grid, and their repeatability by its definition."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, orient, read_survey, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, orient, read_survey, write_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 POSITIONS_MM = [10 * k for k in range(30)]
 
@@ -203,6 +205,57 @@ def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_
 
 
 @pytest.mark.parametrize(
+    "beside", ["Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)", "run 3 (0.1 µm)", "run 3 (µm/m)"]
+)
+def test_a_column_that_is_computed_of_runs_or_has_another_unit_is_no_run(tmp_path, beside):
+    rows = "".join(f"{x},{x % 30},{x % 40},7\n" for x in range(0, 240, 10))
+    (tmp_path / "survey.csv").write_text(f"x_mm,Run 1 (µm),Run 2 (µm),{beside}\n{rows}", encoding="utf-8")
+    assert len(read_survey(tmp_path / "survey.csv").runs) == 2
+
+
+@pytest.mark.parametrize("name", ["Tilt (µm/m)", "Tilt µm/m", "Geradheit (0,1 µm)", "slope mm per m", "Pos"])
+def test_a_column_of_another_unit_than_a_length_cannot_be_chosen(tmp_path, name):
+    rows = "".join(f"{x};{x % 30}\n" for x in range(0, 240, 10))
+    (tmp_path / "survey.csv").write_text(f"x_mm;{name}\n{rows}", encoding="utf-8")
+    with pytest.raises(SurveyError, match=r"--deviation-column .* does not end with a unit"):
+        read_survey(tmp_path / "survey.csv", names={"deviation": name})
+    for fitting in ("Geradheit in µm", "Y-Abweichung_µm", "error, um"):
+        (tmp_path / "survey.csv").write_text(f"x_mm;{fitting}\n{rows}", encoding="utf-8")
+        assert read_survey(tmp_path / "survey.csv", names={"deviation": fitting}).runs[0].deviation.max() == 20e-6
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "# encoder reference: index 3;;;",
+        '"# encoder reference: index 3",',
+        "#encoder reference:index 3",
+        "# Encoder Reference: index 3",
+    ],
+)
+def test_the_encoders_reference_is_known_as_a_spreadsheet_or_a_hand_writes_it(tmp_path, line):
+    (tmp_path / "survey.csv").write_text(f"# made at 12:30\n{line}\n{MM_UM}", encoding="utf-8")
+    found = read_survey(tmp_path / "survey.csv")
+    assert found.mark == "index 3" and len(found.facts) == 1
+
+
+@pytest.mark.parametrize("name", ["#2", "Cycle 1, warm", 'the "good" one', "3"])
+def test_any_name_of_a_run_is_written_so_that_it_is_read_back(tmp_path, name):
+    run = Run(name, "forward", X * 1e-3, UM * 1e-6)
+    write_survey(tmp_path / "survey.csv", Survey((run, dataclasses.replace(run, name="other"))))
+    assert [one.name for one in read_survey(tmp_path / "survey.csv").runs] == [name, "other"]
+
+
+@pytest.mark.parametrize("values", [2, 3])
+def test_a_list_without_names_is_not_said_to_be_of_one_controller(tmp_path, values):
+    rows = "".join(f"{x} {x % 30 / 10:.3f} 0.100\n".replace(" 0.100" * (values == 2), "") for x in range(0, 240, 10))
+    (tmp_path / "survey.txt").write_text(rows, encoding="utf-8")
+    with pytest.raises(SurveyError, match="x_mm") as caught:
+        read_survey(tmp_path / "survey.txt")
+    assert ("linuxcnc" in str(caught.value)) == (values == 3)
+
+
+@pytest.mark.parametrize(
     "names",
     [
         "run 1 [um],run 2 [nm]",  # one unit is wrong, most likely
@@ -257,6 +310,10 @@ READ = {
         "x_um,deviation_nm", lambda v: f"{v * 1e3:,.0f}".replace(",", "'"), ",", lambda v: f"{v * 1e3}"
     ),
     "typographic minus": csv("x_mm,deviation_um", lambda v: f"{v}".replace("-", "\u2212"), ","),
+    "a header in a comment": "# x_mm,deviation_um\n" + csv("# made by hand", lambda v: f"{v}", ","),
+    "separators after some rows": MM_UM.replace("\n40;", ";\n40;") + ";;\n;\n",
+    "separators after the header": MM_UM.replace("um\n", "um;;\n"),
+    "a row of units without the last": csv("Position;Straightness;Remark\nmm;µm", lambda v: german(v) + ";"),
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
 }
 
@@ -278,6 +335,8 @@ def test_a_spreadsheet_has_the_value_that_it_shows(tmp_path, kind, encoding):
         csv("x_mm;deviation_um", lambda v: f"{v};{v}").replace("deviation_um", "deviation_um;Straightness [nm]", 1),
         csv("Target (mm);deviation_um", lambda v: f"{v};{v}").replace("Target (mm)", "Target (mm);Position (mm)", 1),
         csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0)).replace("10;", "10,5;", 1).replace("20;", "20.5;", 1),
+        csv("x_mm;deviation_nm", lambda v: german(abs(v) * 1e3, 0)),
+        csv("x_mm\tdeviation_nm", lambda v: f"{abs(v) * 1e3:,.0f}", "\t"),
         csv("x_um;deviation_nm", lambda v: f"{abs(v) * 1e3 + 1000:,.0f}", x=lambda v: german(v * 1e3 + 1000, 0)),
     ],
 )

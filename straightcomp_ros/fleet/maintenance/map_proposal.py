@@ -20,7 +20,8 @@ from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
-from straightcomp_ros.straightness.survey import Direction, Run, Survey, read_survey
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey
+from straightcomp_ros.straightness.survey_table import Direction
 
 if TYPE_CHECKING:
     import pyarrow

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.straightness_statement import independent_points
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 Array = NDArray[np.float64]
 

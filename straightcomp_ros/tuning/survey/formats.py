@@ -4,7 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from straightcomp_ros.straightness.survey import Survey, SurveyError
+from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey import aerotech, laser, point_lists
 from straightcomp_ros.tuning.survey.error_table import Conventions, Points
 

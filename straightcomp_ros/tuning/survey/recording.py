@@ -18,12 +18,11 @@ from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMa
 from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
-from straightcomp_ros.straightness.survey import (
+from straightcomp_ros.straightness.survey import Run, Survey, check_run
+from straightcomp_ros.straightness.survey_table import (
     DEVIATION,
-    Run,
-    Survey,
+    RUN_COLUMN,
     SurveyError,
-    check_run,
     number,
     numbered_lines,
     table_of,
@@ -109,12 +108,12 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
 
 def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series | None:
     """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file, where they may have
-    these ``names``. None for a file without ``time_s``, which lists the points of runs.
+    these ``names``. None for a file without ``time_s``, or that names its runs or directions: it has their points.
 
     SurveyError if x or deviation is missing, a cell is no number, or time does not rise.
     """
     table = table_of(path, list(numbered_lines(path)), names)
-    if TIME_COLUMN not in table.header:
+    if TIME_COLUMN not in table.header or {"run", "direction", RUN_COLUMN}.intersection(table.header):
         return None
     samples: list[tuple[float, float, float]] = []
     for line, cells, x, deviation in table.rows:

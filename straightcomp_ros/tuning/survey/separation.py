@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.map_building import MAP
 from straightcomp_ros.analysis.straightness_statement import Input, Statement, stated
 from straightcomp_ros.straightness.smoothing import measured, point_noise
-from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
+from straightcomp_ros.straightness.survey_table import Direction, SurveyError
 
 Array = NDArray[np.float64]
 

@@ -20,15 +20,8 @@ from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
-from straightcomp_ros.straightness.survey import (
-    MARK,
-    Direction,
-    Survey,
-    SurveyError,
-    check_run,
-    read_survey,
-    write_survey,
-)
+from straightcomp_ros.straightness.survey import Survey, check_run, read_survey, write_survey
+from straightcomp_ros.straightness.survey_table import MARK, Direction, SurveyError
 from straightcomp_ros.tuning.survey.alignment import align
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, sampled
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of, written

@@ -15,7 +15,8 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.messages.cdr import ENCAPSULATION, joint_state
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import SurveyError, read_survey, write_survey
+from straightcomp_ros.straightness.survey import read_survey, write_survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.recording import (
     Sensor,
     Series,
@@ -260,7 +261,10 @@ def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
     path = tmp_path / "series.csv"
     path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.5,2,20\n6.0,3,30\n")
     (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
-    assert series_of_csv(tmp_path / "points.csv") is None
+    (tmp_path / "runs.csv").write_text("time_s,x_mm,deviation_um,run\n5.0,1,10,1\n5.0,1,10,2\n")
+    (tmp_path / "columns.csv").write_text("time_s,x_mm,Run 1 [um],Run 2 [um]\n5.0,1,10,10\n")
+    for name in ("points", "runs", "columns"):
+        assert series_of_csv(tmp_path / f"{name}.csv") is None
     found = series_of_csv(path)
     assert found.time.tolist() == [0.0, 0.5, 1.0]
     assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])

@@ -1,13 +1,15 @@
 """Reversal and shift give the guide and the straightedge apart, and the uncertainty of both."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tiers import nightly
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.separation import separated
 
 X = np.linspace(0.0, 1.0, 51)
@@ -133,6 +135,10 @@ def test_the_verb_writes_both_as_surveys_and_prints_their_straightness(tmp_path,
         assert read_survey(f"{name}.csv").runs[0].deviation == pytest.approx(centred(curve), abs=2e-9)
     assert (figures["pairs"], figures["left_out_runs"]) == (6, 0)
     assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "m1.csv", "--force"]) == 2
+    # Neither of two results is lost where both are given one name.
+    Path("link.csv").symlink_to("both.csv")
+    assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "both.csv", "--edge", "link.csv"]) == 2
+    assert not Path("both.csv").exists()
     for name, survey in zip(("m1.csv", "m2.csv"), shifted(np.random.default_rng(3), 0.0, 0.05, "sensor"), strict=True):
         write_survey(name, survey, ["encoder reference: index 3"])
     assert main(["map", "reverse", "m1.csv", "m2.csv", "--shift", "50", "--moved", "sensor", "-o", "g.csv"]) == 0

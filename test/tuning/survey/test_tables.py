@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.error_table import Conventions
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, written
 
@@ -197,6 +197,11 @@ def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path
     assert (forward.direction, backward.direction) == ("forward", "backward")
     np.testing.assert_allclose(forward.x, X * 1e-3)
     np.testing.assert_allclose(backward.deviation - forward.deviation, 0.2e-6, atol=1e-12)
+
+
+def test_the_mean_backward_of_api_alone_is_of_runs_backward(tmp_path):
+    (run,) = read(tmp_path, "api", pos(("Reverse Directional", UM)))
+    assert run.direction == "backward"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,385 @@
+"""A table of measured points as people and instruments write it: its encoding, its header, its separators and marks.
+
+The column's name ends with the unit: x in m, mm, um or in (inch), deviation in m, mm, um, nm, in or uin. The names and
+separators of instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or
+tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. Each run may have a
+column of its own: ``Run 1 forward [µm]``. Other columns are ignored.
+"""
+
+import csv
+import itertools
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from straightcomp_ros.parameters.yaml_text import marked_encoding
+
+Direction = Literal["forward", "backward"]
+
+
+class SurveyError(ValueError):
+    """A survey cannot be used; the message names the file, the line or the position, the value and what is allowed."""
+
+
+_ENCODINGS = ("utf-8", "cp1252")
+"""The second is that of spreadsheets and instruments in Western Europe and America; names and units have its µ."""
+
+
+def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str]]:
+    """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
+    the lines that are then blank; SurveyError if it cannot be read, or has another encoding.
+
+    The first of :data:`_ENCODINGS` that fits is taken, or what a byte order mark says.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise SurveyError(f"survey {path}: is no file; name a text file")
+        content = path.read_bytes()
+    except OSError as error:
+        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
+    marked = marked_encoding(content)
+    for encoding in (marked,) if marked else _ENCODINGS:
+        try:
+            text = content.decode(encoding)
+            break
+        except UnicodeDecodeError as error:
+            failed = error
+    else:
+        raise SurveyError(f"survey {path}: byte {failed.start} is not UTF-8; save the file as UTF-8 text") from failed
+    if "\0" in text:
+        raise SurveyError(f"survey {path}: character {text.index(chr(0))} is NUL; save the file as UTF-8 text")
+    for number, raw in enumerate(text.splitlines(), start=1):
+        if len(raw) > _LONGEST_LINE:
+            raise SurveyError(f"survey {path}, line {number}: {len(raw)} characters; allowed: <= {_LONGEST_LINE}")
+        line = re.sub(comment, "", raw)
+        if line.strip():
+            yield number, line
+
+
+def number(where: str, name: str, cell: str) -> float:
+    """``cell`` as a finite number, or SurveyError; ``where`` begins the message, ``name`` says what the cell is."""
+    try:
+        value = float(cell.replace("_", "?"))  # "1_000" is a number to Python alone
+    except ValueError:
+        raise SurveyError(f"{where}: {name} {cell!r}; allowed: a number") from None
+    if not math.isfinite(value):
+        raise SurveyError(f"{where}: {name} {cell!r}; allowed: a finite number")
+    return value
+
+
+def decimal(value: float, places: int) -> str:
+    """Fixed point, ``places`` > 0, without trailing zeros: ``10``, ``-0.482``; never ``-0``."""
+    text = f"{value:.{places}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+class Quantity(NamedTuple):
+    """A length in a survey: how many of the unit make a metre by the names that its column may have, and the allowed
+    extent (largest minus smallest value) of a run in m. An extent outside of it is more likely a wrong unit than an odd
+    machine."""
+
+    name: str
+    columns: Mapping[str, float]
+    smallest: float
+    largest: float
+
+
+PER_METRE = {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9, "in": 1.0 / 0.0254, "uin": 1e6 / 0.0254}
+"""How many of a unit make a metre."""
+
+
+def _quantity(name: str, units: str, smallest: float, largest: float) -> Quantity:
+    return Quantity(name, {f"{name}_{unit}": PER_METRE[unit] for unit in units.split()}, smallest, largest)
+
+
+X = _quantity("x", "m mm um in", 0.01, 20.0)
+DEVIATION = _quantity("deviation", "m mm um nm in uin", 1e-8, 5e-3)
+
+
+class Row(NamedTuple):
+    """Line number, text of each cell by its column's normalised name, and x and deviation in m."""
+
+    line: int
+    cells: dict[str, str]
+    x: float
+    deviation: float
+
+
+class Table(NamedTuple):
+    """A CSV file of a survey: its normalised header, the columns of x and deviation, its rows, and its facts."""
+
+    header: list[str]
+    columns: tuple[str, str]
+    rows: list[Row]
+    facts: dict[str, str]
+
+
+_SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
+"""What instruments call the two quantities."""
+_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
+_OWN_UNIT = re.compile(rf"(.*?)(?:[\s_.:-]+|[\s_]*[\[(/,]\s*)({'|'.join(PER_METRE)})\s*[\])]?")
+_NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METRE} - {'in'})}|per)\s*$")
+"""What before a unit makes another one of it: the opened bracket of ``(0.1 µm)``, the slope of ``µm/m``."""
+_RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
+"""What the column of one run may be called, with its number, its direction or both."""
+DIRECTIONS: dict[str, Direction] = {"forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
+RUN_COLUMN = "column of the run"
+"""Name of the cell that says which column a point is from."""
+_INCH = re.compile(r"(?<![a-z])(u|micro)?inch(?:es)?\b")
+_DELIMITERS = "\t;,"
+_SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
+"""Excel's own first line, which names the delimiter."""
+_LONGEST_LINE = 100_000
+"""Characters; the csv module reads cells of some more."""
+_COMMENT = re.compile(r'\s*(#|"#[^"]*"[\s;,]*$)')
+"""Also as a spreadsheet writes it that has it in a cell."""
+MARK = "encoder reference"
+"""Name of the fact that says which reference of the encoder x was counted from."""
+_LINES_BEFORE = 100
+"""Lines in which the header is looked for: instruments write some tens of lines about the measurement before it."""
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
+"""A number whose mark may separate thousands."""
+_SPACED = re.compile(r"(?<=\d)['\u2019\s](?=\d{3}(?!\d))")
+"""What can only separate thousands: a space, of any width, as in France, or an apostrophe, as in Switzerland."""
+OTHER_KINDS = {
+    "aerotech": r":START2?D?\b",
+    "crosscomp": r"kw\.crosscomp\.",
+    "etalon": r"(?i)gridpoints\s*=",
+    "linuxcnc": r"\A\s*[-+]?[\d.]+(?:\s+[-+]?[\d.]+){2}\s*$",
+    "renishaw": r"(?i)run target data\s*:",
+    "api": r"(?i)position\s+\w+[\w\s]*avg error",
+}
+"""What the text of a file has that `straightcomp map convert` makes a survey of, by the name of its format."""
+
+
+def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, str] | None = None) -> Table:
+    """The header and the rows of a CSV file with these :func:`numbered_lines`.
+
+    ``names`` has the file's own name, with its unit at the end, for the column of ``x`` or of ``deviation``.
+
+    Raises:
+        SurveyError: the file is empty, lacks a column or has it twice, has a row of another length,
+            a cell that is no finite number, or numbers with points and commas in one another's place.
+    """
+    lines = [(line, text) for line, text in every if not _COMMENT.match(text)]
+    if not lines:
+        raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
+    own = {}
+    for quantity, name in (names or {}).items():
+        _, unit = _name_and_unit(name)
+        if not unit:
+            raise SurveyError(
+                f"survey {path}: --{quantity}-column {name!r}: its name does not end with a unit; allowed: one of "
+                f"{', '.join(PER_METRE)}, as in '{name} [mm]'"
+            )
+        own[_spelled(name)] = f"{quantity}_{unit}"
+    first, delimiter, header = _header(lines, own)
+    if not _complete(header):
+        # Programs that write numbers write the header as a comment.
+        head = [(line, text.strip(' \t"#')) for line, text in every if _COMMENT.match(text) and line < lines[0][0]]
+        at_head, mark, names_there = _header([*head, *lines], own)
+        if _complete(names_there):
+            lines, first, delimiter, header = [*head[:at_head], *lines], at_head, mark, names_there
+    runs = _columns_of_runs(header)
+    try:
+        header_line = f"survey {path}, line {lines[first - 1][0]}"
+        x = _column(header_line, header, X)
+        deviation = header[runs[0]].partition(" ")[0] if runs else _column(header_line, header, DEVIATION)
+    except SurveyError as error:
+        text = "\n".join(text for _, text in lines)
+        kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
+        if kind is None:
+            raise
+        raise SurveyError(
+            f"survey {path}: its columns have no names; if it is a file of another kind ({kind}), make a survey of it "
+            f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
+            "x_mm,deviation_um, between commas, semicolons or tabs"
+        ) from error
+    rows = [
+        (f"survey {path}, line {line}", line, next(csv.reader([text], delimiter=delimiter)))
+        for line, text in lines[first:]
+        if text.strip(f"{delimiter} \t")
+    ]
+    for where, _, row in rows:
+        # A spreadsheet ends some rows with separators, or ends them early.
+        while len(row) > len(header) and not row[-1].strip():
+            row.pop()
+        if not any(header[len(row) :]):
+            row += [""] * (len(header) - len(row))
+        if len(row) != len(header):
+            raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
+    numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, "time_s")]
+    for _, _, row in rows:
+        for column in numbers:
+            row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")
+    if delimiter != ",":
+        _use_points(rows, numbers)
+    if runs:
+        header, rows = _a_row_for_each(runs, header, rows)
+    found = []
+    for where, line, row in rows:
+        cells = dict(zip(header, map(str.strip, row), strict=True))
+        # Division keeps a decimal number the nearest float.
+        at = number(where, x, cells[x]) / X.columns[x]
+        found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
+    return Table(header, (x, deviation), found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
+
+
+def _facts(comments: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """What comments say as ``name: text``; a spreadsheet fills their lines with separators."""
+    for comment in comments:
+        name, colon, text = comment.strip(' \t#";,').partition(":")
+        name = MARK if name.strip().lower() == MARK else name
+        if colon and (text.startswith(" ") or name == MARK):
+            yield name, text.strip()
+
+
+def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str, list[str]]:
+    """Index of the line after the first header with both columns, its delimiter and cells; units may have a line of
+    their own below the names. If none has them, of the first line but Excel's own."""
+    named = _SEPARATOR_LINE.fullmatch(lines[0][1].strip())
+    first = 1 if named and len(lines) > 1 else 0
+    delimiters = named[1] if named else _DELIMITERS
+    for at in range(first, min(len(lines) - 1, _LINES_BEFORE)):
+        for delimiter in delimiters:
+            names, below = (next(csv.reader([text], delimiter=delimiter)) for _, text in (lines[at], lines[at + 1]))
+            for size, cells in enumerate((names, map(" ".join, itertools.zip_longest(names, below, fillvalue=""))), 1):
+                header = _cells(cells, own)
+                if _complete(header):
+                    return at + size, delimiter, header
+    delimiter = next((mark for mark in delimiters if mark in lines[first][1]), ",")
+    return first + 1, delimiter, _cells(next(csv.reader([lines[first][1]], delimiter=delimiter)), own)
+
+
+def _complete(header: Sequence[str]) -> bool:
+    """Whether the header has a column of x and one of deviation, or one for each run."""
+    missing = [one for one in (X, DEVIATION) if not any(name in header for name in one.columns)]
+    return not missing or (missing == [DEVIATION] and bool(_columns_of_runs(header)))
+
+
+def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
+    """The cells of a header as they are compared: ``x_mm`` for ``X [mm]``, ``position (mm)``, or a name of ``own``.
+
+    Where the column of a quantity is chosen by its own name, no other is meant.
+    """
+    chosen = {name.partition("_")[0] for name in own.values()}
+    found = []
+    for cell in names:
+        name = _spelled(cell)
+        quantity, _, unit = name.rpartition("_")
+        quantity = _SYNONYMS.get(quantity, quantity)
+        usual = f"{quantity}_{unit}" if unit in PER_METRE else name
+        other = f"({usual})" if unit in PER_METRE and quantity in chosen else usual
+        of_run = "" if "deviation" in chosen else _of_run(cell)
+        found.append(own.get(name) or of_run or other)
+    return found
+
+
+def _name_and_unit(name: str) -> tuple[str, str]:
+    """What a column's name says before its unit, and the unit, empty where it does not end with a unit of length."""
+    parts = _OWN_UNIT.fullmatch(_plain(name))
+    return (parts[1], parts[2]) if parts and not _NO_LENGTH.search(parts[1]) else ("", "")
+
+
+def _of_run(name: str) -> str:
+    """``deviation_um (forward run)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
+    words, unit = _name_and_unit(name)
+    # A difference of runs, a mean or a deviation of them says so by a second number, a sign or a word.
+    parts = re.findall(r"\d+|[^\W\d_]+|[^\s\w.#-]", words)
+    ways = [DIRECTIONS[part] for part in parts if part in DIRECTIONS]
+    named = [part for part in parts if part in _RUN_WORDS]
+    others = [part for part in parts if part not in {*DIRECTIONS, *_RUN_WORDS, "deviation", "straightness"}]
+    if not unit or not (ways or named) or len(ways) > 1 or len(others) > 1 or any(not one.isdigit() for one in others):
+        return ""
+    return f"deviation_{unit} ({' '.join([*ways, 'run'])})"
+
+
+def _columns_of_runs(header: Sequence[str]) -> list[int]:
+    """Where the runs are that have a column each, if the file is one of these."""
+    found = [at for at, name in enumerate(header) if " " in name and name.partition(" ")[0] in DEVIATION.columns]
+    units = {header[at].partition(" ")[0] for at in found}
+    directed = {header[at].endswith("(run)") for at in found}
+    other = {"run", "direction", *DEVIATION.columns}.intersection(header)
+    return found if len(units) == len(directed) == 1 and not other else []
+
+
+def _a_row_for_each(
+    runs: Sequence[int], header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]
+) -> tuple[list[str], list[tuple[str, int, list[str]]]]:
+    """Header and rows with one column of deviation in place of one for each of ``runs``; an empty cell is no point."""
+    shared = [at for at in range(len(header)) if at not in runs]
+    found = [
+        (where, line, [*(row[at] for at in shared), f"{at}", header[at].split()[1].lstrip("("), row[at]])
+        for where, line, row in rows
+        for at in runs
+        if row[at].strip()
+    ]
+    unit, way = header[runs[0]].split()[:2]
+    return [*(header[at] for at in shared), RUN_COLUMN, "" if way == "(run)" else "direction", unit], found
+
+
+def _spelled(name: str) -> str:
+    """``position_mm`` for ``Position [mm]``; a name of another form in lower case."""
+    parts = _NAME_AND_UNIT.fullmatch(_plain(name))
+    # Without a sign between them "xm" would be x in m; such a name is left as it is.
+    return f"{parts[1]}_{parts[2]}" if parts and parts.end(1) != parts.start(2) else _plain(name)
+
+
+def _plain(cell: str) -> str:
+    """In lower case, with either micro sign as ``u``, and inches as ``in``."""
+    text = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    return _INCH.sub(lambda found: "uin" if found[1] else "in", text)
+
+
+def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int]) -> None:
+    """Make points of decimal commas, and leave the marks out that separate thousands."""
+    cells = [(where, row, column, row[column].strip()) for where, _, row in rows for column in columns]
+    texts = [cell for *_, cell in cells]
+    marks = {mark for mark in ".," if any(mark in cell for cell in texts)}
+    decimal = {max(".,", key=cell.rfind) for cell in texts if "." in cell and "," in cell}
+    decimal = decimal or {
+        mark for mark in marks if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)
+    }
+    if len(marks) == 2 and len(decimal) != 1:
+        where = next(where for where, *_, cell in cells if "," in cell)
+        raise SurveyError(
+            f"{where}: the numbers have points and commas, and either may be the decimal mark; "
+            "allowed: one decimal mark, and thousands without any"
+        )
+    for column in columns if len(marks) == 1 and not decimal else ():
+        # 890 beside 1.242 in one column: a number of a thousand and more has a mark, or a whole number has none.
+        marked = next((one for one in cells if one[2] == column and _GROUPED.fullmatch(one[3])), None)
+        if marked and any(at == column and cell.isdigit() and int(cell) for _, _, at, cell in cells):
+            raise SurveyError(
+                f"{marked[0]}: {marked[3]!r} beside whole numbers: its mark may be a decimal mark, or separate "
+                "thousands; allowed: thousands without any mark"
+            )
+    point = "".join(decimal if len(marks) == 2 else marks)
+    other = "," if point == "." else "."
+    for where, row, column, cell in cells:
+        whole, mark, fraction = cell.partition(point) if point else (cell, "", "")
+        if other in cell and (other in fraction or not _GROUPED.fullmatch(whole)):
+            raise SurveyError(
+                f"{where}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as in other lines"
+            )
+        row[column] = whole.replace(other, "") + ("." + fraction if mark else "")
+
+
+def _column(where: str, header: Sequence[str], quantity: Quantity) -> str:
+    """The one name in ``header`` that is of ``quantity``."""
+    found = [at for at, name in enumerate(header) if name in quantity.columns]
+    if len(found) == 1:
+        return header[found[0]]
+    option = f"--{quantity.name}-column"
+    if found:
+        places = " and ".join(f"{header[at]} (column {at + 1})" for at in found)
+        raise SurveyError(f"{where}: {quantity.name} is given twice, as {places}; keep one, or choose it by {option}")
+    hint = f" (column '{quantity.name}' carries no unit)" if quantity.name in header else ""
+    also = ", ".join(f"'{name} [UNIT]'" for name, meant in _SYNONYMS.items() if meant == quantity.name)
+    raise SurveyError(
+        f"{where}: no column for {quantity.name}{hint}; found: {', '.join(header)}; allowed: one of "
+        f"{', '.join(quantity.columns)}, or {also}, between commas, semicolons or tabs; straightcomp map build takes "
+        f"another name by {option}"
+    )
