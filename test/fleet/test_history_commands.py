@@ -86,6 +86,40 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
     assert main(["history", "query", str(alone[0]), "CREATE TABLE mine (a INTEGER)"]) == 0
 
 
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize(
+    "copy",
+    [
+        'COPY strokes TO "{}"',
+        "COPY strokes TO E'{}'",
+        "COPY strokes TO $${}$$",
+        "COPY (SELECT 1 AS \"to\") TO /* 'new' */ (concat('{}'))",
+        "SET VARIABLE f = '{}'; COPY strokes TO (getvariable('f'))",
+        "COPY strokes TO 'file://{}'",
+        "EXPLAIN ANALYZE COPY strokes TO E'{}'",
+        "PREPARE mine AS COPY strokes TO E'{}'; EXECUTE mine",
+        "EXPORT DATABASE 'file://{}'",
+        "EXPORT DATABASE memory TO E'{}'",
+        "-- µ\nEXPORT DATABASE '{}'",
+    ],
+)
+def test_no_spelling_of_a_name_replaces_a_file(alone, tmp_path, copy, inside):
+    file = next(alone[0].rglob("*.parquet")) if inside else tmp_path / "figures.csv"
+    if not inside:
+        file.write_text("mine")
+    name, before = file.parent if "EXPORT" in copy else file, file.read_bytes()
+    held = sorted(name.parent.rglob("*"))
+    assert main(["history", "query", str(alone[0]), copy.format(name)]) == 2
+    assert (file.read_bytes(), sorted(name.parent.rglob("*"))) == (before, held)
+
+
+def test_a_name_below_the_home_folder_is_found_there(alone, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "figures.csv").write_text("mine")
+    assert main(["history", "query", str(alone[0]), "COPY strokes TO '~/figures.csv'"]) == 2
+    assert (tmp_path / "figures.csv").read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [

@@ -19,6 +19,7 @@ import os
 import re
 import shutil
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
@@ -51,8 +52,8 @@ CREATE VIEW bins AS
     guide_change_um[bin] AS guide_change_um
   FROM (SELECT *, unnest(range(1, len(error_bins_um) + 1)) AS bin FROM strokes);
 """
-_WRITTEN = re.compile(r"\b(?:TO|DATABASE)\s+'((?:[^']|'')*)'", re.IGNORECASE)
-"""The file or folder that COPY or EXPORT writes."""
+_PLAIN = re.compile(r"'(?!file:|[a-z0-9]+://)((?:[^']|'')+)'", re.IGNORECASE)
+"""The name of a file in SQL: DuckDB writes to what an expression gives, and to URLs, too."""
 _ORDER = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
 _ABANDONED_S = 60.0
@@ -165,12 +166,18 @@ class Store:
                 raise HistoryError(f"query: {' '.join(str(error).split())}") from error
 
     def _keep_files(self, statement: str, force: bool) -> None:
-        for name in _WRITTEN.findall(statement):
-            path = Path(name.replace("''", "'"))
-            if self.local and same_or_within(path, Path(self.root)):
-                raise HistoryError(f"query: '{path}' is in the store; name another file")
-            if os.path.lexists(path) and not force and not path.is_char_device():
-                raise HistoryError(f"query: '{path}' is there already; name another file, or give --force")
+        written = _written(statement)
+        if written is None:
+            return
+        name = _PLAIN.fullmatch(written)
+        if name is None:
+            text = "the name of a file in single quotes, as TO 'figures.csv'"
+            raise HistoryError(f"query: {written} is not allowed as what is written; allowed: {text}")
+        path = Path(os.path.expanduser(name[1].replace("''", "'")))
+        if self.local and same_or_within(path, Path(self.root)):
+            raise HistoryError(f"query: '{path}' is in the store; name another file")
+        if os.path.lexists(path) and not force and not path.is_char_device():
+            raise HistoryError(f"query: '{path}' is there already; name another file, or give --force")
 
     def _add_table(self, database: Any, name: str, row: type, partitions: tuple[str, ...]) -> bool:
         """Add a table of the store; returns whether it has files."""
@@ -238,6 +245,28 @@ class Store:
                 remedy = "remove it, and add the bags of this month again with --again"
                 raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
             self._write(str(file), content)
+
+
+def _written(statement: str) -> str | None:
+    """What COPY or EXPORT writes, as it stands in a statement; None for one that writes no file."""
+    import duckdb
+
+    # Places are those of bytes.
+    text, tokens = statement.encode(), duckdb.tokenize(statement)
+    ends = [*(start for start, _ in tokens[1:]), len(text)]
+    words = [
+        text[start:end].decode().strip()
+        for (start, kind), end in zip(tokens, ends, strict=True)
+        if kind != duckdb.token_type.comment
+    ]
+    writing, depth, found = False, 0, None
+    for word, following in pairwise(words):
+        depth += (word == "(") - (word == ")")
+        # COPY FROM DATABASE … TO names a database.
+        writing |= word.upper() in ("COPY", "EXPORT") and following.upper() != "FROM"
+        if writing and not depth and word.upper() in ("TO", "DATABASE"):
+            found = following
+    return found
 
 
 def _with_bag(file: Path, checksum: str, data: bytes) -> bytes:
