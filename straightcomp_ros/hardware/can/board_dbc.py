@@ -230,6 +230,8 @@ class Wire:
         place = f"'{name}' of message '{message.name}'"
         if parameter in _COUNTS and (signal.is_signed or signal.is_float):
             raise RefusedParameter(parameter, f"{place} is signed or a float; allowed: an unsigned integer")
+        if parameter in _COUNTS and limits(signal)[0] != 0:
+            raise RefusedParameter(parameter, f"{place} counts from {limits(signal)[0]}; allowed: from 0")
         if in_every_frame and selectors(message, signal):
             raise RefusedParameter(parameter, f"{place} is multiplexed; allowed: a signal that is in every frame")
         return signal

@@ -187,6 +187,14 @@ REFUSED = {
     "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), "x.signal", "-714748"),
     "limits below the bits": (with_line("(0.05,0) [0|0]", "(0.05,0) [-9000|-2000]"), "y.signal", "-1638.4"),
     "limits of a count beyond its bits": (with_line(f"{COUNT}0|255]", f"{COUNT}300|400]"), "", ""),
+    "a count of samples from 1": (with_line(f"{COUNT}0|255]", f"{COUNT}1|255]"), "counter.signal", "from 1"),
+    "a count of commands from 1": (
+        *(
+            with_line("SET_CNT : 24|8@1+ (1,0) [0|", "SET_CNT : 24|8@1+ (1,0) [1|"),
+            "protection.command.alive",
+            "from 1",
+        ),
+    ),
     "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
     "a factor of 0": (with_line("(0.05,0)", "(0,0)"), "y.signal", "POS_Y"),
     "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), "y.signal", "inf"),
