@@ -20,7 +20,6 @@ from straightcomp_ros.hardware.can.dbc_file import (
     DbcError,
     is_fd,
     limits,
-    modulus,
     refuse_signal,
     selectors,
     used_signals,
@@ -106,8 +105,8 @@ class Wire:
         sample_modulus: of the count in each sample's own frames, by which samples are numbered; 0 without one.
         number_modulus: of the numbers of samples that board and host agree on; 0 without any.
         echo_modulus: of the echo in a command; 0 for a command without.
-        fault_codes: the board's code of each fault: that with its name in the DBC file, else its number as far as it
-            fits.
+        fault_codes: the board's code of each fault: that with its name in the DBC file, else its number, else the
+            signal's largest or least value; never the one that says no fault.
 
     Raises:
         RefusedParameter: file and meaning do not fit together; the names begin with ``wire.``.
@@ -187,13 +186,20 @@ class Wire:
         return self._fault_words.get(code, f"fault {code}")
 
     def _fault_code(self, fault: BoardFault) -> int:
-        for raw, words in self._fault_words.items():
-            if words.lower().replace(" ", "_") == fault.name.lower():
-                return raw
+        signal, none = self._signals.get("fault"), self.meaning.fault.none_value
+        if signal is None:
+            return 0
         if fault is BoardFault.NONE:
-            return self.meaning.fault.none_value
-        signal = self._signals.get("fault")
-        return min(int(fault), modulus(signal) - 1) if signal else 0
+            return none
+        named = [
+            raw for raw, words in self._fault_words.items() if words.lower().replace(" ", "_") == fault.name.lower()
+        ]
+        least, largest = map(int, limits(signal))
+        for code in (*named, int(fault), largest, least):
+            if least <= code <= largest and code != none:
+                return code
+        text = f"{self._place('fault')} holds {none} only, which says no fault; allowed: a signal with another value"
+        raise RefusedParameter("wire.fault.signal", text)
 
     def _signals_of_roles(self) -> dict[str, Signal]:
         found: dict[str, Signal] = {}
@@ -257,7 +263,7 @@ class Wire:
                 raise RefusedParameter(f"wire.{role}.signal", f"{self._place(role)} {text}")
 
     def _check_values(self) -> None:
-        for role in (role for role in ("amplifier", *_SWITCHES, "heartbeat") if role in self._signals):
+        for role in (role for role in ("amplifier", *_SWITCHES, "heartbeat", "fault") if role in self._signals):
             named, (least, largest) = getattr(self.meaning, role), limits(self._signals[role])
             for name in (name for name in vars(named) if name.endswith("_value")):
                 raw = getattr(named, name)
@@ -321,7 +327,8 @@ class Wire:
             message = used_signals(message, list({one.name: one for one in used}.values()))
         factors = {_FIELDS.get(role, role): self._factor(role) for role in inside if _FIELDS.get(role, role) in UNITS}
         counts = alive_modulus(alive, protected.profile) if alive is not None else 0
-        no_fault = self.meaning.fault.none_value
+        code = self._signals.get("fault")
+        no_fault = self.meaning.fault.none_value & (1 << code.length) - 1 if code else 0
         wraps = self.meaning.x_wraps
         if wraps and "x" in fields and fields["x"].is_float:
             raise RefusedParameter("wire.x_wraps", f"{self._place('x')} is a float; allowed: false")

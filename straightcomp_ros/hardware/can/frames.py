@@ -235,7 +235,7 @@ class Frames:
         factors: of the fields with a physical value, from the file's unit to SI units.
         values: of the fields that say something the raw value of each meaning.
         kind: what :meth:`unpack` returns, and :meth:`pack` takes; None: a plain tuple of ``fields``.
-        no_fault: the board's code of no fault.
+        no_fault: the bits of the board's code of no fault.
         wraps: x goes on at the other end of its signal's range, as an encoder's counter does.
 
     Attributes:

@@ -177,10 +177,19 @@ def test_a_unit_that_the_file_spells_its_own_way_is_said_in_the_mapping(board):
         board(BOARD, {"x.unit": "A"})
 
 
+def with_code(kind):
+    return with_line(" SG_ OK", f' SG_ CODE : 59|{kind} "" X\n SG_ OK')
+
+
+def coded(none):
+    return {"fault.signal": "CODE", "fault.none_value": none, "amplifier.fault_value": -1}
+
+
 MULTIPLEXED = with_line("AMP : 56|2@1+", "AMP M : 56|2@1+").replace("POS_Y : 32|16@1-", "POS_Y : 16|16@1-")
 MULTIPLEXED = MULTIPLEXED.replace("POS_X : 0|32", "POS_X : 0|16").replace(
     " SG_ OK", ' SG_ I m1 : 32|16@1- (1,0) [0|0] "mA" X\n SG_ CODE m2 : 32|8@1+ (1,0) [0|0] "" X\n SG_ OK'
 )
+SET_COUNT = "SET_CNT : 24|8@1+ (1,0) ["
 COUNT, TWICE = "CNT : 48|8@1+ (1,0) [", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'
 AGAIN = '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n'
 REFUSED = {
@@ -189,11 +198,7 @@ REFUSED = {
     "limits of a count beyond its bits": (with_line(f"{COUNT}0|255]", f"{COUNT}300|400]"), "", ""),
     "a count of samples from 1": (with_line(f"{COUNT}0|255]", f"{COUNT}1|255]"), "counter.signal", "from 1"),
     "a count of commands from 1": (
-        *(
-            with_line("SET_CNT : 24|8@1+ (1,0) [0|", "SET_CNT : 24|8@1+ (1,0) [1|"),
-            "protection.command.alive",
-            "from 1",
-        ),
+        *(with_line(f"{SET_COUNT}0|255]", f"{SET_COUNT}1|255]"), "protection.command.alive", "from 1"),
     ),
     "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
     "a factor of 0": (with_line("(0.05,0)", "(0,0)"), "y.signal", "POS_Y"),
@@ -205,6 +210,9 @@ REFUSED = {
     "a float of 16 bits": (with_line("X : 0|32", "X : 0|16") + "SIG_VALTYPE_ 288 POS_X : 1;\n", "x.signal", "16"),
     "a state that chooses the current's page": (MULTIPLEXED, "x.signal", "'AMP'", {"current.signal": "I"}),
     "a state that chooses the code's page": (MULTIPLEXED, "x.signal", "'AMP'", {"fault.signal": "CODE"}),
+    "no fault beyond the code": (with_code("4@1+ (1,0) [0|15]"), "fault.none_value", "255", coded(255)),
+    "no fault below the code": (with_code("4@1+ (1,0) [0|15]"), "fault.none_value", "-1", coded(-1)),
+    "no fault alone": (with_code("1@1+ (1,0) [0|0.4]"), "fault.signal", "holds 0 only", coded(0)),
     "an identifier of two messages": (
         *(BOARD + AGAIN, "", "'MEAS' and 'AGAIN'"),
         {"y.message": "AGAIN", "y.signal": "Y"},
@@ -225,6 +233,20 @@ def test_what_the_wire_uses_and_cannot_be_right_is_refused(board, fault):
     with pytest.raises(RefusedParameter, match=words or None) as refused:
         board(text, *changes)
     assert f"'wire.{parameter}" in str(refused.value) or not parameter or "dbc" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "none"),
+    [("1@1+ (1,0) [0|1]", 1), ("1@1- (1,0) [0|0]", 0), ("4@1- (1,0) [-8|7]", -1), ("4@1+ (1,0) [0|15]", 3)],
+)
+def test_no_fault_has_the_code_of_no_fault(board, compiled, kind, none):
+    can = board(with_code(kind) + 'VAL_ 288 CODE 3 "SUPPLY" 9 "ENCODER" 5 "NONE" ;\n', coded(none))
+    wire = can.make_wire()
+    for fault, code in wire.fault_codes.items():
+        state = State.FAULT if fault else State.ON
+        assert (code != none) == bool(fault)
+        assert wire.sample.unpack(wire.sample.pack(REPORT._replace(amplifier=state, fault=code))).amplifier is state
+    compiled(can)
 
 
 def test_a_multiplexer_with_a_role_that_chooses_nothing_of_the_wires_is_allowed(board, compiled):
