@@ -232,7 +232,7 @@ def in_page(message: Message, signal: Signal, selected: Mapping[str, int]) -> bo
 
 
 def refuse_signal(message: Message, signal: Signal) -> None:
-    """Raise DbcError for a signal that cannot be used: its place, its factor, or its limits."""
+    """Raise DbcError for a signal that cannot be used: its place, its factor, its limits, or its multiplexers."""
     place = f"'{signal.name}' of message '{message.name}'"
     if not 0 < signal.length <= 8 * message.length - shift(signal, message.length) <= 8 * message.length:
         raise DbcError(f"{place} does not lie within the {message.length} bytes of its message")
@@ -248,6 +248,15 @@ def refuse_signal(message: Message, signal: Signal) -> None:
             f"{place} has limits of {signal.minimum:.9g} to {signal.maximum:.9g}, of which its bits hold none; they "
             f"hold {held[0]:.9g} to {held[1]:.9g}"
         )
+    for selector, ids in selectors(message, signal):
+        refuse_signal(message, selector)
+        if selector.is_float:
+            raise DbcError(f"{place} has the multiplexer '{selector.name}', a float; allowed: an integer")
+        least, largest = limits(selector, narrowed=False)
+        for beyond in (one for one in ids if not least <= one <= largest):
+            raise DbcError(
+                f"{place} is on page {beyond} of multiplexer '{selector.name}', whose bits hold {least} to {largest}"
+            )
 
 
 def used_signals(message: Message, used: Sequence[Signal]) -> Message:

@@ -185,6 +185,26 @@ def coded(none):
     return {"fault.signal": "CODE", "fault.none_value": none, "amplifier.fault_value": -1}
 
 
+FLOATS = (
+    f'{BOARD}\nBO_ 300 BOARDS: 4 BOARD\n SG_ F : 0|32@1- (1,0) [0|0] "" X\n\nBO_ 301 HOSTS: 4 HOST\n'
+    ' SG_ F : 0|32@1- (1,0) [0|0] "" X\nSIG_VALTYPE_ 300 F : 1;\nSIG_VALTYPE_ 301 F : 1;\n'
+)
+
+
+def as_float(role, message):
+    return FLOATS, f"{role}.signal", "is a float", {f"{role}.message": message, f"{role}.signal": "F"}
+
+
+CURRENT = {"current.message": "MORE", "current.signal": "I"}
+
+
+def on_page(page, kind):
+    return (
+        f'{BOARD}\nBO_ 300 MORE: 8 BOARD\n SG_ PAGE M : 16|{kind} (1,0) [0|0] "" X\n'
+        f' SG_ I m{page} : 0|16@1- (1,0) [0|0] "mA" X\n'
+    )
+
+
 MULTIPLEXED = with_line("AMP : 56|2@1+", "AMP M : 56|2@1+").replace("POS_Y : 32|16@1-", "POS_Y : 16|16@1-")
 MULTIPLEXED = MULTIPLEXED.replace("POS_X : 0|32", "POS_X : 0|16").replace(
     " SG_ OK", ' SG_ I m1 : 32|16@1- (1,0) [0|0] "mA" X\n SG_ CODE m2 : 32|8@1+ (1,0) [0|0] "" X\n SG_ OK'
@@ -213,6 +233,14 @@ REFUSED = {
     "no fault beyond the code": (with_code("4@1+ (1,0) [0|15]"), "fault.none_value", "255", coded(255)),
     "no fault below the code": (with_code("4@1+ (1,0) [0|15]"), "fault.none_value", "-1", coded(-1)),
     "no fault alone": (with_code("1@1+ (1,0) [0|0.4]"), "fault.signal", "holds 0 only", coded(0)),
+    **{f"a float for {role}": as_float(role, "BOARDS") for role in ("amplifier", "fault", "good", "heartbeat")},
+    "a float for enable": as_float("enable", "HOSTS"),
+    "a page that a signed multiplexer cannot hold": (on_page(3, "2@1-"), "current.signal", "page 3.*-2 to 1", CURRENT),
+    "a page beyond the multiplexer": (on_page(9, "3@1+"), "current.signal", "page 9.*0 to 7", CURRENT),
+    "a float for a multiplexer": (
+        *(on_page(1, "32@1-") + "SIG_VALTYPE_ 300 PAGE : 1;\n", "current.signal", "'PAGE', a float", CURRENT),
+    ),
+    "a multiplexer beyond its message": (on_page(1, "60@1+"), "current.signal", "'PAGE'", CURRENT),
     "an identifier of two messages": (
         *(BOARD + AGAIN, "", "'MEAS' and 'AGAIN'"),
         {"y.message": "AGAIN", "y.signal": "Y"},
