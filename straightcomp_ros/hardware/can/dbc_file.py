@@ -255,7 +255,7 @@ def refuse_signal(message: Message, signal: Signal) -> None:
         least, largest = limits(selector, narrowed=False)
         for beyond in (one for one in ids if not least <= one <= largest):
             raise DbcError(
-                f"{place} is on page {beyond} of multiplexer '{selector.name}', whose bits hold {least} to {largest}"
+                f"{place} is on page {beyond} of multiplexer '{selector.name}'; allowed: {least} to {largest}"
             )
 
 
@@ -299,11 +299,17 @@ def used_signals(message: Message, used: Sequence[Signal]) -> Message:
     for signal in message.signals:
         shown = all(selector.name in chosen for selector, _ in selectors(message, signal))
         usable = not signal.is_float or signal.length in FLOATS
-        if signal.raw_initial and shown and usable and signal.name not in chosen:
+        if usable and _has_initial(signal) and shown and signal.name not in chosen:
             # One that lies on others, or beyond the message, is left out.
             with contextlib.suppress(cantools.Error):
                 found, chosen = made(chosen | {signal.name: signal}), chosen | {signal.name: signal}
     return found
+
+
+def _has_initial(signal: Signal) -> bool:
+    """Whether the signal begins with another value than 0 that its bits can hold."""
+    raw, (least, largest) = signal.raw_initial or 0, limits(signal, narrowed=False)
+    return raw != 0 and least <= raw <= largest and (signal.is_float or raw == int(raw))
 
 
 def _found(file: str) -> Path:

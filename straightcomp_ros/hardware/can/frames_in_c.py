@@ -196,6 +196,8 @@ def _renamed(frames: Frames, name: str) -> Message:
         signal.name = names[signal.name]
         # Texts of the file would be comments in C, and limits beyond the bits comparisons that are always true.
         signal.unit = signal.comment = signal.choices = signal.minimum = signal.maximum = None
+        # It would be a constant in C, and need not fit: wire.c has what is sent.
+        signal.initial = signal.raw_initial = None
         if signal.multiplexer_signal:
             signal.multiplexer_signal = names[signal.multiplexer_signal]
     own.refresh()

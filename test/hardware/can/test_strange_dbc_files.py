@@ -149,6 +149,32 @@ def test_a_signal_without_a_role_may_overlap_lie_outside_or_have_no_scale(board,
     compiled(can)
 
 
+@pytest.mark.parametrize(
+    ("kind", "value", "begins"),
+    [
+        ("4@1+ (1,0)", 9, 9),
+        ("4@1+ (1,0)", 300, 0),
+        ("4@1- (0.5,-2)", 2.5, 0),
+        ("4@1+ (1,0)", 2.5, 0),
+        ("32@1- (1,0)", 1.5, 0x3FC00000),
+        ("32@1- (1,0)", 3.403e38, 0),
+        ("32@1- (1,0)", "1e999", 0),
+    ],
+)
+def test_a_start_value_that_its_signal_cannot_hold_is_left_out(board, compiled, kind, value, begins):
+    text = with_line("BO_ 289 SET: 4", "BO_ 289 SET: 8").replace(
+        " SG_ SET_CNT", f' SG_ MODE : 32|{kind} [0|0] "" X\n SG_ SET_CNT'
+    )
+    text += 'BA_DEF_ SG_ "GenSigStartValue" FLOAT -1e9 1e9;\nBA_DEF_DEF_ "GenSigStartValue" 0;\n'
+    text += "SIG_VALTYPE_ 289 MODE : 1;\n" if kind.startswith("32") else ""
+    # What has a role begins with what it says.
+    text += f'BA_ "GenSigStartValue" SG_ 289 MODE {value};\nBA_ "GenSigStartValue" SG_ 289 CUR 0.5;\n'
+    can = board(text)
+    sent = can.make_wire().command.pack(Command(3, True, None, 0.25, None))
+    assert int.from_bytes(sent[4:], "little") == begins
+    compiled(can)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_a_file_is_read_in_each_encoding_that_tools_write(board, encoding, line_end):
