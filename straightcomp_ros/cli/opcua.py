@@ -26,13 +26,14 @@ def _user_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("file", type=Path, metavar="FILE", help="file of users, made if need be")
     add("name", metavar="NAME", help="of the user")
-    add("--role", choices=ROLES, default=OPERATOR, help="viewers read, operators also command (default: %(default)s)")
+    text = f"viewers read, operators also command (default: that of a known user, else {OPERATOR})"
+    add("--role", choices=ROLES, help=text)
 
 
 def _user(options: argparse.Namespace) -> None:
     """Add a user to the gateway's file of users, or give one a new password."""
-    add_user(options.file, options.name, _password(options.name), options.role)
-    notes.print(f"user '{options.name}', {options.role}")
+    role = add_user(options.file, options.name, _password(options.name), options.role)
+    notes.print(f"user '{options.name}', {role}")
     print_written(options.file, then="start the gateway with the parameter opcua.users, this file")
 
 

@@ -97,14 +97,15 @@ class Users:
         return role if hmac.compare_digest(_hash(password, salt), expected) and role else None
 
 
-def add_user(path: Path, name: str, password: str, role: str) -> None:
-    """Add a user to the file, which is made if need be, or give a known one a new password and role.
+def add_user(path: Path, name: str, password: str, role: str | None = None) -> str:
+    """Add a user to the file, which is made if need be, or give a known one a new password, and return the role: the
+    given one, else that of a known user, else operator.
 
     AdmissionError: name, role or password are refused, or the file cannot be read or written.
     """
     if not _NAME.fullmatch(name):
         raise AdmissionError(f"user name {name!r}: allowed: 1 to 64 letters, digits and . _ @ -")
-    if role not in ROLES:
+    if role not in (*ROLES, None):
         raise AdmissionError(f"role {role!r}: allowed: {', '.join(ROLES)}")
     if len(password) < SHORTEST_PASSWORD:
         raise AdmissionError(f"password of user '{name}': too short; allowed: at least {SHORTEST_PASSWORD} characters")
@@ -115,6 +116,8 @@ def add_user(path: Path, name: str, password: str, role: str) -> None:
     try:
         real = path.resolve()
         with locked(real.with_name(f".{real.name}.lock")):
+            known = _users(path) if path.exists() else {}
+            role = role or (known[name][0] if name in known else OPERATOR)
             # Comments and the order of the lines are the administrator's.
             lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
             lines = [line for line in lines if line.startswith("#") or line.split(":")[0].strip() != name]
@@ -122,6 +125,7 @@ def add_user(path: Path, name: str, password: str, role: str) -> None:
             write_whole(path, "\n".join(lines) + "\n", private=True)
     except OSError as error:
         raise AdmissionError(f"users file {path}: {error.strerror}") from error
+    return role
 
 
 def _users(path: Path) -> dict[str, tuple[str, bytes, bytes]]:

@@ -51,6 +51,10 @@ def test_the_verb_writes_the_file(tmp_path, monkeypatch):
     monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "long enough")
     assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 0
     assert Users(tmp_path / "users").role("ann", "long enough") == "operator"
+    assert main(["opcua", "user", str(tmp_path / "users"), "bob", "--role", "viewer"]) == 0
+    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "a new password")
+    assert main(["opcua", "user", str(tmp_path / "users"), "bob"]) == 0
+    assert Users(tmp_path / "users").role("bob", "a new password") == "viewer"
     monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "x")
     assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 2
 
