@@ -129,8 +129,10 @@ def _check(options: argparse.Namespace) -> int:
 
     Each finding is ok, warn (it works, but less well) or fail. The exit code is 1 if one fails."""
     from straightcomp_ros.doctor.stage_findings import board_findings, stage_findings
+    from straightcomp_ros.offline.scenario import node_set
 
     plot, values = output_file(options, "--plot", PICTURES), stage_values(options)
+    node_set(values).check_rates()
     controller = node_parameters("controller", values)
     driver = node_parameters("driver", values)
     found = stage_findings(controller, node_parameters("feedforward", values).feedforward)

@@ -25,7 +25,8 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
 
     A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**``
-    for all. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here.
+    for all. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here; as for a node,
+    of several sections with a fact the last counts.
 
     Raises:
         ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
@@ -53,8 +54,16 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
                 raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
             if rest in values[STAGE]:
                 raise ParameterError(f"{source}: '{parameter}' is given twice")
-            values[STAGE][rest] = value
+            _describe(values, {rest: value})
     return values
+
+
+def _describe(values: dict[str, dict[str, Any]], described: Mapping[str, Any]) -> None:
+    """Give all nodes these facts of the stage, also those that an earlier section gave another one."""
+    values[STAGE].update(described)
+    for node in NODE_PARAMETERS:
+        for name in described:
+            values[node].pop(f"{STAGE}.{name}", None)
 
 
 def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -94,8 +103,10 @@ def shipped_parameters(params_file: str | None = None, stage: str | None = None)
     """
     values = read_parameter_file(params_file or share_path(DEFAULT_FILE))
     if stage or not params_file:
-        for node, described in read_stage_file(stage or share_path(DEFAULT_STAGE)).items():
-            values[node].update(described)
+        described = read_stage_file(stage or share_path(DEFAULT_STAGE))
+        _describe(values, described[STAGE])
+        for node in NODE_PARAMETERS:
+            values[node].update(described[node])
     return values
 
 

@@ -16,7 +16,7 @@ from straightcomp_ros.parameters.declaration import (
     to_mapping,
 )
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
-from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file
+from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file, shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
@@ -186,3 +186,17 @@ def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_
     assert read["logger"] == {"output": "n"} and read["stage"] == {"name": "Y", "rate": 4000}
     path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
     assert read_parameter_file(path)["driver"] == {"simulated.initial_y": 1e-6}
+
+
+COMMON, OWN = {"/**": 4.0}, {"/**/driver": 5.0}
+
+
+@pytest.mark.parametrize(("sections", "mass"), [(COMMON | OWN, 5.0), (OWN | COMMON, 4.0)])
+def test_of_several_sections_and_files_with_a_fact_the_last_counts_as_for_a_node(tmp_path, sections, mass):
+    path, stage = tmp_path / "p.yaml", tmp_path / "stage.yaml"
+    for file, given in ((path, sections), (stage, {"/**": 6.0})):
+        tree = {key: {"ros__parameters": {"stage.platform.mass": value}} for key, value in given.items()}
+        file.write_text(yaml.safe_dump(tree, sort_keys=False))
+    assert node_parameters("driver", read_parameter_file(path)).stage.platform.mass == mass
+    assert node_parameters("driver", shipped_parameters(str(path))).stage.platform.mass == mass
+    assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == 6.0

@@ -173,6 +173,14 @@ def test_a_stage_without_gains_of_its_own_is_sent_to_the_design(tmp_path, capsys
     assert f"next: straightcomp {verb} " in capsys.readouterr().err
 
 
+def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path, capsys):
+    file = tmp_path / "stage.yaml"
+    file.write_text("/**:\n  ros__parameters: {stage.rate: 2000}\n/**/driver:\n  ros__parameters: {stage.rate: 1000}\n")
+    for words in (("stage", "check", str(file)), ("simulate", "--stage", str(file))):
+        assert main(list(words)) == 2
+        assert "'stage.rate': 2000 Hz; allowed: 1000 Hz" in capsys.readouterr().err
+
+
 def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, printed):
     (tmp_path / "stage.yaml").write_text("/**:\n  ros__parameters:\n    stage.guide.file: nowhere.csv\n")
     code, found, _ = printed("stage", "check", tmp_path / "stage.yaml")
