@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.parameters.declaration import Declaration, ParameterError
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError, belongs_to_ros
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, by_node
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml, node_sections
@@ -26,7 +26,7 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
 
     A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**``
     for all. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here; as for a node,
-    of several sections with a fact the last counts.
+    of several sections with a fact the last counts. Parameters that ROS itself declares on every node are left out.
 
     Raises:
         ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
@@ -39,8 +39,9 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     except ParameterError as error:
         raise ParameterError(f"{source}: {error}") from error
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
-    for key, given in sections:
+    for key, every in sections:
         name = key.rsplit("/", 1)[-1]
+        given = {parameter: value for parameter, value in every.items() if not belongs_to_ros(parameter)}
         if name not in (*NODE_PARAMETERS, "**"):
             raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(NODE_PARAMETERS)}, {ALL_NODES}")
         if name != "**":
@@ -81,7 +82,10 @@ def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> d
     found: dict[str, dict[str, str]] = {}
     for node, name in _FILES:
         file = values[node].get(name)
-        if isinstance(file, str) and file and (os.path.isfile(folder / file) or not _elsewhere(file)):
+        if not isinstance(file, str) or not file:
+            continue
+        file = os.path.expanduser(file)
+        if os.path.isfile(folder / file) or not _elsewhere(file):
             found.setdefault(node, {})[name] = str(folder / file)
     return found
 

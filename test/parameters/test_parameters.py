@@ -16,7 +16,12 @@ from straightcomp_ros.parameters.declaration import (
     to_mapping,
 )
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
-from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file, shipped_parameters
+from straightcomp_ros.parameters.parameter_file import (
+    as_parameter_file,
+    read_parameter_file,
+    read_stage_file,
+    shipped_parameters,
+)
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
@@ -200,3 +205,16 @@ def test_of_several_sections_and_files_with_a_fact_the_last_counts_as_for_a_node
     assert node_parameters("driver", read_parameter_file(path)).stage.platform.mass == mass
     assert node_parameters("driver", shipped_parameters(str(path))).stage.platform.mass == mass
     assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == 6.0
+
+
+def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "x.dbc").touch()
+    path = tmp_path / "stage.yaml"
+    path.write_text(
+        "/**: {ros__parameters: {use_sim_time: true, stage.rate: 1000}}\n"
+        "driver: {ros__parameters: {use_sim_time: true, qos_overrides: {/x: {depth: 1}}, can.dbc: ~/x.dbc}}\n"
+    )
+    read = read_stage_file(path)
+    assert read["stage"] == {"rate": 1000} and read["driver"] == {"can.dbc": str(tmp_path / "home" / "x.dbc")}
