@@ -39,7 +39,7 @@ class Assessment:
         self.bag, self.evaluation = bag, evaluation
         self.warnings: Sequence[str] = ()  # the reader's about the bag
         self.record = record = evaluation.record
-        partial = evaluation.partial()
+        self.partial = partial = evaluation.partial()
         try:
             moving = record.moving
         except MetricsError as found:

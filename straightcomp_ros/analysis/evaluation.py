@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import interruption
 from straightcomp_ros.analysis.interruption import ENDS_APART, PAUSE, EncoderRun, LatchedFault, Stall, Stamps
-from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, Verdict
+from straightcomp_ros.analysis.judged_motion import HARM, encoder_count
+from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, STARVED, Verdict
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
-from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
+from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of, values_at
 from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, UNFINISHED_FILES
 from straightcomp_ros.bags.topics import resolved
@@ -82,6 +83,8 @@ class BagEvaluation:
     # Stamps in ns of the driver's records that have a latency, as many.
     latency_stamps: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
     encoder: EncoderRun | None = None  # as the encoder saw the stage move; None for a run that was not recorded
+    # (n,) m, r − y of its samples, NaN where r is not known.
+    seen_error: Array = field(default_factory=lambda: np.empty(0))
     reports: Mapping[str, Sequence[Report]] = field(default_factory=dict)  # each node's diagnostics
     faults: tuple[LatchedFault, ...] = ()  # that were latched in the run, or after it
     clock_jump: str = ""  # where the clock of the stamps jumped, in words; empty if it ran on
@@ -114,7 +117,29 @@ class BagEvaluation:
             remedy = "record again, with a driver whose stamps come from a monotonic clock"
             return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
         reason = self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else ""
-        return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before") if reason else None
+        if reason:
+            return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before")
+        reason = self._unjudged_harm(begin_ns, until_ns)
+        return Verdict(STARVED, f"the computer was busy: {reason}") if reason else None
+
+    def _unjudged_harm(self, begin_ns: int, until_ns: int) -> str:
+        """How the samples in motion that are not in the record, for want of reference, command or truth, enlarge the
+        error as the encoders see it; empty if they do not."""
+        if self.encoder is None or not self.seen_error.size:
+            return ""
+        moving = self.encoder.moving(begin_ns, until_ns) & np.isfinite(self.seen_error)
+        judged = np.isin(self.stamps, self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
+        # Streams that are stopped in motion end some samples apart.
+        left = moving & ~judged & (self.stamps < self.encoder.judged_ns)
+        if not left.any() or not (moving & judged).any():
+            return ""
+        usual, whole = (float(np.ptp(self.seen_error[of])) for of in (moving & judged, moving & (judged | left)))
+        if whole <= HARM * usual or whole - usual <= encoder_count(self.record.y):
+            return ""
+        since = float(self.stamps[left.argmax()] - self.stamps[0]) * 1e-9
+        samples = f"{np.count_nonzero(left)} samples of the motion, from {since:.3f} s on,"
+        made = f"the error is {whole * 1e6:.3g} µm p-p in place of {usual * 1e6:.3g}; allowed: {HARM:g} times"
+        return f"{samples} lack reference, command or truth, and with them {made}; the figures are those without them"
 
 
 def percentile_us(durations: Array, percentile: float) -> float:
@@ -202,6 +227,9 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     state = driver.stamp if driver else encoder[:0]
     recorded = np.isfinite(latency)
+    answering = {"reference": reference, "command": command} | ({"truth": truth} if truth else {})
+    last = {name: int(own.stamp[-1]) for name, own in answering.items()}
+    ended = [name for name, stamp in last.items() if stamp <= min(last.values()) + ENDS_APART * 1e9]
     answers = max(int(reference.stamp[-1]), int(command.stamp[-1]))
     reported = 0 if lockstep else max((own[-1].time_ns for own in reports.values()), default=0)
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
@@ -214,7 +242,9 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         int(common[-1]),
         goes_on=answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9,
         silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
+        ended=" and ".join(ended),
     )
+    straightness = attached_map(attachments, parameters)
     stalls = interruption.stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
@@ -225,17 +255,33 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         stamps=encoder,
         amplifier_on=on,
         parameters=parameters,
-        map=attached_map(attachments, parameters),
+        map=straightness,
         stalls=tuple(stalls),
         begin_ns=int(common[0]),
         coil_current=column(samples, "coil_current"),
         guide=guide,
         latency_stamps=state[recorded],
         encoder=run,
+        seen_error=_reference_at(encoder, x, reference, record, straightness) - samples.columns["y"][first:],
         reports=reports,
         faults=interruption.latched_faults(reports, int(encoder[0])),
         clock_jump=jump,
     )
+
+
+def _reference_at(
+    stamps: Stamps, x: Array, reference: StreamColumns, run: StrokeRecord, straightness: StraightnessMap | None
+) -> Array:
+    """r (n,) in m at these samples: as recorded, else by the map, or by what the ``run`` recorded at the same x; NaN
+    where neither tells it."""
+    r = values_at(reference, "r", stamps)
+    missing = np.isnan(r)
+    if straightness and not straightness.directed:
+        r[missing] = straightness.evaluate(x[missing])[0]
+    elif not run.reference.directed:
+        missing &= run.reference.recorded_around(x)
+        r[missing] = run.reference.evaluate(x[missing])[0]
+    return r
 
 
 @cache

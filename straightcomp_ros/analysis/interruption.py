@@ -109,6 +109,7 @@ class EncoderRun(NamedTuple):
     jumps: NDArray[np.intp]  # (m,) samples at which x is not where the stage can have gone
     lost_at: float  # speed in m/s at the last sample, if the recording was cut off there or went on without samples
     left_on: bool  # whether the samples end so with the amplifier on
+    ended: str = "reference and command"  # which streams end at `judged_ns`, if the motion goes on
 
     @property
     def end_ns(self) -> int:
@@ -123,6 +124,13 @@ class EncoderRun(NamedTuple):
         inside = self.stamps[self.stamps <= max(int(answers[-1]), self.end_ns)]
         return int(np.count_nonzero(~np.isin(inside, answers)))
 
+    def moving(self, begin_ns: int, until_ns: int) -> NDArray[np.bool_]:
+        """The samples (n,) in motion from ``begin_ns`` to before ``until_ns``."""
+        moving = np.zeros(self.stamps.size, np.bool_)
+        for stroke in self.strokes:
+            moving[stroke.samples] = True
+        return np.asarray(moving & (self.stamps >= begin_ns) & (self.stamps < until_ns))
+
     def interruption(self, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
         """Why the law did not run for the whole motion from ``begin_ns`` to before ``until_ns``; empty if it did."""
 
@@ -130,9 +138,7 @@ class EncoderRun(NamedTuple):
             return f"{(stamp_ns - int(self.stamps[0])) * 1e-9:.3f} s"
 
         within = (self.stamps >= begin_ns) & (self.stamps < until_ns)
-        moving = np.zeros(within.size, np.bool_)
-        for stroke in self.strokes:
-            moving[stroke.samples] = within[stroke.samples]
+        moving = self.moving(begin_ns, until_ns)
         latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
         found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
         found += [f"x jumps at {at(int(self.stamps[jump]))}" for jump in self.jumps[within[self.jumps]][:1]]
@@ -140,7 +146,7 @@ class EncoderRun(NamedTuple):
             found.append(f"the amplifier was off for {off} samples of the motion")
         if begin_ns <= self.end_ns < until_ns and self.end_ns > self.judged_ns:
             left = f"{np.count_nonzero(moving & (self.stamps > self.judged_ns))} more of the motion have none"
-            found.append(f"after {at(self.judged_ns)} no sample has both reference and command, {left}")
+            found.append(f"after {at(self.judged_ns)} no sample has {self.ended}, {left}")
         moves = self.lost_at >= MOVING
         if within[-1] and (moves or self.left_on):
             speed = f" and the stage moving at {self.lost_at * 1e3:.3g} mm/s" if moves else ""
@@ -157,17 +163,19 @@ def encoder_run(
     *,
     goes_on: bool = False,
     silent: bool = False,
+    ended: str = "reference and command",
 ) -> EncoderRun:
     """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on. Whether the
     machine ``goes_on`` after the last of them, or is ``silent``: the recording is cut off, or goes on without samples
-    for longer than a host stalls."""
+    for longer than a host stalls. ``ended`` names the streams that end at ``judged_ns``."""
     # An encoder that fails reads NaN.
     known = np.flatnonzero(np.isfinite(x))
     time, x = (stamps[known] - stamps[0]) * 1e-9, x[known]
     strokes, jumps = strokes_and_jumps(time, x) if known.size > 2 else ((), known[:0])
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
     lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
-    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, silent and bool(on[-1]))
+    left_on = silent and bool(on[-1])
+    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, left_on, ended)
 
 
 def latched_faults(reports: Mapping[str, Sequence[Report]], begin_ns: int) -> tuple[LatchedFault, ...]:

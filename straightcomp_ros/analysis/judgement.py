@@ -23,11 +23,6 @@ class Verdict(NamedTuple):
         """Whether the run's figures are those of the machine and its law."""
         return self.verdict == IN_ORDER
 
-    @property
-    def whole(self) -> bool:
-        """Whether the run's figures are those of its whole motion."""
-        return self.verdict not in (CLOCK_JUMPED, INTERRUPTED)
-
     def __str__(self) -> str:
         return f"{self.verdict.replace('_', ' ')}: {self.reason}"
 

@@ -32,6 +32,8 @@ AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
 _APART = 1e-9
 """m between the references of two directions: far below any encoder, far above interpolation between samples."""
+_NEAR = 1e-3
+"""Distance in m of recorded positions, over which a curvature of 1e-3 1/m makes 0.1 nm."""
 _FASTEST_CHANGE = 1000.0
 """Acceleration in m/s² that no linear motor gives a stage: the fastest reach some 300."""
 
@@ -146,6 +148,13 @@ class RecordedReference:
     def evaluate(self, x: ArrayLike) -> tuple[Array]:
         """r in m at x in m; beyond the recorded positions that of the nearest."""
         return (np.asarray(np.interp(np.asarray(x, np.float64), self._x, self._r)),)
+
+    def recorded_around(self, x: Array) -> NDArray[np.bool_]:
+        """Whether each x (n,) in m lies between recorded positions so near to each other that r is known there."""
+        after = np.searchsorted(self._x, x)
+        inside = (after > 0) & (after < self._x.size)
+        places = np.where(inside, after, 1)
+        return np.asarray(inside & (self._x[places] - self._x[places - 1] <= _NEAR))
 
     def deviations(self, x: ArrayLike) -> Array:
         """δ in m, up to a constant."""

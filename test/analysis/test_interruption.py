@@ -10,7 +10,7 @@ from tiers import nightly
 from straightcomp_ros.analysis.interruption import stalls_of
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.fleet.history.adding import evaluate_bag
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 
@@ -62,6 +62,12 @@ def ends(law_s, others_s):
     return when(lambda topic, stamp: stamp >= (law_s if topic in LAW else others_s) * S, lambda *_: None)
 
 
+def without(missing, since, until, change=lambda _, *sample: sample):
+    """``change`` of what is left without the messages on one topic in these times, in s."""
+    left_out = lambda topic, stamp: topic == missing and since * S <= stamp < until * S  # noqa: E731
+    return lambda topic, stamp, numbers: None if left_out(topic, stamp) else change(topic, stamp, numbers)
+
+
 def begins_at_zero(topic, stamp, numbers):
     return (stamp if stamp < 0.01 * S else stamp + 1_790_000_000 * S), numbers, stamp + 1_790_000_000 * S
 
@@ -101,6 +107,32 @@ def test_what_breaks_a_motion_is_named(tmp_path, capsys, change, verdict):
     assert code == (verdict != "in_order")
     assert verdict in (found["verdict"] if isinstance(found, dict) else found.replace(" ", "_"))
     assert code or found["lost_commands"] == 0
+
+
+def bulge(topic, stamp, numbers):
+    """20 µm on the platform's position from 0.9 to 1.2 s."""
+    if 0.9 * S <= stamp < 1.2 * S and topic in (ENCODER.topic, TRUTH.topic):
+        numbers[1] += 20e-6 * np.sin(np.pi * (stamp / S - 0.9) / 0.3)
+    return stamp, numbers
+
+
+@pytest.mark.parametrize("missing", [REFERENCE.topic, COMMAND.topic, *nightly([TRUTH.topic])])
+@pytest.mark.parametrize(("change", "verdict"), [(bulge, "starved"), (lambda _, *sample: sample, "in_order")])
+@pytest.mark.parametrize("mapped", [True, *nightly([False])])
+def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, capsys, missing, change, verdict, mapped):
+    change = without(missing, 0.9, 1.2, change)
+    bag = rewritten(SMC, tmp_path / "b", change, lambda name, data: data if mapped or "yaml" in name else None)
+    assert judged(bag, capsys)[1]["verdict"] == verdict
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("true_pp_um: 5\n")
+    assert judged(bag, capsys, "--limits", str(limits))[0] == (verdict != "in_order")
+    assert {row.verdict for row in rows_of(evaluate_bag(bag), {})} == {verdict, "in_order"}
+
+
+def test_the_stream_that_ends_before_the_motion_is_named(tmp_path, capsys):
+    found = judged(rewritten(SMC, tmp_path / "b", without(TRUTH.topic, 1.0, 9.0)), capsys)[1]
+    assert found["verdict"] == "interrupted"
+    assert TRUTH.topic in found["reason"] and REFERENCE.topic not in found["reason"]
 
 
 def test_a_pause_of_the_recording_at_rest_is_no_jump_no_loss_and_no_stall(tmp_path, capsys):
