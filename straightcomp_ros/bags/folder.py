@@ -32,11 +32,20 @@ class SqliteInput:
     """A SQLite file of a bag, read as :class:`straightcomp_ros.bags.mcap_input.McapInput` reads MCAP. Every method
     raises BagError when the file is no bag, or is damaged."""
 
-    finished = True
-    """SQLite finishes each transaction by itself."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
+
+    @property
+    def finished(self) -> bool:
+        """Whether the recorder came to its end: it writes metadata.yaml last. The file itself looks whole always, since
+        SQLite finishes each transaction."""
+        return self.path.with_name("metadata.yaml").exists()
+
+    @property
+    def count(self) -> int:
+        """Number of its messages."""
+        ((count,),) = self._query("SELECT count(*) FROM messages")
+        return int(count)
 
     @cached_property
     def topics(self) -> dict[int, Topic]:
@@ -56,7 +65,8 @@ class SqliteInput:
         for name in wanted:
             ids = [topic_id for topic_id, topic in self.topics.items() if topic.name == name]
             places = ", ".join("?" * len(ids))
-            statement = f"SELECT timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY timestamp, id"
+            # Not by time: the recorder's clock may have been set, and MCAP is read in the order of recording too.
+            statement = f"SELECT timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY id"
             found = self._query(statement, *ids)
             while records := [self._record(*row) for row in islice(found, _AT_ONCE)]:
                 sizes = np.array([len(record) for record in records], np.int64)
@@ -72,7 +82,7 @@ class SqliteInput:
 
     def _record(self, time_ns: object, data: object) -> bytes:
         if not isinstance(data, bytes) or not isinstance(time_ns, int) or time_ns < 0:
-            raise self._refused("a message has no data, or no time")
+            raise self.refused("a message has no data, or no time")
         return MESSAGE.pack(Opcode.MESSAGE, MESSAGE_FIELDS + len(data), 0, 0, time_ns, time_ns) + data
 
     def _query(self, statement: str, *values: int) -> Iterator[tuple[Any, ...]]:
@@ -81,9 +91,10 @@ class SqliteInput:
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
                 yield from connection.execute(statement, values)
         except sqlite3.Error as error:
-            raise self._refused(str(error)) from error
+            raise self.refused(str(error)) from error
 
-    def _refused(self, reason: str) -> BagError:
+    def refused(self, reason: str) -> BagError:
+        """The error with this reason."""
         advice = "copy it again from its source"
         return BagError(f"bag {self.path} is no SQLite bag of rosbag2, or is damaged: {reason}; {advice}")
 
@@ -205,6 +216,19 @@ def _listed(information: Mapping[str, Any]) -> list[str]:
     return [name.removesuffix(((match := STORED.fullmatch(name)) and match["compressed"]) or "") for name in names]
 
 
+def _check_count(files: Sequence[BagInput]) -> None:
+    """Raise BagError where metadata.yaml, which lists these files, says another number of messages than SQLite ones
+    hold; MCAP files have their own statistics."""
+    stored = [file for file in files if isinstance(file, SqliteInput)]
+    information = _information(files[0].path.parent)
+    expected = information.get("message_count")
+    if stored and isinstance(expected, int) and _listed(information) == [file.path.name for file in stored]:
+        count = sum(file.count for file in stored)
+        if count != expected:
+            advice = "`ros2 bag reindex` counts anew if nothing was lost in copying"
+            raise stored[0].refused(f"{count} messages are there, and metadata.yaml says {expected} ({advice})")
+
+
 def _gaps(files: Sequence[Path]) -> list[str]:
     """Names of the files that are missing between the first and the last number: rosbag2 can drop the oldest files."""
     numbers = [split_number(file)[1] for file in files]
@@ -227,6 +251,7 @@ def opened(bag: Path) -> Iterator[Sequence[BagInput]]:
             if not file.finished:
                 text = f"bag {file.path} was not finished, or its end is damaged: what comes before is read"
                 warnings.warn(text, stacklevel=4)
+        _check_count(files)
         yield files
 
 

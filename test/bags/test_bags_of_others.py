@@ -307,6 +307,51 @@ def test_a_topic_that_an_sqlite_bag_has_twice_is_read_in_the_order_of_time(sampl
     assert len(stamps) == CYCLES and (np.diff(stamps) > 0).all()
 
 
+@pytest.fixture(scope="module")
+def whole_run() -> tuple[dict[str, str], list[tuple[str, int, bytes]]]:
+    """Types of the sample bag's topics, and topic, time and data of its messages in the order of recording."""
+    with SAMPLE.open("rb") as file:
+        found = list(make_reader(file).iter_messages(log_time_order=False))
+    types = {channel.topic: schema.name for schema, channel, _ in found}
+    return types, [(channel.topic, message.log_time, message.data) for _, channel, message in found]
+
+
+def described(bag: Path, **information) -> Path:
+    """The folder of ``bag``, whose metadata.yaml says this."""
+    (bag.parent / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+    return bag.parent
+
+
+def test_an_sqlite_bag_of_a_recorder_that_was_killed_in_motion_is_interrupted(whole_run, tmp_path, capsys):
+    types, rows = whole_run
+    bag = sqlite_bag(tmp_path / "b_0.db3", types, [row for row in rows if row[1] < rows[0][1] + 10**9])
+    verdicts = []
+    for _ in range(2):
+        main(["evaluate", str(tmp_path), "--json"])
+        verdicts.append(json.loads(capsys.readouterr().out)["verdict"])
+        described(bag)
+    assert verdicts == ["interrupted", "in_order"]
+
+
+def test_an_sqlite_bag_with_another_number_of_messages_than_it_says_is_refused(sample, tmp_path):
+    types = {one.topic: one.type_name for one in sample}
+    bag = sqlite_bag(tmp_path / "b_0.db3", types, [(one.topic, one.log_time, one.data) for one in sample])
+    names = {"relative_file_paths": [bag.name]}
+    assert len(read_streams(described(bag, message_count=len(sample), **names), LAYOUTS)["encoder"]) == CYCLES
+    with pytest.raises(BagError, match=f"{len(sample)} messages are there, and metadata.yaml says {len(sample) + 5}"):
+        read_streams(described(bag, message_count=len(sample) + 5, **names), LAYOUTS)
+
+
+def test_the_clock_of_a_recorder_that_is_set_back_leaves_an_sqlite_bag_its_order(whole_run, tmp_path, capsys):
+    types, rows = whole_run
+    set_back = [(topic, time - 300_000_000 * (time > rows[0][1] + 10**9), data) for topic, time, data in rows]
+    bag = described(sqlite_bag(tmp_path / "b_0.db3", types, set_back))
+    file = tmp_path / "parameters.yaml"
+    file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
+    for words in (["evaluate"], ["replay", "--params-file", str(file)]):
+        assert main([words[0], str(bag), *words[1:], "--json"]) == 0, capsys.readouterr()
+
+
 # Files and recordings
 
 
