@@ -103,6 +103,7 @@ def audit(
     steps, missing = len(state) + len(stateless), len(stateless)
     compared = different = 0
     followed, began_running = True, False
+    unsure = True  # whether the law may have been running, unrecorded, where it seems to start
     last_ns: int | None = None
     first: Difference | None = None
     for step, (stamp_ns, numbers) in enumerate(zip(state.stamp.tolist(), recorded, strict=True)):
@@ -117,7 +118,9 @@ def audit(
             missing += 1
             continue
         y, coil_current = sample
-        starts_anew = math.isnan(coil_current) or (last_ns is not None and abs(stamp_ns - last_ns) > _GAP_NS)
+        gap = last_ns is not None and abs(stamp_ns - last_ns) > _GAP_NS
+        starts_anew = math.isnan(coil_current) or gap
+        unsure = (unsure or gap) and not math.isnan(coil_current)
         last_ns = stamp_ns
         answer = servo.step(stamp_ns, y, coil_current, extrapolated(*reference, age_ns * 1e-9))
         followed = followed or starts_anew
@@ -127,10 +130,10 @@ def audit(
         pairs = zip(_COLUMNS, (*current, *numbers[:-1]), answer or (math.nan,) * len(_COLUMNS), strict=True)
         # The texts are equal where the bits are, and for every NaN, which means "none" whatever its bits.
         found = next((Difference(step, stamp_ns, *pair) for pair in pairs if pair[1].hex() != pair[2].hex()), None)
-        if found and not compared and not starts_anew:
-            # The first step of the bag: the law may have been running.
-            followed, began_running = False, True
+        if found and unsure:
+            followed, began_running = False, began_running or not compared
             continue
+        unsure = False
         compared += 1
         different += found is not None
         first = first or found

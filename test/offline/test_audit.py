@@ -85,6 +85,15 @@ def test_what_is_lost_makes_the_rest_unverifiable_not_different(bag, tmp_path, t
     assert found.commands + found.unverified == len(read_streams(bag, LAYOUTS)["command"])
 
 
+@pytest.mark.parametrize("ends", [{"controller_state": 650}, {"controller_state": 650, "encoder": 650, "command": 655}])
+def test_what_follows_a_gap_of_the_recording_is_unverifiable_until_the_law_starts_again(bag, tmp_path, ends):
+    # The streams of a logger that paused go on at different moments.
+    gap = lambda topic, stamp: 600 * PERIOD_NS <= stamp < ends.get(topic, 0) * PERIOD_NS  # noqa: E731
+    change = lambda topic, stamp, numbers: None if gap(topic, stamp) else (stamp, numbers)  # noqa: E731
+    found = audit(rewritten(bag, tmp_path / "new", change))
+    assert (found.commands, found.different, found.began_running, found.passed) == (600, 0, False, True)
+
+
 def test_a_lost_command_costs_its_own_verification_only_and_a_beginning_in_mid_run_is_not_different(bag, tmp_path):
     found = audit(rewritten(bag, tmp_path / "lost", lost("command", 600)))
     assert (found.different, found.unverified) == (0, 1)
