@@ -127,16 +127,17 @@ class BagEvaluation:
         error as the encoders see it; empty if they do not."""
         if self.encoder is None or not self.seen_error.size:
             return ""
+        stamps = self.encoder.stamps
         moving = self.encoder.moving(begin_ns, until_ns) & np.isfinite(self.seen_error)
-        judged = np.isin(self.stamps, self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
+        judged = np.isin(stamps, self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
         # Streams that are stopped in motion end some samples apart.
-        left = moving & ~judged & (self.stamps < self.encoder.judged_ns)
+        left = moving & ~judged & (stamps < self.encoder.judged_ns)
         if not left.any() or not (moving & judged).any():
             return ""
         usual, whole = (float(np.ptp(self.seen_error[of])) for of in (moving & judged, moving & (judged | left)))
         if whole <= HARM * usual or whole - usual <= encoder_count(self.record.y):
             return ""
-        since = float(self.stamps[left.argmax()] - self.stamps[0]) * 1e-9
+        since = float(stamps[left.argmax()] - stamps[0]) * 1e-9
         samples = f"{np.count_nonzero(left)} samples of the motion, from {since:.3f} s on,"
         made = f"the error is {whole * 1e6:.3g} µm p-p in place of {usual * 1e6:.3g}; allowed: {HARM:g} times"
         return f"{samples} lack reference, command or truth, and with them {made}; the figures are those without them"

@@ -17,6 +17,7 @@ from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.fleet.history.strokes_of_bag import binned, date_of_zero, recorded_facts, recorded_name, rows_of
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.what_if import what_if
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.safety.faults import LABELLED
@@ -192,6 +193,16 @@ def coarse(tmp_path_factory):
 
         simulation.run(observe=observe)
     return evaluate_bag(folder)
+
+
+def test_a_guide_that_is_not_the_map_s_is_judged_by_the_sensor_where_there_is_no_truth(evaluation, monkeypatch):
+    record = evaluation.record
+    seen = replace(record, true_x=None, true_y=None, guide=None)
+    turned = replace(evaluation, record=seen, guide=-record.guide)
+    monkeypatch.setattr("straightcomp_ros.offline.what_if.evaluate_bag", lambda *_: turned)
+    assert what_if(BAG, {})[0].verdict.verdict == "wrong_guide"
+    assert columns_of(turned, "verdict") == ["wrong_guide"] * 2
+    assert columns_of(turned, "verdict", guide=record.guide) == ["in_order"] * 2
 
 
 def test_the_bandwidth_comes_from_commands_as_the_converter_of_that_bag_rounded_them(coarse):

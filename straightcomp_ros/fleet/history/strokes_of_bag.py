@@ -165,7 +165,9 @@ def _verdict(evaluation: BagEvaluation, reference: RecordedReference, stroke: St
     time = evaluation.record.time
     start, stop = np.searchsorted(time, (time[stroke.start] - _AROUND, time[stroke.stop - 1] + _AROUND)).tolist()
     part = evaluation.record.part(slice(start, stop))
-    return verdict_of(judged_motion(part, reference, evaluation.parameters, evaluation.map, evaluation.stalls))
+    guide = None if evaluation.guide is None else evaluation.guide[start:stop]
+    known = evaluation.parameters, evaluation.map, evaluation.stalls
+    return verdict_of(judged_motion(part, reference, *known, sensor=guide))
 
 
 def _bandwidth(evaluation: BagEvaluation, part: StrokeRecord, coils: Array) -> float | None:
