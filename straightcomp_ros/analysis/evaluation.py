@@ -23,7 +23,7 @@ from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of, values_at
 from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
-from straightcomp_ros.bags.recovery import RECOVERY_METADATA, UNFINISHED_FILES
+from straightcomp_ros.bags.recovery import LOST_FILES, RECOVERY_METADATA, UNFINISHED_FILES
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.parameters.declaration import ParameterError, declarations, from_mapping
@@ -87,6 +87,7 @@ class BagEvaluation:
     seen_error: Array = field(default_factory=lambda: np.empty(0))
     reports: Mapping[str, Sequence[Report]] = field(default_factory=dict)  # each node's diagnostics
     faults: tuple[LatchedFault, ...] = ()  # that were latched in the run, or after it
+    lost_files: str = ""  # names of the recording's files that could not be recovered
     clock_jump: str = ""  # where the clock of the stamps jumped, in words; empty if it ran on
 
     @property
@@ -117,6 +118,8 @@ class BagEvaluation:
             remedy = "record again, with a driver whose stamps come from a monotonic clock"
             return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
         reason = self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else ""
+        if self.lost_files:
+            return Verdict(INTERRUPTED, f"{self.lost_files} could not be recovered; the figures are those of the rest")
         if reason:
             return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before")
         reason = self._unjudged_harm(begin_ns, until_ns)
@@ -162,13 +165,9 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
         attachments = attachments_of(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
+        recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
         # What was recovered of a recording that was cut off ends where that does.
-        finished = all(file.finished for file in files) and not any(
-            record.metadata.get(UNFINISHED_FILES)
-            for file in files
-            for record in file.metadata()
-            if record.name == RECOVERY_METADATA
-        )
+        finished = all(file.finished for file in files) and not any(one.get(UNFINISHED_FILES) for one in recovery)
     try:
         reports = reports_in(bag, diagnostics, encoder_topic)
     except BagError as error:
@@ -266,6 +265,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         seen_error=_reference_at(encoder, x, reference, record, straightness) - samples.columns["y"][first:],
         reports=reports,
         faults=interruption.latched_faults(reports, int(encoder[0])),
+        lost_files=", ".join(name for one in recovery if (name := one.get(LOST_FILES))),
         clock_jump=jump,
     )
 

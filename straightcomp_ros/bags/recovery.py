@@ -7,7 +7,7 @@ sound chunk, wherever it starts.
 
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -34,9 +34,9 @@ from straightcomp_ros.bags.reader import COMPRESSIONS
 from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 
-RECOVERY_METADATA, UNFINISHED_FILES = "recovery", "unfinished_files"
-"""Metadata record of a recovered bag: what it was made from, and what was lost; its key of the files that the recording
-had not finished."""
+RECOVERY_METADATA, UNFINISHED_FILES, LOST_FILES = "recovery", "unfinished_files", "lost_files"
+"""Metadata record of a recovered bag: what it was made from, and what was lost; its keys of the files that the recorder
+had not finished, and of those that are not in the copy at all."""
 _PARSED = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -59,6 +59,7 @@ class Recovery:
         lost: messages that are missing from it, by topic; None where the damaged bag did not say how many it had.
         gaps: (file name, offset, bytes, reason) of what could not be read.
         unfinished: names of the files that the recording did not finish, or whose end is damaged.
+        lost_files: names of the files that are missing, or cannot be read at all.
         not_copied: topics with messages of a further type or encoding, which are not copied: a topic has one.
         first_ns, last_ns: first and last log time in the new bag, ns since the epoch; None without messages.
     """
@@ -68,9 +69,16 @@ class Recovery:
     lost: dict[str, int] | None = field(default_factory=dict)
     gaps: list[tuple[str, int, int, str]] = field(default_factory=list)
     unfinished: list[str] = field(default_factory=list)
+    lost_files: list[str] = field(default_factory=list)
     not_copied: list[str] = field(default_factory=list)
     first_ns: int | None = None
     last_ns: int | None = None
+
+    def lose(self, name: str, size: int, reason: str) -> None:
+        """Count a whole file as lost."""
+        self.gaps.append((name, 0, size, reason))
+        self.lost_files.append(name)
+        self.lost = None
 
     @property
     def whole(self) -> bool:
@@ -89,9 +97,8 @@ def recover(
     paths, missing_files = found_files(bag)
     if paths[0].suffix == ".db3":
         raise BagError(f"bag {bag} is stored as sqlite3; this needs MCAP: `ros2 bag convert`")
-    with McapInput(paths[0]):  # refuses what is no MCAP file before a folder is made
-        pass
     result = Recovery(output)
+    paths = _readable(paths, result)
     writer = BagWriter(output)
     try:
         with writer:
@@ -99,17 +106,32 @@ def recover(
                 with McapInput(path) as file:
                     _Copy(file, writer, result, since_ns, edit).run()
             for name in missing_files:
-                result.gaps.append((name, 0, 0, "the file is missing"))
-                result.lost = None
+                result.lose(name, 0, "the file is missing")
             missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
             facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
             facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
+            facts[LOST_FILES] = ", ".join(result.lost_files)
             writer.add_metadata(RECOVERY_METADATA, facts)
     except BagError:
-        if not result.saved:
-            shutil.rmtree(output)
+        # Half a copy would pass as a whole bag.
+        shutil.rmtree(output)
         raise
     return result
+
+
+def _readable(paths: Sequence[Path], result: Recovery) -> list[Path]:
+    """Those of the files that can be opened; the others count as lost in ``result``. Raises BagError when none can."""
+    found, refused = [], []
+    for path in paths:
+        try:
+            with McapInput(path):
+                found.append(path)
+        except BagError as error:
+            refused.append(error)
+            result.lose(path.name, path.stat().st_size, str(error))
+    if not found:
+        raise refused[0]
+    return found
 
 
 class _Copy:

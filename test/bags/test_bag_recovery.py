@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from mcap.opcode import Opcode
 from recording import MAGIC, START_NS, add_streams, mcap_of, records
+from rewritten_bag import SMC
 from rosbags.rosbag2 import Reader
+from tiers import nightly
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
@@ -94,6 +96,51 @@ def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(record, tmp_p
         bag.file.write_bytes(changed)
         recover(bag.file, output)
         assert {(data, time_ns) for _, time_ns, data in contents(output)} <= {(d, t) for _, t, d in every}
+
+
+def split_run(folder: Path, parts: int) -> list[Path]:
+    """The messages of a sound run in order, in several files."""
+    found = contents(SMC)
+    found.sort(key=lambda one: one[1])
+    with Reader(SMC) as reader:
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+    size, files = -(-len(found) // parts), []
+    for number in range(parts):
+        with BagWriter(folder.with_name(f"part_{number}")) as bag:
+            for topic, type_name in types.items():
+                bag.add(Topic(topic, type_name))
+            for topic, time_ns, data in found[number * size : (number + 1) * size]:
+                bag.write(topic, data, time_ns, time_ns)
+        folder.mkdir(exist_ok=True)
+        files.append(bag.path.rename(folder / f"run_{number}.mcap"))
+    return files
+
+
+@pytest.mark.parametrize("lost", [0, 1, 3])
+@pytest.mark.parametrize("content", [b"", b"no magic", *nightly([None])])
+def test_a_file_that_cannot_be_read_costs_its_own_messages_and_the_copy_is_no_whole_run(
+    tmp_path, lost, content, capsys
+):
+    files = split_run(tmp_path / "run", 4)
+    names = {"rosbag2_bagfile_information": {"relative_file_paths": [file.name for file in files]}}
+    (tmp_path / "run" / "metadata.yaml").write_text(json.dumps(names))
+    files[lost].unlink() if content is None else files[lost].write_bytes(content)
+    result = recover(tmp_path / "run", tmp_path / "new")
+    assert (result.lost, result.lost_files, result.whole) == (None, [files[lost].name], False)
+    assert result.saved.total() >= 0.7 * len(contents(SMC))
+    assert main(["evaluate", str(tmp_path / "new"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["verdict"] == "interrupted"
+
+
+def test_where_the_copying_ends_no_half_copy_is_left(tmp_path):
+    files = split_run(tmp_path / "run", 2)
+    with BagWriter(tmp_path / "packed") as bag:
+        bag.add(Topic("/encoder", ENCODER.layout.type_name))
+        bag.write("/encoder", b"\x28\xb5\x2f\xfd" + bytes(50), 1, 1)
+    bag.path.rename(files[1])
+    with pytest.raises(BagError, match="compressed"):
+        recover(tmp_path / "run", tmp_path / "new")
+    assert not (tmp_path / "new").exists()
 
 
 def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
