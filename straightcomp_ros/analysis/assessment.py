@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
-from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judged_motion import STILL
 from straightcomp_ros.analysis.metrics import LINES, evaluate, standstill_figures, stroke_figures
 from straightcomp_ros.analysis.record import Array, MetricsError, runs_of
@@ -55,7 +54,8 @@ class Assessment:
         self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
         # Samples that the clock took and the bag lacks.
         periods = np.diff(time) / np.median(np.diff(time))
-        gaps = np.flatnonzero((periods > 1.5) & (np.diff(time) < PAUSE)).tolist()
+        paused = np.isin(evaluation.stamps[:-1], evaluation.encoder.pauses if evaluation.encoder else ())
+        gaps = np.flatnonzero((periods > 1.5) & ~paused).tolist()
         self.gaps = [Interval(float(time[at]), float(time[at + 1]), round(float(periods[at])) - 1) for at in gaps]
         # Where the command was at the law's current limit.
         self.saturated = _intervals(record.time, evaluation.at_current_limit)

@@ -93,7 +93,7 @@ class BagEvaluation:
     @property
     def expected_samples(self) -> int:
         """Samples that the clock took from the run's first to its last in the bag."""
-        return samples_taken(self.stamps)
+        return samples_taken(self.stamps, self.encoder.pauses if self.encoder else ())
 
     @property
     def received_samples(self) -> int:
@@ -232,9 +232,6 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     ended = [name for name, stamp in last.items() if stamp <= min(last.values()) + ENDS_APART * 1e9]
     answers = max(int(reference.stamp[-1]), int(command.stamp[-1]))
     reported = 0 if lockstep else max((own[-1].time_ns for own in reports.values()), default=0)
-    for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
-        begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
-        warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
     run = interruption.encoder_run(
         encoder,
         x,
@@ -244,6 +241,9 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
         ended=" and ".join(ended),
     )
+    for pause in np.searchsorted(encoder, run.pauses).tolist():
+        begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
+        warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
     straightness = attached_map(attachments, parameters)
     stalls = interruption.stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
     return BagEvaluation(
@@ -308,10 +308,10 @@ def _judged(stamps: Stamps, x: Array) -> NDArray[np.bool_]:
     return judged
 
 
-def samples_taken(stamps: Stamps) -> int:
+def samples_taken(stamps: Stamps, pauses: Stamps | Sequence[int] = ()) -> int:
     """Samples that the clock took from the first of these stamps (n,) in ns to the last, counted from one to the next:
-    the stamps of a board with a clock of its own lie on no common grid for a whole run. In a pause of the recording
-    none counts."""
+    the stamps of a board with a clock of its own lie on no common grid for a whole run. In the pauses of the recording
+    behind the samples ``pauses`` (p,), stamps in ns, none counts."""
     steps = np.diff(stamps)
     taken = np.maximum(1, np.round(steps / np.median(steps)))
-    return 1 + int(np.where(steps < PAUSE * 1e9, taken, 1).sum())
+    return 1 + int(np.where(np.isin(stamps[:-1], pauses), 1, taken).sum())

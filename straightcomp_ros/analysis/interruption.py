@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MOVING, Stroke, runs_of, speed_at_end, strokes_and_jumps
+from straightcomp_ros.analysis.record import MOVING, SHORTEST_STROKE, Stroke, runs_of, speed_at_end, strokes_and_jumps
 from straightcomp_ros.bags.reader import StreamColumns
 from straightcomp_ros.timing.node_timing import Report
 
@@ -19,8 +19,8 @@ _LATE = 1.0
 sample comes too late then, and the board holds the platform by itself."""
 
 PAUSE = 1.0
-"""Gap in s between two samples from which the recording was paused: during such a stall of the host the driver or the
-board would have switched off."""
+"""Gap in s between two samples from which the recording was paused, if the stage stood: during such a stall of the host
+the driver or the board would have switched off."""
 
 
 class Stall(NamedTuple):
@@ -109,6 +109,7 @@ class EncoderRun(NamedTuple):
     jumps: NDArray[np.intp]  # (m,) samples at which x is not where the stage can have gone
     lost_at: float  # speed in m/s at the last sample, if the recording was cut off there or went on without samples
     left_on: bool  # whether the samples end so with the amplifier on
+    pauses: Stamps  # (p,) ns, of the last sample before each pause of the recording
     ended: str = "reference and command"  # which streams end at `judged_ns`, if the motion goes on
 
     @property
@@ -138,10 +139,13 @@ class EncoderRun(NamedTuple):
             return f"{(stamp_ns - int(self.stamps[0])) * 1e-9:.3f} s"
 
         within = (self.stamps >= begin_ns) & (self.stamps < until_ns)
+        steps = np.diff(self.stamps)
+        holes = np.flatnonzero(within[:-1] & (steps >= PAUSE * 1e9) & ~np.isin(self.stamps[:-1], self.pauses))
         moving = self.moving(begin_ns, until_ns)
         latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
         found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
         found += [f"x jumps at {at(int(self.stamps[jump]))}" for jump in self.jumps[within[self.jumps]][:1]]
+        found += [f"no sample came for {steps[one] * 1e-9:.3f} s after {at(int(self.stamps[one]))}" for one in holes]
         if off := np.count_nonzero(moving & self.off):
             found.append(f"the amplifier was off for {off} samples of the motion")
         if begin_ns <= self.end_ns < until_ns and self.end_ns > self.judged_ns:
@@ -168,14 +172,19 @@ def encoder_run(
     """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on. Whether the
     machine ``goes_on`` after the last of them, or is ``silent``: the recording is cut off, or goes on without samples
     for longer than a host stalls. ``ended`` names the streams that end at ``judged_ns``."""
+    gaps = np.flatnonzero(np.diff(stamps) >= PAUSE * 1e9)
+    stands = np.abs(x[gaps + 1] - x[gaps]) < SHORTEST_STROKE
     # An encoder that fails reads NaN.
     known = np.flatnonzero(np.isfinite(x))
     time, x = (stamps[known] - stamps[0]) * 1e-9, x[known]
     strokes, jumps = strokes_and_jumps(time, x) if known.size > 2 else ((), known[:0])
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
+    for one in placed:
+        stands &= (gaps + 1 < one.start) | (gaps >= one.stop)
     lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
     left_on = silent and bool(on[-1])
-    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, left_on, ended)
+    pauses = stamps[gaps[stands]]
+    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, left_on, pauses, ended)
 
 
 def latched_faults(reports: Mapping[str, Sequence[Report]], begin_ns: int) -> tuple[LatchedFault, ...]:

@@ -144,6 +144,15 @@ def test_a_pause_of_the_recording_at_rest_is_no_jump_no_loss_and_no_stall(tmp_pa
     assert found["warnings"]
 
 
+@pytest.mark.parametrize(("since", "until"), [(0.7, 1.9), *nightly([(1.5, 3.0), (2.2, 3.5)])])
+def test_a_gap_of_the_recording_in_motion_is_a_loss_however_long_it_is(tmp_path, capsys, since, until):
+    bag = rewritten(SMC, tmp_path / "b", when(lambda _, stamp: since * S <= stamp < until * S, lambda *_: None))
+    code, found = judged(bag, capsys)
+    assert (code, found["verdict"], found["lost_samples"]) == (1, "interrupted", round((until - since) / T))
+    assert found["longest_gap_s"] == pytest.approx(until - since, abs=2 * T) and found["gaps"] == 1
+    assert "interrupted" in {row.verdict for row in rows_of(evaluate_bag(bag), {})}
+
+
 def test_an_order_of_recording_that_is_not_that_of_the_stamps_is_no_jump(tmp_path, capsys):
     def late(topic, stamp, numbers):
         return stamp, numbers, stamp + (30_000_000 if topic == ENCODER.topic and stamp % (100 * S // 1000) == 0 else 0)
