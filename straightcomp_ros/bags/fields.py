@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_
 from straightcomp_ros.bags.topics import Definition, typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 _IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
 """Line between the types of a definition in encoding ``ros2idl``."""
@@ -77,15 +80,15 @@ def read_field(bag: Path, field: Field) -> FieldValues:
         layout, column = known
         stream = read_streams(bag, {messages.topic: layout})[messages.topic]
         return FieldValues(stream.stamp, stream.columns[column], True)
-    _register_type(bag, messages)
+    types = _types_of(bag, messages)
     stamp = np.array(messages.publish_time, np.int64)
     values = np.empty(len(stamp))
     stamped = True
     for place, data in enumerate(messages.data):
         where = f"bag {bag}: topic '{messages.topic}', message {place}"
-        message = decoded(where, data, messages.type_name)
+        message = decoded(where, data, messages.type_name, types)
         values[place] = _value(where, message, field.path)
-        stamped = hasattr(message, "header")
+        stamped = hasattr(getattr(message, "header", None), "stamp")
         if stamped:
             stamp[place] = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
     return FieldValues(stamp, values, stamped)
@@ -105,17 +108,17 @@ def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:
     return None
 
 
-def _register_type(bag: Path, messages: Messages) -> None:
-    """Have the type of these messages in the typestore: as the bag describes it where ROS 2's own packages lack it."""
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+def _types_of(bag: Path, messages: Messages) -> Typestore:
+    """ROS 2's own types, but that of these messages as the bag describes it: other versions of it have other fields."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    store, name = typestore(), messages.type_name
-    if name in store.fielddefs:
-        return
+    name, known = messages.type_name, typestore()
     where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
     text, _, encoding = messages.described or Definition("", "")
     text = text if isinstance(text, str) else text.decode(errors="replace")
     if not text.strip():
+        if name in known.fielddefs:
+            return known
         raise BagError(f"{where}; record again where the package of that type is installed")
     try:
         if encoding == "ros2idl":
@@ -123,11 +126,16 @@ def _register_type(bag: Path, messages: Messages) -> None:
             described = {key: value for part in parts for key, value in part.items()}
         else:
             described = get_types_from_msg(text, name)
-        store.register({key: value for key, value in described.items() if key not in store.fielddefs})
+        store = get_typestore(Stores.ROS2_JAZZY)
+        for one in described:
+            store.fielddefs.pop(one, None)
+        store.register(described)
         store.hash_rihs01(name)  # needs the types of all its fields
     except Exception as error:  # The parser raises errors of many kinds on a malformed text.
-        store.fielddefs.pop(name, None)
+        if name in known.fielddefs:
+            return known
         raise BagError(f"{where}: its text cannot be used ({error})") from error
+    return store
 
 
 def _value(where: str, message: Any, path: str) -> float:
@@ -135,8 +143,9 @@ def _value(where: str, message: Any, path: str) -> float:
     for name, key in (match.groups() for match in map(_STEP.fullmatch, path.split(".")) if match):
         owner, found = found, getattr(found, name, None)
         if found is None:
-            names = ", ".join(entry for entry in vars(owner) if not entry.startswith("_"))
-            raise BagError(f"{where} has no field '{name}' in '{path}'; it has {names}")
+            # Numbers, texts and arrays have none.
+            names = ", ".join(entry for entry in getattr(owner, "__dict__", ()) if not entry.startswith("_"))
+            raise BagError(f"{where} has no field '{name}' in '{path}'; it has {names or 'no fields'}")
         if key is not None:
             joints = list(getattr(owner, "name", None) or getattr(owner, "joint_names", None) or [])
             place = int(key) if key.isdecimal() else joints.index(key) if key in joints else None

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from straightcomp_ros.bags.folder import BagInput, SqliteInput, compressed_messa
 from straightcomp_ros.bags.mcap_input import FRAME, HEAD, rows
 from straightcomp_ros.bags.topics import Definition, Topic, resolved, typestore
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 COMPRESSIONS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
 """Compressions by the first bytes of what they make; no message in CDR begins so."""
@@ -83,13 +86,13 @@ def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
     return found
 
 
-def decoded(where: str, data: bytes, type_name: str) -> Any:
-    """The message in ``data``, decoded by rosbags. Raises BagError when the bytes are no such message; the text begins
-    with ``where``."""
+def decoded(where: str, data: bytes, type_name: str, types: Typestore | None = None) -> Any:
+    """The message in ``data``, decoded by rosbags with these ``types`` or else ROS 2's own. Raises BagError when the
+    bytes are no such message; the text begins with ``where``."""
     if compression := COMPRESSIONS.get(data[:4]):
         raise BagError(f"{where}: {compressed_messages(compression)}")
     try:
-        return typestore().deserialize_cdr(data, type_name)
+        return (types or typestore()).deserialize_cdr(data, type_name)
     except Exception as error:  # The decoder raises errors of many kinds on malformed bytes.
         raise BagError(f"{where} does not decode ({error}); allowed is a {type_name}") from error
 

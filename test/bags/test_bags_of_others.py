@@ -249,7 +249,7 @@ IDL_OF_BOTH += idl_of("geometry_msgs/msg/Point", "double x; double y; double z;"
 
 @pytest.mark.parametrize("encoding", ["ros2msg", "ros2idl"])
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encoding, storage, fresh_types):
+def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encoding, storage):
     text, messages = custom_messages()
     text = text if encoding == "ros2msg" else IDL_OF_BOTH
     if storage == "sqlite3":
@@ -261,20 +261,35 @@ def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encod
     assert read_field(bag, Field("/probe", "point.y")).values.tolist() == [0.5, 1.5, 2.5]
 
 
+HUMBLE_RANGE = "std_msgs/Header header\nuint8 radiation_type\nfloat32 field_of_view\nfloat32 min_range\n"
+HUMBLE_RANGE += "float32 max_range\nfloat32 range\n"
+
+
+@pytest.mark.parametrize(
+    ("type_name", "text", "message"),
+    [
+        # Humble's has no variance at the end.
+        (
+            "sensor_msgs/msg/Range",
+            HUMBLE_RANGE,
+            struct.pack("<4sIIIsB2x4f", b"\0\1\0\0", 10, 0, 1, b"", 0, 0, 0, 0, 0.5),
+        ),
+        # A header of one's own has no stamp.
+        ("acme_msgs/msg/Probe", "uint8 header\nfloat32 range\n", struct.pack("<4sB3xf", b"\0\1\0\0", 1, 0.5)),
+    ],
+)
+def test_the_definition_in_the_bag_counts_and_not_what_its_names_mean_elsewhere(tmp_path, type_name, text, message):
+    bag = written([One("/probe", type_name, text.encode(), message, 7, 7)] * 2, tmp_path / "b_0.mcap")
+    found = read_field(bag, Field("/probe", "range"))
+    assert found.values.tolist() == [0.5, 0.5] and found.stamped == ("sensor" in type_name)
+
+
 @pytest.mark.parametrize("text", [b"", b" \n", b"acme_msgs/Other other\n"])
-def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text, fresh_types):
+def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text):
     _, messages = custom_messages()
     bag = written([One("/probe", TRACER, text, data, 10, 10) for data in messages], tmp_path / "b_0.mcap")
     with pytest.raises(BagError, match=f"'{TRACER}', which the bag does not describe"):
         read_field(bag, Field("/probe", "point.y"))
-
-
-@pytest.fixture
-def fresh_types(monkeypatch):
-    """No type of another test."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for module in ("fields", "reader", "topics"):
-        monkeypatch.setattr(f"straightcomp_ros.bags.{module}.typestore", lambda: store)
 
 
 @pytest.mark.parametrize("missing", [0, 3])
