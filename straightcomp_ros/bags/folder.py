@@ -88,10 +88,20 @@ class SqliteInput:
     def _query(self, statement: str, *values: int) -> Iterator[tuple[Any, ...]]:
         try:
             # Read only: SQLite must not create files next to the bag.
-            with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
+            mode = "mode=ro&immutable=1" if self._log_is_empty else "mode=ro"
+            with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?{mode}", uri=True)) as connection:
                 yield from connection.execute(statement, values)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, OSError) as error:
             raise self.refused(str(error)) from error
+
+    @property
+    def _log_is_empty(self) -> bool:
+        """Whether the file was written with a log beside it (WAL) of which nothing is left: SQLite would make a new one
+        to read it. Source: SQLite's file format, 1.3.3."""
+        with self.path.open("rb") as file:
+            written_with_log = file.read(20)[18:] == b"\2\2"
+        log = self.path.with_name(f"{self.path.name}-wal")
+        return written_with_log and not (log.exists() and log.stat().st_size)
 
     def refused(self, reason: str) -> BagError:
         """The error with this reason."""
@@ -103,7 +113,7 @@ BagInput = McapInput | SqliteInput
 _LARGEST_METADATA = 32 << 20
 STORED = re.compile(r".*\.(mcap|db3)(?P<compressed>\.zstd?|\.lz4)?")
 """Name of a file with messages: MCAP or SQLite, perhaps compressed as a whole."""
-_CLASSIC = re.compile(r"(.*?)_?(\d+)")
+_CLASSIC = re.compile(r"(.*?)_(\d+)")
 _ROLLING = re.compile(r"(\d+)_(.*)_\d{4}(?:_\d\d){2}-\d\d(?:_\d\d){2}")
 
 

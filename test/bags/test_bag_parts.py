@@ -114,6 +114,8 @@ def test_files_are_in_the_order_of_the_list_or_else_of_their_numbers_and_missing
         ["run_0.mcap", "run_0.db3"],
         ["run_0.mcap", "run0.mcap"],
         ["run.mcap", "run_1.mcap"],
+        ["run1.mcap", "run2.mcap"],
+        ["2024-06-03.mcap", "2024-06-04.mcap"],
         ["0_run_2025_12_17-10_00_00.mcap", "0_run_2025_12_18-10_00_00.mcap"],
     ],
 )
@@ -194,6 +196,26 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
     with pytest.raises(BagError, match="no data, or no time"):
         list(file.blocks(["two"]))
     assert list(file.blocks(["three"])) == []
+
+
+@pytest.mark.parametrize("left", [True, False])
+def test_an_sqlite_file_that_was_written_with_a_log_is_read_whole_and_without_a_file_beside_it(tmp_path, left):
+    source, path = tmp_path / "source.db3", tmp_path / "bag" / "bag.db3"
+    path.parent.mkdir()
+    writer = sqlite3.connect(source)
+    writer.execute("PRAGMA journal_mode=WAL")
+    writer.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")
+    writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    writer.execute("INSERT INTO topics VALUES (1, 'one', '', '')")
+    writer.commit()
+    if left:  # as a recorder that was killed leaves it
+        path.with_name("bag.db3-wal").write_bytes(source.with_name("source.db3-wal").read_bytes())
+    else:
+        writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    path.write_bytes(source.read_bytes())
+    writer.close()
+    assert [topic.name for topic in SqliteInput(path).topics.values()] == ["one"]
+    assert left or list(path.parent.iterdir()) == [path]
 
 
 TYPES = sorted({stream.layout.type_name for stream in STREAMS} | {"diagnostic_msgs/msg/DiagnosticArray"})
