@@ -166,15 +166,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     lines = [(line, text) for line, text in every if not _COMMENT.match(text)]
     if not lines:
         raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
-    own = {}
-    for quantity, name in (names or {}).items():
-        _, unit = _name_and_unit(name)
-        if not unit:
-            raise SurveyError(
-                f"survey {path}: --{quantity}-column {name!r}: its name does not end with a unit; allowed: one of "
-                f"{', '.join(PER_METRE)}, as in '{name} [mm]'"
-            )
-        own[_spelled(name)] = f"{quantity}_{unit}"
+    own = {_spelled(name): _chosen(path, quantity, name) for quantity, name in (names or {}).items()}
     first, delimiter, header = _header(lines, own)
     if not _complete(header):
         # Programs that write numbers write the header as a comment.
@@ -197,19 +189,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
-    rows = [
-        (f"survey {path}, line {line}", line, next(csv.reader([text], delimiter=delimiter)))
-        for line, text in lines[first:]
-        if text.strip(f"{delimiter} \t")
-    ]
-    for where, _, row in rows:
-        # A spreadsheet ends some rows with separators, or ends them early.
-        while len(row) > len(header) and not row[-1].strip():
-            row.pop()
-        if not any(header[len(row) :]):
-            row += [""] * (len(header) - len(row))
-        if len(row) != len(header):
-            raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
+    rows = _rows(path, lines[first:], delimiter, header)
     numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, "time_s")]
     for _, _, row in rows:
         for column in numbers:
@@ -225,6 +205,37 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         at = number(where, x, cells[x]) / X.columns[x]
         found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
     return Table(header, (x, deviation), found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
+
+
+def _chosen(path: Path, quantity: str, name: str) -> str:
+    """The column of this quantity that has the file's own name, as ``deviation_um``."""
+    _, unit = _name_and_unit(name)
+    if not unit:
+        raise SurveyError(
+            f"survey {path}: --{quantity}-column {name!r}: its name does not end with a unit; allowed: one of "
+            f"{', '.join(PER_METRE)}, as in '{name} [mm]'"
+        )
+    return f"{quantity}_{unit}"
+
+
+def _rows(
+    path: Path, lines: Sequence[tuple[int, str]], delimiter: str, header: Sequence[str]
+) -> list[tuple[str, int, list[str]]]:
+    """Where each row stands in words, its line and its cells, as many as the header has."""
+    rows = [
+        (f"survey {path}, line {line}", line, next(csv.reader([text], delimiter=delimiter)))
+        for line, text in lines
+        if text.strip(f"{delimiter} \t")
+    ]
+    for where, _, row in rows:
+        # A spreadsheet ends some rows with separators, or ends them early.
+        while len(row) > len(header) and not row[-1].strip():
+            row.pop()
+        if not any(header[len(row) :]):
+            row += [""] * (len(header) - len(row))
+        if len(row) != len(header):
+            raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
+    return rows
 
 
 def _facts(comments: Iterable[str]) -> Iterator[tuple[str, str]]:
