@@ -5,12 +5,9 @@
     1,forward,0,-3.796
     1,forward,10,-3.12
 
-The column's name ends with the unit: x in m, mm, um or in (inch), deviation in m, mm, um, nm, in or uin. The names and
-separators of instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or
-tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and
-``direction`` may be left out: another run then begins where x turns back or begins anew, and the trend of x gives the
-direction. Rows with the same run and direction belong to one run, so that a cycle may count forward and backward as
-one. Each run may have a column of its own in place of these: ``Run 1 forward [µm]``. Other columns are ignored.
+Units, and what else the names, marks and separators may be, has `survey_table.py`. ``run`` and ``direction`` may be left
+out: another run then begins where x turns back or begins anew, and the trend of x gives the direction. Rows with the
+same run and direction belong to one run, so that a cycle may count forward and backward as one.
 """
 
 import itertools
