@@ -5,7 +5,7 @@
     1,forward,0,-3.796
     1,forward,10,-3.12
 
-Units, and what else the names, marks and separators may be, has `survey_table.py`. ``run`` and ``direction`` may be left
+`survey_table.py` says what else the units, names, marks and separators may be. ``run`` and ``direction`` may be left
 out: another run then begins where x turns back or begins anew, and the trend of x gives the direction. Rows with the
 same run and direction belong to one run, so that a cycle may count forward and backward as one.
 """
