@@ -111,9 +111,10 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         of_way = _errors(*both, samples) if samples.size else {}
         errors |= {f"{name}_{way}": of_way.get(name) for name in ("encoder_pp", "true_pp")}
     steps = np.diff(record.current[window])
-    resting = []
+    resting, stamps = [], np.round(record.time * 1e9)
     for one, following in itertools.pairwise(motion.strokes):
-        begin = np.searchsorted(record.time, record.time[one.stop - 1] + RESTING)
+        # In whole nanoseconds: a sum of floats is beside a sample's time by its last bit.
+        begin = np.searchsorted(stamps, stamps[one.stop - 1] + round(RESTING * 1e9))
         resting += np.diff(record.current[begin : following.start]).tolist()
     _, before, after = straightness_over(record, straightness)
     of_encoder = record.guide_by(straightness) + record.y

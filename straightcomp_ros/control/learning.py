@@ -227,7 +227,9 @@ def _sums(visits: NDArray[np.intp], square: Array, other: Array) -> tuple[float,
 
 
 def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:
-    """Write the best tables of the law named ``law``, forward at True and backward at False, of the same spacing.
+    """Write the tables of the law named ``law``, forward at True and backward at False, of the same spacing: with what
+    the last pass taught, since a run of one pass would else teach nothing. If that was no good, the first pass of the
+    next run is worse than the best, and then counts as one on another machine.
 
     The file is replaced in one step: an interruption leaves the old one. No empty file is written. OSError if it cannot
     be.
@@ -241,7 +243,7 @@ def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> N
     columns = []
     for forward in (True, False):
         nodes = tables[forward].between(first, last)
-        columns += [nodes[BEST], nodes[SPEED], np.sqrt(nodes[BEST_SQUARE]), np.sqrt(nodes[BARE_SQUARE])]
+        columns += [nodes[COEFFICIENT], nodes[SPEED], np.sqrt(nodes[BEST_SQUARE]), np.sqrt(nodes[BARE_SQUARE])]
     lines = [
         "# Correction of the reference learned by straightcomp, as coefficients of a uniform cubic B-spline over x.",
         "# rms: of r - y in the best pass; bare_rms: without a correction; empty where nothing was learned.",

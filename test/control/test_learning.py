@@ -244,6 +244,13 @@ def test_the_command_runs_strokes_keeps_what_it_learned_and_goes_on_from_there(t
     second = json.loads(capsys.readouterr().out)
     assert "cycles" not in second
     assert second["true_rms_um"] < 0.75 * first["cycles"][0]["true_rms_um"]
+    # Runs of one cycle each learn as well.
+    path.unlink()
+    alone = []
+    for _ in range(3):
+        assert main(command) == 0
+        alone.append(json.loads(capsys.readouterr().out)["true_rms_um"])
+    assert alone[0] == first["cycles"][0]["true_rms_um"] and alone[2] < alone[1] < 0.9 * alone[0]
     assert main([*command, "--strokes", "0"]) == 2
     assert main(["simulate", "--law", "smc", "--learned", str(path), *SHORT]) == 2
     assert "learned with law 'linear'" in capsys.readouterr().err

@@ -87,11 +87,12 @@ def write(points: Points, conventions: Conventions) -> str:
     spacing = float(np.diff(x).mean())
     per_metre = conventions.per_metre
     stage, platform = conventions.stage_axis, conventions.platform_axis
-    offset = decimal(-float(x[0]) * per_metre, 9)
-    row = "  ".join(f"{decimal(value * per_metre * 1e3, 5)} 0" for value in (-deviation).tolist())
+    places, fine = conventions.places(1e-8), conventions.places(1e-12)
+    offset = decimal(-float(x[0]) * per_metre, fine)
+    row = "  ".join(f"{decimal(value * per_metre * 1e3, places)} 0" for value in (-deviation).tolist())
     return f"""; Correction of axis {platform} over axis {stage}, the same for every position of axis {platform}.
 ; {" ".join(_HEAD)}
-:START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, 9)} {len(x)}
+:START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, fine)} {len(x)}
 :START2D POSUNIT=PRIMARY CORUNIT=PRIMARY/1000 OFFSETROW=0 OFFSETCOL={offset}
 {row}
 {row}

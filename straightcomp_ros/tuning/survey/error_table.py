@@ -46,6 +46,10 @@ class Conventions:
         """How many units make a metre."""
         return UNITS[self.unit]
 
+    def places(self, resolution: float) -> int:
+        """Decimal places of numbers in the unit that keep a ``resolution`` in m, at least one."""
+        return max(1, math.ceil(-math.log10(resolution * self.per_metre)))
+
 
 def survey_of(where: str, points: Iterable[Sequence[float]]) -> Survey:
     """The survey of points (x, deviation), or (x, deviation forward, deviation backward), in m, in any order.

@@ -72,7 +72,8 @@ def read_linuxcnc(path: Path, conventions: Conventions) -> Survey:
 def write_linuxcnc(points: Points, conventions: Conventions) -> str:
     """A file for ``COMP_FILE_TYPE = 1``, with the same trim both ways where there is one deviation."""
     rows = ((x, -ways[0], -ways[-1]) for x, *ways in points)
-    return "".join(" ".join(decimal(value * conventions.per_metre, 7) for value in row) + "\n" for row in rows)
+    places = conventions.places(1e-10)
+    return "".join(" ".join(decimal(value * conventions.per_metre, places) for value in row) + "\n" for row in rows)
 
 
 def read_crosscomp(path: Path, conventions: Conventions) -> Survey:
