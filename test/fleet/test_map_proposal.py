@@ -43,7 +43,10 @@ def test_strokes_without_a_sensor_or_with_another_map_are_refused(pool):
 def test_only_strokes_with_that_map_make_the_proposal(pool):
     """The zero of the guide's change is the map's: strokes with another one say nothing together with these."""
     old = find_survey("config/survey_synthetic.csv")
-    ours, others = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist(), rows(pool).to_pylist()
+    # A guide that has moved is what a new map is for, a loop that oscillates says nothing of it.
+    of_map = {"map_checksum": checksum_of([old.read_bytes()])}
+    ours = rows(pool, verdict="wrong_guide", **of_map).to_pylist()
+    others = [*rows(pool).to_pylist(), *rows(pool, verdict="oscillates", **of_map).to_pylist()]
     for row in others:
         row["guide_change_um"] = [5.0 * (place > 40) for place in range(len(row["guide_change_um"]))]
     mixed = pyarrow.Table.from_pylist([*ours, *others], schema_of(StrokeRow))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.judgement import IN_ORDER, WRONG_GUIDE
 from straightcomp_ros.analysis.map_building import BuiltMap, Choices, build
 from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
@@ -65,11 +66,13 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
     checksum = checksum_of([old.read_bytes()])
     rows = strokes.select(_COLUMNS).to_pylist()
     recent = [row for row in rows if rows[-1]["start"] - row["start"] <= timedelta(days=days)]
-    seen = [row for row in recent if row["guide_change_um"] is not None and row["verdict"] == "in_order"]
+    # That the guide is no longer the map's is what a new map is for.
+    sound = [row for row in recent if row["verdict"] in (IN_ORDER, WRONG_GUIDE)]
+    seen = [row for row in sound if row["guide_change_um"] is not None]
     if not seen:
         raise MaintenanceError(
-            f"none of the {len(recent)} strokes of the last {days:g} days that were in order has a displacement sensor"
-            ": record 'displacement' with the strokes, or survey the guide; encoders alone do not see it move"
+            f"none of the {len(recent)} strokes of the last {days:g} days in which the servo worked has a displacement "
+            "sensor: record 'displacement' with the strokes, or survey the guide; encoders alone do not see it move"
         )
     ours = [row for row in seen if row["map_checksum"] == checksum]
     x = before.report.x
