@@ -93,7 +93,12 @@ class BagEvaluation:
     @property
     def expected_samples(self) -> int:
         """Samples that the clock took from the run's first to its last in the bag."""
-        return samples_taken(self.stamps, self.encoder.pauses if self.encoder else ())
+        return samples_taken(self.stamps, self.pauses)
+
+    @property
+    def pauses(self) -> Stamps:
+        """Stamps (p,) in ns of the last sample before each pause of the recording."""
+        return self.encoder.pauses if self.encoder else np.empty(0, np.int64)
 
     @property
     def received_samples(self) -> int:
@@ -117,10 +122,9 @@ class BagEvaluation:
         if self.clock_jump:
             remedy = "record again, with a driver whose stamps come from a monotonic clock"
             return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
-        reason = self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else ""
         if self.lost_files:
             return Verdict(INTERRUPTED, f"{self.lost_files} could not be recovered; the figures are those of the rest")
-        if reason:
+        if reason := self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else "":
             return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before")
         reason = self._unjudged_harm(begin_ns, until_ns)
         return Verdict(STARVED, f"the computer was busy: {reason}") if reason else None

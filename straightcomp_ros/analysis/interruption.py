@@ -110,7 +110,7 @@ class EncoderRun(NamedTuple):
     lost_at: float  # speed in m/s at the last sample, if the recording was cut off there or went on without samples
     left_on: bool  # whether the samples end so with the amplifier on
     pauses: Stamps  # (p,) ns, of the last sample before each pause of the recording
-    ended: str = "reference and command"  # which streams end at `judged_ns`, if the motion goes on
+    ended: str  # which streams end at `judged_ns`, if the motion goes on
 
     @property
     def end_ns(self) -> int:

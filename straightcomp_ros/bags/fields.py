@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_streams
-from straightcomp_ros.bags.topics import Definition, typestore
+from straightcomp_ros.bags.topics import Definition, new_typestore, typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 
@@ -110,7 +110,7 @@ def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:
 
 def _types_of(bag: Path, messages: Messages) -> Typestore:
     """ROS 2's own types, but that of these messages as the bag describes it: other versions of it have other fields."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     name, known = messages.type_name, typestore()
     where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
@@ -126,7 +126,7 @@ def _types_of(bag: Path, messages: Messages) -> Typestore:
             described = {key: value for part in parts for key, value in part.items()}
         else:
             described = get_types_from_msg(text, name)
-        store = get_typestore(Stores.ROS2_JAZZY)
+        store = new_typestore()
         for one in described:
             store.fielddefs.pop(one, None)
         store.register(described)

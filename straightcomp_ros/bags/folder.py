@@ -230,9 +230,11 @@ def _check_count(files: Sequence[BagInput]) -> None:
     """Raise BagError where metadata.yaml, which lists these files, says another number of messages than SQLite ones
     hold; MCAP files have their own statistics."""
     stored = [file for file in files if isinstance(file, SqliteInput)]
+    if not stored:
+        return
     information = _information(files[0].path.parent)
     expected = information.get("message_count")
-    if stored and isinstance(expected, int) and _listed(information) == [file.path.name for file in stored]:
+    if isinstance(expected, int) and _listed(information) == [file.path.name for file in stored]:
         count = sum(file.count for file in stored)
         if count != expected:
             advice = "`ros2 bag reindex` counts anew if nothing was lost in copying"

@@ -34,13 +34,18 @@ class Definition(NamedTuple):
     encoding: str = "ros2msg"
 
 
-@cache
-def typestore() -> Typestore:
-    """The message types of ROS 2 Jazzy."""
+def new_typestore() -> Typestore:
+    """The message types of ROS 2 Jazzy in a store to which others may be added."""
     # Takes half a second, and a bag with our own layouts is read without it.
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def typestore() -> Typestore:
+    """The message types of ROS 2 Jazzy."""
+    return new_typestore()
 
 
 @cache

@@ -87,7 +87,7 @@ def output_file(
     Raises:
         CommandFailed: exit code 2: it would replace a file, cannot be written, or has another ending.
     """
-    own = option.strip("-").replace("-", "_")
+    own = _attribute(option)
     name = getattr(options, own)
     if not name:
         return None
@@ -116,11 +116,16 @@ def output_file(
     return path
 
 
+def _attribute(option: str) -> str:
+    """The name under which argparse keeps an option."""
+    return option.strip("-").replace("-", "_")
+
+
 def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
     """Files and folders that are there and that options or arguments name, also as ``NAME=FILE``, but for one's; with
     those that a YAML file among them names."""
-    own = {without.strip("-").replace("-", "_")}
-    values = [value for name, value in vars(options).items() if name not in own]
+    own = _attribute(without)
+    values = [value for name, value in vars(options).items() if name != own]
     values += [one for value in values if isinstance(value, list) for one in value]
     names = [str(value) for value in values if isinstance(value, (str, Path)) and str(value)]
     names += [name.partition("=")[2] for name in names if "=" in name]

@@ -132,11 +132,11 @@ def _check(options: argparse.Namespace) -> int:
     from straightcomp_ros.offline.scenario import node_set
 
     plot, values = output_file(options, "--plot", PICTURES), stage_values(options)
-    node_set(values).check_rates()
-    controller = node_parameters("controller", values)
-    driver = node_parameters("driver", values)
-    found = stage_findings(controller, node_parameters("feedforward", values).feedforward)
-    code = show_findings(itertools.chain(found, board_findings(driver)), json=options.json)
+    nodes = node_set(values)
+    nodes.check_rates()
+    controller = nodes.controller
+    found = stage_findings(controller, nodes.feedforward.feedforward)
+    code = show_findings(itertools.chain(found, board_findings(nodes.driver)), json=options.json)
     if plot is not None:
         from straightcomp_ros.analysis.map_building import as_it_is
         from straightcomp_ros.analysis.map_page import plot_map

@@ -10,7 +10,7 @@ from ament_index_python import get_package_share_directory
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from straightcomp_ros.bags.topics import Definition, Topic, TopicQos, typestore
+from straightcomp_ros.bags.topics import Definition, Topic, TopicQos, new_typestore, typestore
 from straightcomp_ros.runtime.streams import RawQueue, Streams, message_class
 
 Add = Callable[[str, bytes, int, int], None]
@@ -124,10 +124,9 @@ def definition_by_files(type_name: str) -> Definition:
     Raises:
         LookupError, OSError: a package or a file is not installed.
     """
-    from rosbags.typesys import get_types_from_msg, get_typestore
-    from rosbags.typesys.stores import Stores
+    from rosbags.typesys import get_types_from_msg
 
-    store, found, waiting = get_typestore(Stores.ROS2_JAZZY), dict[str, Any](), [type_name]
+    store, found, waiting = new_typestore(), dict[str, Any](), [type_name]
     while waiting:
         name = waiting.pop()
         if name not in store.fielddefs and name not in found:

@@ -125,6 +125,8 @@ _NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METR
 _RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
 """What the column of one run may be called, with its number, its direction or both."""
 DIRECTIONS: dict[str, Direction] = {"forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
+TIME_COLUMN = "time_s"
+"""Of a recording over time."""
 RUN_COLUMN = "column of the run"
 """Name of the cell that says which column a point is from."""
 _INCH = re.compile(r"(?<![a-z])(u|micro)?inch(?:es)?\b")
@@ -190,7 +192,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
     rows = _rows(path, lines[first:], delimiter, header)
-    numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, "time_s")]
+    numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
         for column in numbers:
             row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")

@@ -56,8 +56,8 @@ _PROTECTED = {
 }
 """By the group of `wire.protection` the roles whose message it describes, if no group before it does."""
 _COUNTS = ("wire.counter.signal", "wire.echo.signal", *(f"wire.protection.{group}.alive" for group in _PROTECTED))
-_CODES = (*(f"wire.{role}.signal" for role in ("amplifier", "fault", *_SWITCHES, "heartbeat")),)
-"""Signals whose raw values have meanings."""
+_CODED = ("amplifier", *_SWITCHES, "heartbeat", "fault")
+"""Roles of signals whose raw values have meanings."""
 _FACTORS = {
     "m": {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
     "A": {"": 1.0, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "μA": 1e-6},
@@ -236,7 +236,7 @@ class Wire:
             signal = self.dbc.signal(message, name)
             refuse_signal(message, signal)
         place = f"'{name}' of message '{message.name}'"
-        if parameter in _CODES and signal.is_float:
+        if parameter in {f"wire.{role}.signal" for role in _CODED} and signal.is_float:
             raise RefusedParameter(parameter, f"{place} is a float; allowed: an integer")
         if parameter in _COUNTS and (signal.is_signed or signal.is_float):
             raise RefusedParameter(parameter, f"{place} is signed or a float; allowed: an unsigned integer")
@@ -267,7 +267,7 @@ class Wire:
                 raise RefusedParameter(f"wire.{role}.signal", f"{self._place(role)} {text}")
 
     def _check_values(self) -> None:
-        for role in (role for role in ("amplifier", *_SWITCHES, "heartbeat", "fault") if role in self._signals):
+        for role in (role for role in _CODED if role in self._signals):
             named, (least, largest) = getattr(self.meaning, role), limits(self._signals[role])
             for name in (name for name in vars(named) if name.endswith("_value")):
                 raw = getattr(named, name)

@@ -51,8 +51,10 @@ class Conventions:
         return max(1, math.ceil(-math.log10(resolution * self.per_metre)))
 
 
-def survey_of(where: str, points: Iterable[Sequence[float]]) -> Survey:
-    """The survey of points (x, deviation), or (x, deviation forward, deviation backward), in m, in any order.
+def survey_of(
+    where: str, points: Iterable[Sequence[float]], ways: Sequence[Direction] = ("forward", "backward")
+) -> Survey:
+    """The survey of points (x, deviation of each way, or of the first of them), in m, in any order.
 
     ``where`` begins the messages. SurveyError for fewer than two points, or two at one x.
     """
@@ -63,7 +65,6 @@ def survey_of(where: str, points: Iterable[Sequence[float]]) -> Survey:
     same = np.flatnonzero(np.diff(x) <= 0.0)
     if same.size:
         raise SurveyError(f"{where}: x = {x[same[0]] * 1e3:.10g} mm is given twice; allowed: once")
-    ways: tuple[Direction, ...] = ("forward", "backward")
     return Survey(tuple(Run("1", way, x, values) for way, values in zip(ways, deviations, strict=False)), where)
 
 

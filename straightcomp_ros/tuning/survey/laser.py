@@ -20,7 +20,6 @@ programs read in them. Both are written for every linear measurement, and do not
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,9 +106,8 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
     forward, backward = (sorted(blocks.get(way) or ()) for way in ("forward", "backward"))
     if not forward or not backward:
         name = "bidirectional" if blocks.get("bidirectional") else "forward" if forward else "backward"
-        found = survey_of(f"survey {path}, {name}", blocks[name])
         way: Direction = "backward" if name == "backward" else "forward"
-        return Survey(tuple(replace(run, direction=way) for run in found.runs), found.source)
+        return survey_of(f"survey {path}, {name}", blocks[name], (way,))
     positions, ours = [x for x, _ in forward], [x for x, _ in backward]
     if len(positions) != len(ours) or not np.allclose(positions, ours, rtol=0.0, atol=1e-7):
         raise SurveyError(f"survey {path}: the positions forward and backward differ; allowed: the same")

@@ -22,13 +22,13 @@ from straightcomp_ros.straightness.survey import Run, Survey, check_run
 from straightcomp_ros.straightness.survey_table import (
     DEVIATION,
     RUN_COLUMN,
+    TIME_COLUMN,
     SurveyError,
     number,
     numbered_lines,
     table_of,
 )
 
-TIME_COLUMN = "time_s"
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """The slider's x in the topics of our own graph."""
 _WHOLE = 0.9
