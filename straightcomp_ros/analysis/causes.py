@@ -121,16 +121,17 @@ def mains(time: Array, error: Array, line: Line, rests: Sequence[Array] = ()) ->
     )
 
 
-def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke], line: Line) -> Line | None:
-    """The same as waves over ``x`` (n,), m, if it keeps its phase over x in each of the ``strokes``."""
+def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke]) -> Line | None:
+    """The strongest wave of the error over ``x`` (n,), m, if in each of the ``strokes`` it has more of the error than
+    any line in time, and enough to name it."""
     found = []
     for samples in (stroke.samples for stroke in strokes):
         speed = float(np.quantile(np.abs(np.gradient(x[samples], time[samples])), 0.9))
-        over_x = _coherent(x[samples], error[samples], line.at / speed)
-        over_time = _coherent(time[samples], error[samples], line.at)
+        over_x = _of_few_waves(x[samples], error[samples], _FASTEST / speed)
+        over_time = _of_few_waves(time[samples], error[samples], _FASTEST)
         # At constant speed both are the same line: the ramps make the difference, which noise must not make.
         noise = _background(*_spectrum(x[samples], error[samples], over_x.at), float(np.ptp(x[samples])), over_x.at)
-        if over_x.amplitude < max(_COHERENT * line.amplitude, over_time.amplitude + noise):
+        if over_x.amplitude < max(_A_WAVE * float(error.std()), over_time.amplitude + noise):
             return None
         found.append(over_x)
     return min(found, default=None)
@@ -257,8 +258,7 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     same_place = "it is the same at each place of x in every stroke: learning.learn takes it off"
     if any(sum(ours) > 1 and float(alike[np.ix_(ours, ours)][0].min()) > _REPEATS for ours in of_way):
         return same_place
-    waves = locked_to_x(time, x, error, strokes, _of_few_waves(time, error, strokes[0])) if strokes else None
-    if waves and waves.amplitude > _A_WAVE * float(error.std()):
+    if locked_to_x(time, x, error, strokes):
         return same_place
     step = max(1, round(_STEP / period))
     ways = np.sign(np.diff(r[::step]))
@@ -298,10 +298,9 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
     return UNKNOWN
 
 
-def _of_few_waves(time: Array, error: Array, stroke: Stroke) -> Line:
-    """The strongest line of ``error`` (n,) in the ``stroke``, of a few waves and more."""
-    time, error = time[stroke.samples], error[stroke.samples]
-    return _strongest(*_spectrum(time, error, _FASTEST), _FEW_WAVES / float(np.ptp(time)), math.inf)
+def _of_few_waves(along: Array, error: Array, near: float) -> Line:
+    """The strongest line of ``error`` (n,) ``along`` a stroke, of a few waves and up to well beyond ``near``."""
+    return _strongest(*_spectrum(along, error, near), _FEW_WAVES / float(np.ptp(along)), math.inf)
 
 
 def _strongest(tried: Array, spectrum: Array, low: float, high: float) -> Line:

@@ -266,10 +266,10 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
                 f"the mains' hum of {of_mains.at:.1f} Hz moves the platform {amplitude}; it is there at every "
                 "speed; look at the grounding and the shields of amplifier and encoder",
             )
-        if waves := causes.locked_to_x(motion.time, motion.x, motion.error, motion.strokes, at):
+        if waves := causes.locked_to_x(motion.time, motion.x, motion.error, motion.strokes):
             return Verdict(
                 words.LOCKED_TO_X,
-                f"the error has a wave every {_mm(1.0 / waves.at)} of x {amplitude}; it is at the same places in "
+                f"the error has a wave every {1e3 / waves.at:.3g} mm of x {amplitude}; it is at the same places in "
                 "every stroke, as cogging or a periodic error of the map; learning.learn takes it off",
             )
     if motion.modes and (line or motion.exceeds) and motion.destabilised():
@@ -316,6 +316,18 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; compare stage.platform.mass, stage.actuator, "
         "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains that fit a description. "
         "A line that is the same with other gains comes from outside",
+    )
+
+
+def _unsettled(motion: JudgedMotion) -> str:
+    first = motion.disturbed([Stall(motion.time[0], motion.time[0])])
+    calm = motion.calm(first)
+    if not motion.exceeds or not motion.harmed(first) or calm > motion.largest:
+        return ""
+    return (
+        f"the platform had not reached its reference when the stage began to move: error {_um(motion.pp)} p-p, "
+        f"{_um(calm)} after the first moments; allowed: {_um(motion.largest)}; wait before the motion "
+        "(stage.motion.settle)"
     )
 
 
@@ -374,6 +386,7 @@ _REASONS: Sequence[tuple[str, Callable[[JudgedMotion], str]]] = (
     (words.LEFT_MAP, _left_map),
     (words.SATURATED, _saturated),
     (words.WRONG_GUIDE, _wrong_guide),
+    (words.INACCURATE, _unsettled),
     (words.INACCURATE, _noisy_map),
 )
 """Why a run is not in order, empty if it is, by verdict, in the order in which they are tried; then come the causes of

@@ -178,9 +178,9 @@ CASES = {
         ("oscillates", "50 Hz", motion(SMALL + NOISE + 0.5e-6 * sine(50.05) * (np.abs(TIME - 4.0) > 0.5), x=IN_TURN)),
     ],
     "waves over x are locked to it, whatever their frequency": [
-        ("locked_to_x", "every 9.99.* mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
+        ("locked_to_x", "every 10 mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=THERE_AND_BACK)),
-        ("locked_to_x", "every 10.* mm of x", motion(SMALL + SHORT_RAMPS[1], x=SHORT_RAMPS[0], r=0.1 * R)),
+        ("locked_to_x", "every 10 mm of x", motion(SMALL + SHORT_RAMPS[1], x=SHORT_RAMPS[0], r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=SHORT_RAMPS[0], r=0.1 * R)),
     ],
     "a platform that stands and jumps sticks and slips": [
@@ -266,6 +266,11 @@ CASES = {
     "a sensor's own noise is no error of the map": [
         ("in_order", "", motion(fit=GuideFit(20e-6, 0.3e-6, "", 0.04e-6))),
         ("wrong_guide", "", motion(fit=GuideFit(20e-6, 0.3e-6, "", 0.02e-6))),
+    ],
+    "an error of the first moments is of a platform that had not settled, and a later one is not": [
+        ("inaccurate", "0.1 µm after the first moments.*stage.motion.settle", motion(SMALL + bump(0.0, 13e-6))),
+        ("inaccurate", "^(?!.*settle)", motion(SMALL + bump(1.0, 13e-6, 0.3))),
+        ("inaccurate", "^(?!.*settle)", motion(0.55 * R + bump(0.0, 13e-6))),
     ],
     "an error of half the uncompensated deviation is inaccurate": [
         ("in_order", "", motion(0.45 * R)),
@@ -370,3 +375,12 @@ def test_a_map_that_does_not_fit_its_guide_is_explained_by_what_was_done_to_it()
         assert said in of_map(x, true(x) - map_.deviations(x), map_.deviations, map_), said
     sparse = guide_map(true, 0.11)
     assert "110 mm apart: survey more points" in of_map(x, true(x) - sparse.deviations(x), sparse.deviations, sparse)
+
+
+@pytest.mark.parametrize(("stroke", "pitch"), [(0.6, 0.016), (0.45, 0.01)])
+def test_cogging_is_locked_to_x_on_strokes_that_hardly_cruise(verb, stroke, pitch):
+    truth = "driver.simulated.truth.disturbances.cogging"
+    changes = {"stage.motion.stroke": stroke, f"{truth}.pitch": pitch, f"{truth}.force": 0.8}
+    options = (part for name, value in changes.items() for part in ("--set", f"{name}={value}"))
+    found = verb("simulate", "--json", *options).json
+    assert found["verdict"] == "locked_to_x" and f"every {1e3 * pitch:.3g} mm" in found["reason"]
