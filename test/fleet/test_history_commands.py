@@ -101,6 +101,7 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
         "EXPORT DATABASE 'file://{}'",
         "EXPORT DATABASE memory TO E'{}'",
         "-- µ\nEXPORT DATABASE '{}'",
+        "SET enable_profiling = 'json'; SET profiling_output = '{}'; SELECT 1",
     ],
 )
 def test_no_spelling_of_a_name_replaces_a_file(alone, tmp_path, copy, inside):

@@ -156,6 +156,8 @@ class Store:
                 raise HistoryError(f"store {self.url}: no bag was added there; make it: {make}")
             self._add_table(database, STROKES, StrokeRow, PARTITIONS)
             database.execute(_VIEWS)
+            # A setting could name a file to write, as that of profiling does.
+            database.execute("SET lock_configuration = true")
             try:
                 for statement in database.extract_statements(sql):
                     if statement.type != duckdb.StatementType.SELECT:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMap, Choices, build
-from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
+from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.survey import Run, Survey, check_run
@@ -108,7 +108,8 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
 
 def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series | None:
     """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file, where they may have
-    these ``names``. None for a file without ``time_s``, or that names its runs or directions: it has their points.
+    these ``names``. None for a file that has points: without ``time_s``, or that names its runs or directions, or whose
+    rows are a stop and a move apart.
 
     SurveyError if x or deviation is missing, a cell is no number, or time does not rise.
     """
@@ -125,6 +126,11 @@ def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series 
     if len(samples) < 3:
         raise SurveyError(f"survey {path}: {len(samples)} rows; allowed: >= 3")
     columns = np.array(samples).T
+    steps = np.diff(columns[:2])
+    stands = np.abs(steps[1]) < SHORTEST_STROKE
+    reversals = np.count_nonzero(np.diff(np.sign(steps[1, ~stands])))
+    if np.median(steps[0]) >= _STOP and np.count_nonzero(stands) <= reversals:
+        return None
     inputs = dict(zip(("stage", "sensor"), table.columns, strict=True))
     return Series(str(path), columns[0] - columns[0, 0], columns[1], columns[2], 0, inputs)
 

@@ -259,14 +259,19 @@ def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(read_bag)
 
 def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
     path = tmp_path / "series.csv"
-    path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.5,2,20\n6.0,3,30\n")
+    path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.1,2,20\n5.2,3,30\n")
     (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
     (tmp_path / "runs.csv").write_text("time_s,x_mm,deviation_um,run\n5.0,1,10,1\n5.0,1,10,2\n")
     (tmp_path / "columns.csv").write_text("time_s,x_mm,Run 1 [um],Run 2 [um]\n5.0,1,10,10\n")
-    for name in ("points", "runs", "columns"):
+    # One row for each stop, there and back; more rows where the stage stands are a recording.
+    stops = "time_s,x_mm,deviation_um\n0,1,10\n5,2,20\n10,3,30\n15,3,30\n20,2,20\n25,1,10\n"
+    (tmp_path / "stops.csv").write_text(stops)
+    for name in ("points", "runs", "columns", "stops"):
         assert series_of_csv(tmp_path / f"{name}.csv") is None
+    (tmp_path / "stops.csv").write_text(stops + "30,1,10\n35,1,10\n")
+    assert series_of_csv(tmp_path / "stops.csv").x.size == 8
     found = series_of_csv(path)
-    assert found.time.tolist() == [0.0, 0.5, 1.0]
+    assert found.time == pytest.approx([0.0, 0.1, 0.2])
     assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])
     assert found.unusable == 0
 
