@@ -70,11 +70,16 @@ class Design:
     quiet: float  # the trade that was asked for
     demands: Demands  # what the linear loop holds
     verification: LawSummary  # sweep over uncertain machines
+    others: Sequence[LawSummary]  # the same of each other search, with more machines that were not in order
     budget: Sequence[BudgetEntry]  # what limits the error, the stage as described first
     limits: Mapping[str, FailingLimits]  # until where the linear loop is stable, by the law's state
     shape: str  # how the platform's modes are answered, in words
     stiction: Finding  # what the friction's bristles leave of it, as `straightcomp stage check` finds
-    rounds: int  # searches, more than one if the first result failed on an uncertain machine
+
+    @property
+    def rounds(self) -> int:
+        """Searches, more than one if the first result failed on an uncertain machine."""
+        return 1 + len(self.others)
 
     @property
     def holds(self) -> bool:
@@ -104,6 +109,14 @@ class Design:
                 f"modes: {own * 1e6:.2g} µm p-p, where a rigid platform leaves {rigid * 1e6:.2g} µm: no gains that "
                 "hold the modes at all ends of their uncertainty are as fast. Modes that are higher, damped more, or "
                 "known better ('stage.platform.modes.*.frequency_error') help."
+            )
+        kept, *medians = (one.percentiles("pp")["p50"] for one in (self.verification, *self.others))
+        if medians and kept > NOTED * min(medians):
+            faster = self.others[medians.index(min(medians))]
+            found.append(
+                f"uncertainty: {kept * 1e6:.2g} µm p-p at the median of the uncertain machines. Faster gains leave "
+                f"{min(medians) * 1e6:.2g} µm, but {faster.verdict.reason}. Facts that are known better "
+                "('stage.uncertainty.*') help."
             )
         return found
 
@@ -165,14 +178,13 @@ def design_gains(
         return one.judgement.cost + math.log(uneven * pp.median / one.judgement.pp)
 
     progress("feasible", 0.0)
-    kept: tuple[LawSummary, Mapping[str, float], Demands] | None = None
-    rounds, held, names, more = 0, STANDARD, list(begins), list[dict[str, float]]()
-    while rounds < _ROUNDS:
+    verified = list[tuple[LawSummary, Mapping[str, float], Demands]]()
+    held, names, more = STANDARD, list(begins), list[dict[str, float]]()
+    for rounds in range(1, _ROUNDS + 1):
         feasible = FeasibleGains(scenario, law, held, seed)
         near = {name: gains for name in names if (gains := feasible.near(begins[name], _WITH_MODES)) is not None}
         if not near:
             break
-        rounds += 1
         # The first candidates take as long as many later ones: what goes on now is the search.
         progress("search", 0.0)
         judge, budget, found = Judge(scenario, law, quiet, held), evaluations // min(rounds, 2), list[Found]()
@@ -203,13 +215,13 @@ def design_gains(
             progress=lambda fraction: progress("verify", fraction),
         )
         (verification,) = summarise(trials)
-        if kept is None or len(verification.not_in_order) < len(kept[0].not_in_order):
-            kept = verification, best, held
+        verified.append((verification, best, held))
         if not verification.not_in_order:
             break
         held, names, more = held.tightened(_TIGHTER), [way(best)], [dict(best)]
-    if kept is None:
+    if not verified:
         raise refusal(scenario, law, seed)
+    kept = min(verified, key=lambda one: len(one[0].not_in_order))
     verification, best, demands = kept
     shape = way(best)
     return Design(
@@ -222,9 +234,9 @@ def design_gains(
         quiet=quiet,
         demands=demands,
         verification=verification,
+        others=[one[0] for one in verified if one is not kept],
         budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),
         limits=failing_limits(scenario, with_gains(base, law, best)),
         shape=shape,
         stiction=stiction(stage, with_gains(base, law, best)),
-        rounds=rounds,
     )

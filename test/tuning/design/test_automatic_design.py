@@ -11,6 +11,7 @@ import yaml
 from tiers import nightly
 
 from scripts.stage_files import STAGES, stage_scenario
+from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS, make_law
@@ -75,13 +76,28 @@ def test_the_budget_begins_with_the_stage_and_has_the_same_causes_for_every_law(
     [(RIGID, "a rigid platform", "frequency_error"), (EXACT, "an exact reference", "reference_lead")],
 )
 def test_what_costs_a_part_of_the_error_that_no_gains_can_help_is_said(cause, what, parameter):
-    def warnings(without):
-        budget = [BudgetEntry(OWN, 0.5e-6, 0.1e-6), *([BudgetEntry(cause, without, 0.1e-6)] if without else [])]
-        return Design.warnings.fget(SimpleNamespace(budget=budget, stiction=Finding("stiction", "ok", "")))
+    def warned(without):
+        return warnings([BudgetEntry(OWN, 0.5e-6, 0.1e-6), *([BudgetEntry(cause, without, 0.1e-6)] if without else [])])
 
-    (said,) = warnings(0.14e-6)
+    (said,) = warned(0.14e-6)
     assert f"0.5 µm p-p, where {what} leaves 0.14 µm" in said and parameter in said
-    assert warnings(0.4e-6) == warnings(None) == []
+    assert warned(0.4e-6) == warned(None) == []
+
+
+def warnings(budget, kept=0.2e-6, others=()):
+    """Of a design, with the median errors in m of its verification and of its other searches."""
+    summaries = [
+        SimpleNamespace(percentiles=lambda figure, pp=pp: {"p50": pp}, verdict=Verdict("at_stop", f"worst at {pp}"))
+        for pp in (kept, *others)
+    ]
+    design = {"budget": budget, "verification": summaries[0], "others": summaries[1:]}
+    return Design.warnings.fget(SimpleNamespace(**design, stiction=Finding("stiction", "ok", "")))
+
+
+def test_what_it_costs_that_every_uncertain_machine_is_in_order_is_said():
+    (said,) = warnings([], 1.4e-6, (0.9e-6, 0.35e-6))
+    assert "1.4 µm" in said and "0.35 µm, but worst at 3.5e-07" in said and "stage.uncertainty" in said
+    assert warnings([], 0.4e-6, (0.3e-6,)) == []
 
 
 @pytest.fixture(scope="module")
