@@ -126,7 +126,6 @@ class StreamDecoder:
     def __init__(self, topic: str, layout: Layout) -> None:
         self._topic, self._layout, self._dtype = topic, layout, layout.dtype
         self._template = np.frombuffer(layout.pack(0, *(0.0 for _ in layout.columns)), np.uint8)
-        self._constants = constant_places(layout)
         self._batches: list[tuple[NDArray[Any], ...]] = []
 
     def describe(self, path: Path, topic: Topic) -> None:
@@ -165,15 +164,8 @@ class StreamDecoder:
 
     def _same_constants(self, messages: NDArray[np.void]) -> NDArray[np.bool_]:
         content = messages.view(np.uint8).reshape(len(messages), self._layout.size)
-        template = self._template
-        # One comparison of memory for the whole block; message by message only where it fails.
-        if all(
-            content[:, first:end].tobytes() == template[first:end].tobytes() * len(messages)
-            for first, end in self._constants
-        ):
-            return np.ones(len(messages), np.bool_)
         mask = meaningful(self._layout)
-        return np.asarray((content[:, mask] == template[mask]).all(axis=1), np.bool_)
+        return np.asarray((content[:, mask] == self._template[mask]).all(axis=1), np.bool_)
 
     def _by_names(self, message: bytes, place: int) -> tuple[int, list[float]]:
         number, type_name = sum(len(stamp) for _, stamp, *_ in self._batches) + place, self._layout.type_name
@@ -185,21 +177,16 @@ class StreamDecoder:
             raise BagError(f"{where} lacks {error}; {allowed}") from error
 
 
-def constant_places(layout: Layout) -> list[tuple[int, int]]:
-    """(first, end) byte of the encapsulation and of each run of constants in a message."""
-    places, place = [(0, len(ENCAPSULATION))], len(ENCAPSULATION) + 8  # the stamp
-    for constant, run in zip(layout.constants, layout.runs, strict=True):
-        places.append((place, place + len(constant)))
-        place += len(constant) + 8 * run
-    return places
-
-
 @cache
 def meaningful(layout: Layout) -> NDArray[np.bool_]:
-    """For each byte of a message, True where it is constant and no gap of CDR's alignment."""
-    mask = np.zeros(layout.size, np.bool_)
-    for first, end in constant_places(layout):
-        mask[first:end] = True
+    """For each byte of a message, True where it is constant and no gap of CDR's alignment: in the encapsulation, and in
+    the runs of constants between stamp and numbers."""
+    mask, place = np.ones(layout.size, np.bool_), len(ENCAPSULATION) + 8
+    mask[len(ENCAPSULATION) : place] = False
+    for constant, run in zip(layout.constants, layout.runs, strict=True):
+        numbers = place + len(constant)
+        place = numbers + 8 * run
+        mask[numbers:place] = False
     mask[len(ENCAPSULATION) + np.array(layout.gaps, np.intp)] = False
     return mask
 
@@ -208,7 +195,6 @@ def read_streams(
     bag: Path,
     layouts: Mapping[str, Layout],
     remap: Mapping[str, str] | None = None,
-    whole: Sequence[Messages] = (),
 ) -> dict[str, StreamColumns]:
     """Read streams as columns, fast where the messages have the layout, otherwise by the names in them.
 
@@ -216,7 +202,6 @@ def read_streams(
         bag: rosbag2 folder, or one MCAP file.
         layouts: by topic, relative (``encoder``: ``/encoder``, or else the only ``/…/encoder``) or full.
         remap: for topics of ``layouts`` that are named otherwise in the bag, their names there.
-        whole: each gets the messages of its topic as they are, if the bag has that topic.
 
     Returns:
         By the same topic names; a topic that the bag lacks, or that has no messages, is left out.
@@ -229,7 +214,7 @@ def read_streams(
         UserWarning: the bag was not finished; what is whole is read.
     """
     with opened(bag) as files:
-        return streams_of(bag, files, layouts, remap, whole)
+        return streams_of(bag, files, layouts, remap)
 
 
 def streams_of(
@@ -239,7 +224,8 @@ def streams_of(
     remap: Mapping[str, str] | None = None,
     whole: Sequence[Messages] = (),
 ) -> dict[str, StreamColumns]:
-    """As :func:`read_streams`, from the open files of a bag."""
+    """As :func:`read_streams`, from the open files of a bag; each of ``whole`` gets the messages of its topic as they
+    are, if the bag has that topic."""
     names, remap, wanted = topic_names(files), remap or {}, dict[str, str]()
     for key in layouts:
         if full := resolved(remap.get(key, key), names, str(bag)):
