@@ -93,7 +93,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Move the stage along X; HardwareError if it takes no commands, or where :meth:`PacedMotion.begin` refuses."""
+        """Move the stage along X; HardwareError if it takes no commands, ValueError as of :meth:`PacedMotion.begin`."""
 
     @abstractmethod
     def pace(self, pace: Pace) -> None:
@@ -103,7 +103,8 @@ class Hardware(ABC):
         """Begin to reference x: the stage goes to its index mark, and to the start of its strokes; amplifier off.
 
         Raises:
-            HardwareError: x is referenced by another computer, or not now.
+            HardwareError: x is referenced by another computer, or not with the amplifier on.
+            ValueError: the stage is moving.
         """
         raise HardwareError("the stage's own controller references x")
 

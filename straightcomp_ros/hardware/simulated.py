@@ -166,13 +166,7 @@ class SimulatedHardware(Hardware):
         if self.motion.moving:
             # A sample that is due, but not taken yet, is of the motion that there was.
             start_ns = min(start_ns, self._next_sample_ns)
-        self._begin(trajectory, start_ns)
-
-    def _begin(self, trajectory: Trajectory, start_ns: int) -> None:
-        try:
-            self.motion.begin(trajectory, start_ns)
-        except ValueError as error:
-            raise HardwareError(str(error)) from None
+        self.motion.begin(trajectory, start_ns)
 
     def home(self, now_ns: int) -> None:
         if self.state is State.ON:
@@ -183,7 +177,7 @@ class SimulatedHardware(Hardware):
         # The index is found at rest.
         points.append(Waypoint(points[-1].time_ns + _AT_INDEX_NS, self._index, 0.0))
         points += trapezoid(points[-1], motion.start + shift, motion.speed, motion.acceleration)
-        self._begin(Trajectory(points), now_ns)
+        self.motion.begin(Trajectory(points), now_ns)
         self.unreferenced = _HOMING
 
     def pace(self, pace: Pace) -> None:

@@ -99,7 +99,7 @@ class DriverComponent:
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
         node.offer(SetBool, "~/hold", self._on_hold, HardwareError)
         node.offer(Trigger, "~/end_motion", self._on_end_motion, HardwareError)
-        node.offer(Trigger, "~/home", self._on_home, HardwareError)
+        node.offer(Trigger, "~/home", self._on_home, HardwareError, ValueError)
         self._action = TrajectoryAction(node, STAGE, self._begin_goal, partial(self._ask_pace, end=True))
         self._blend = parameters.blend
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)

@@ -158,7 +158,7 @@ class Lockstep:
             raise HardwareError("in lockstep a trajectory runs to its end before the next may start")
 
     def start(self, trajectory: Trajectory, now_ns: int) -> None:
-        """Start the trajectory at the machine's first sample, and take that sample; HardwareError if it is refused."""
+        """Start the trajectory at the machine's first sample, and take that sample; raises as :meth:`Hardware.move`."""
         self._hardware.start(now_ns)
         self._hardware.move(trajectory, now_ns)
         self._take(now_ns)

@@ -169,7 +169,7 @@ def test_what_cannot_be_done_is_refused():
         with pytest.raises(ValueError, match="not finite"):
             hardware.write(current, START)
         assert hardware.applied_current == 0.0
-    with pytest.raises(HardwareError, match=r"starts at 0\.5 m, but the stage stands at 0\.0 m"):
+    with pytest.raises(ValueError, match=r"starts at 0\.5 m, but the stage stands at 0\.0 m"):
         hardware.move(Trajectory([Waypoint(0, 0.5, 0.0)]), START)
 
 

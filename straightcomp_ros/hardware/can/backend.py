@@ -119,10 +119,7 @@ class CanHardware(Hardware):
             begun = PacedMotion(self._stage, trajectory.position(0))
             begun.ask(self.motion.pace)
             begun.number = self.motion.number
-        try:
-            begun.begin(trajectory, start_ns)
-        except ValueError as error:
-            raise HardwareError(str(error)) from None
+        begun.begin(trajectory, start_ns)
         self._send_to_stage(frames.stage_payloads(trajectory.waypoints))
         self.motion = begun
 
