@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
+from straightcomp_ros.bags.topics import ROS_DISTRO
 from straightcomp_ros.doctor import Finding, judged
 from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.cpus import left_behind
 
-_DISTRIBUTION = "jazzy"
 _LAST_FREE_DOMAIN = 101
 _ASK_ROS = """
 import json, sys
@@ -65,7 +65,7 @@ def package_files() -> Finding:
 
 def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: float = 60.0) -> list[Finding]:
     """rclpy, the message packages and the middleware, in a process of their own: a broken one may crash it."""
-    remedy = f"Source /opt/ros/{_DISTRIBUTION}/setup.bash, or install ROS 2's wheels with make setup."
+    remedy = f"Source /opt/ros/{ROS_DISTRO}/setup.bash, or install ROS 2's wheels with make setup."
     if "RMW_IMPLEMENTATION" in os.environ:
         remedy += f" RMW_IMPLEMENTATION asks for {os.environ['RMW_IMPLEMENTATION']}: install it, or unset the variable."
     try:
@@ -84,9 +84,9 @@ def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: floa
 def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
     """Which ROS 2 is sourced, if any."""
     name = environment.get("ROS_DISTRO")
-    remedy = f"Source /opt/ros/{_DISTRIBUTION}/setup.bash in a new shell."
+    remedy = f"Source /opt/ros/{ROS_DISTRO}/setup.bash in a new shell."
     detail = name or "none sourced: the wheels of the virtual environment are used"
-    return judged("distribution", name in (None, _DISTRIBUTION), detail, remedy)
+    return judged("distribution", name in (None, ROS_DISTRO), detail, remedy)
 
 
 def discovery(environment: Mapping[str, str] = os.environ) -> Finding:

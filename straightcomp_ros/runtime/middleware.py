@@ -33,11 +33,6 @@ def own_profile() -> Iterator[None]:
                 del os.environ[name]
 
 
-def stamps_arrival() -> bool:
-    """Whether the middleware's reception time is the time of a message's arrival, not of its take."""
-    return middlewares.middleware(rclpy.get_rmw_implementation_identifier()).stamps_arrival
-
-
 def middleware_in_words() -> str:
     """Name and profile of the running middleware, and what differs under it, for a log."""
     return f"middleware: {middlewares.description(rclpy.get_rmw_implementation_identifier(), os.environ)}"

@@ -109,8 +109,7 @@ def test_what_a_killed_process_left_half_written_is_removed_by_a_later_one(tmp_p
 
 def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubling_a_stroke(alone, months, tmp_path):
     """That has a file for each bag."""
-    store = tmp_path / "store"
-    shutil.copytree(alone[0], store)
+    store = shutil.copytree(alone[0], tmp_path / "store")
     for file in store.glob("strokes/*/*/strokes.parquet"):
         table = pyarrow.parquet.read_table(file, partitioning=None)
         file.unlink()
@@ -127,8 +126,7 @@ def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubli
 def test_strokes_that_were_added_before_a_column_was_declared_are_null_there_until_they_are_added_again(
     alone, months, tmp_path
 ):
-    store = tmp_path / "store"
-    shutil.copytree(alone[0], store)
+    store = shutil.copytree(alone[0], tmp_path / "store")
     for file in store.glob("strokes/*/*/strokes.parquet"):
         table = pyarrow.parquet.read_table(file, partitioning=None)
         pyarrow.parquet.write_table(table.drop_columns("after_minimum_zone_um"), file)
@@ -139,18 +137,16 @@ def test_strokes_that_were_added_before_a_column_was_declared_are_null_there_unt
 
 
 def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(alone, months, tmp_path, monkeypatch):
-    shutil.copytree(alone[0], tmp_path / "store")
-    rows_of = adding.rows_of
+    store, rows_of = shutil.copytree(alone[0], tmp_path / "store"), adding.rows_of
     monkeypatch.setattr(adding, "rows_of", lambda *run: rows_of(*run)[:1])
-    added(tmp_path / "store", months / "stage_0" / "run_0", again=True)
-    found, before = strokes_of(tmp_path / "store"), strokes_of(alone[0])
+    added(store, months / "stage_0" / "run_0", again=True)
+    found, before = strokes_of(store), strokes_of(alone[0])
     (gone,) = (row for row in before if row not in found)
     assert len(found) == 2 * COUNT - 1 and gone["stroke"] == 2
 
 
 def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, tmp_path):
-    store = tmp_path / "store"
-    shutil.copytree(alone[0], store)
+    store = shutil.copytree(alone[0], tmp_path / "store")
     (file, *_) = sorted(store.rglob("strokes.parquet"))
     file.write_bytes(b"damaged")
     with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date, timedelta
+from datetime import date
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -65,7 +65,6 @@ SETTINGS = {"software": "software_version", "map": "map_checksum", "parameters":
 """Columns of the store that say what people changed."""
 BASELINE = 28
 """Days with strokes that make the baseline."""
-_EPOCH = date(1970, 1, 1)
 _SMOOTH = 5
 """Bins over which a profile is averaged: guides move over centimetres, readings scatter from bin to bin."""
 _DEGREE = 2
@@ -86,7 +85,8 @@ class DayLevels:
 
     def date(self, place: int) -> date:
         """Date of entry ``place``."""
-        return _EPOCH + timedelta(days=int(self.day[place]))
+        found: date = self.day[place].astype("datetime64[D]").item()
+        return found
 
     def until(self, count: int) -> DayLevels:
         """The first ``count`` entries: what was known then."""
