@@ -70,7 +70,7 @@ class SqliteInput:
             found = self._query(statement, *ids)
             while records := [self._record(*row) for row in islice(found, _AT_ONCE)]:
                 sizes = np.array([len(record) for record in records], np.int64)
-                yield Block(b"".join(records), {name: np.cumsum(sizes) - sizes})
+                yield b"".join(records), {name: np.cumsum(sizes) - sizes}
 
     def attachments(self) -> dict[str, bytes]:
         """None: SQLite bags have no attachments."""

@@ -58,11 +58,8 @@ _LOOSE_SIZE = 1 << 20
 _RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
 
 
-class Block(NamedTuple):
-    """Records in memory, and the offsets of each topic's message records in them, ascending."""
-
-    data: bytes
-    places: Mapping[str, NDArray[np.int64]]
+Block = tuple[bytes, Mapping[str, NDArray[np.int64]]]
+"""Records in memory, and the offsets of each topic's message records in them, ascending."""
 
 
 class Record(NamedTuple):
@@ -290,7 +287,7 @@ class McapInput:
                 name, count = self.topics[channel].name, count + len(starts)
                 # After a merge of bags a topic has several channels.
                 places[name] = np.sort(np.append(places[name], starts)) if name in places else starts
-            yield Block(data, places)
+            yield data, places
         statistics = self.summary.statistics if self.summary else None
         if statistics and statistics.message_count != count:
             raise self.damaged(0, f"it holds {count} messages, and its statistics say {statistics.message_count}")

@@ -19,18 +19,18 @@ class StageState(NamedTuple):
     number: int = 0
 
     @classmethod
-    def of_motion(cls, motion: PacedMotion, period_ns: int = 0) -> StageState:
+    def of_motion(cls, motion: PacedMotion, period_ns: int) -> StageState:
         """The state of ``motion`` now; at rest if it ends within ``period_ns``, in which lockstep takes no sample."""
-        if not motion.lasts(period_ns):
-            return cls("rest", motion.pace.override, 0, motion.cut, motion.number)
-        return cls(motion.condition, motion.pace.override, motion.behind_ns, motion.cut, motion.number)
+        condition, behind_ns = (motion.condition, motion.behind_ns) if motion.lasts(period_ns) else ("rest", 0)
+        return cls(condition, motion.pace.override, behind_ns, motion.cut, motion.number)
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> StageState:
         """Read a message; what it lacks, or has wrong, is as without a motion."""
         values = {value.key: value.value for value in message.values}
         try:
-            numbers = (
+            return cls(
+                message.name,
                 float(values["override"]),
                 int(values["behind_ns"]),
                 values["cut"] == "true",
@@ -38,16 +38,15 @@ class StageState(NamedTuple):
             )
         except (KeyError, ValueError):
             return cls()
-        return cls(message.name, *numbers)
 
     def message(self, hardware_id: str) -> DiagnosticStatus:
         """A message for `stage_state`."""
         words = {"stopping": "the stage comes to rest", "held": "the stage is held, and goes on when that is asked for"}
-        values = {"override": self.override, "behind_ns": self.behind_ns, "cut": str(self.cut).lower()}
+        _, *values = self._asdict().items()
         return DiagnosticStatus(
             level=DiagnosticStatus.OK,
             name=self.condition,
             message=words.get(self.condition, f"{self.condition}, speed {self.override:.0%}"),
             hardware_id=hardware_id,
-            values=[KeyValue(key=key, value=str(one)) for key, one in (values | {"number": self.number}).items()],
+            values=[KeyValue(key=key, value=str(one).lower()) for key, one in values],
         )
