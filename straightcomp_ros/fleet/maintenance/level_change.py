@@ -53,7 +53,6 @@ class LevelChange(NamedTuple):
     ended: int | None  # place of the day from which the level counts as back at its baseline; None while it is not
     before: float  # median of the baseline
     after: float  # median of the last days of the change, at most a week
-    sigma: float  # standard deviation from day to day that the baseline lets expect
     step: bool  # whether it came within days; otherwise the level drifts
 
     @property
@@ -110,7 +109,7 @@ def changes_of_figure(levels: Array, watched: Watched) -> list[LevelChange]:
         after = float(np.median(values[begin:stop][-WEEK:]))
         ended = None if ended is None else int(known[ended])
         days = (int(known[begin]), int(known[found]), ended)
-        changes.append(LevelChange(watched.name, *days, baseline.centre, after, baseline.sigma, step))
+        changes.append(LevelChange(watched.name, *days, baseline.centre, after, step))
         start = stop
     return changes
 
