@@ -22,7 +22,13 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of, values_at
-from straightcomp_ros.bags.recorded_nodes import guide_parameters, recorded_parameters, reports_in, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import (
+    guide_parameters,
+    noted_changes,
+    recorded_parameters,
+    reports_in,
+    unpacked_map,
+)
 from straightcomp_ros.bags.recovery import LOST_FILES, RECOVERY_METADATA, UNFINISHED_FILES
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
@@ -51,6 +57,8 @@ def attached_map(
 
 _OTHER_RATE = 0.02
 """Deviation of the stamps' rate from the described one that is no clock's: crystals differ by less than 0.001."""
+_NAMED = 5
+"""Changed parameters that a warning names."""
 _TRUTH = {"true_x": "true_x", "true_y": "true_y", "guide": "guide_deviation"}
 """Columns of the truth by those of a record."""
 FOR_EVER = int(np.iinfo(np.int64).max)
@@ -170,6 +178,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         attachments = attachments_of(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
+        changed = {name: value for _, values in noted_changes(files) for name, value in values.items()}
         # What was recovered of a recording that was cut off ends where that does.
         finished = all(file.finished for file in files) and not any(one.get(UNFINISHED_FILES) for one in recovery)
     try:
@@ -179,6 +188,12 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
         reports = {}
     parameters = recorded_parameters(bag, attachments)
+    if changed:
+        some = ", ".join(f"'{name}' {value}" for name, value in list(changed.items())[:_NAMED])
+        more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
+        warnings.warn(
+            f"parameters changed while the bag was recorded: {some}{more}; judged by the former", stacklevel=2
+        )
     for node, given in parameters.items():
         for name in _numbers(node) & given.keys():
             value = given[name]

@@ -6,7 +6,8 @@ The values of parameters are not validated here: whoever runs a component with t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,9 +22,13 @@ from straightcomp_ros.parameters.yaml_text import node_sections
 from straightcomp_ros.timing.node_timing import Report, reporting_node
 
 if TYPE_CHECKING:
+    from straightcomp_ros.bags.reader import BagInput
     from straightcomp_ros.bags.writer import BagWriter
 
 
+PARAMETERS_CHANGED, _TIME_NS = "parameters_changed", "time_ns"
+"""Metadata record of each change of parameters in a recording, and its key of when it was noticed; the others are the
+new values by node and dotted name."""
 _ONCE_SAMPLES = (("controller", "reference_lead"), ("driver", "simulated.sample_memory"))
 """Times that early bags have as whole numbers of samples."""
 
@@ -48,6 +53,30 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
         if type(own.get(name)) is int and own.get("stage.rate"):
             own[name] /= own["stage.rate"]
     return values
+
+
+def note_changes(
+    bag: BagWriter, time_ns: int, before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Store which of the nodes' parameters changed, noticed at ``time_ns``; nothing if none did."""
+    values = {
+        f"{node}.{name}": str(value)
+        for node, own in after.items()
+        for name, value in own.items()
+        if value != before.get(node, {}).get(name) and not belongs_to_ros(name)
+    }
+    if values:
+        bag.add_metadata(PARAMETERS_CHANGED, {_TIME_NS: str(time_ns), **values})
+
+
+def noted_changes(files: Sequence[BagInput]) -> list[tuple[int, dict[str, str]]]:
+    """When parameters changed in a recording, in ns, and to what, by node and dotted name."""
+    found = []
+    for record in (record for file in files for record in file.metadata() if record.name == PARAMETERS_CHANGED):
+        changed = dict(record.metadata)
+        with suppress(KeyError, ValueError):
+            found.append((int(changed.pop(_TIME_NS)), changed))
+    return found
 
 
 def parameters_of(

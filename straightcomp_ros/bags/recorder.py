@@ -127,9 +127,8 @@ class Recorder:
     Args:
         options: see there; a bag without ``output`` is named after the time of its start, later ones get ``_2`` …
         stamped: full names of the topics that have a header with their sample's stamp; their losses are counted.
-        describe: called on the writing thread with the bag, now and then, until it returns true. It attaches what
-            describes the recording, e.g. the nodes' parameters. Its second argument is true when the bag ends and this
-            is the last call.
+        describe: called with the bag now and then, on the writing thread, and when the bag ends, with a second argument
+            that is true then. It adds what describes the recording, e.g. the nodes' parameters.
 
     Attributes:
         intake: takes the messages; before :meth:`start` it ignores them.
@@ -139,7 +138,7 @@ class Recorder:
     """
 
     def __init__(
-        self, options: RecorderParameters, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
+        self, options: RecorderParameters, stamped: Collection[str], describe: Callable[[BagWriter, bool], None]
     ) -> None:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
         self._min_free = options.min_free_bytes
@@ -180,7 +179,7 @@ class Recorder:
         )
         self._count += 1
         self.folder, self.failure, self.written = folder, None, 0
-        self._losses, self._bag, self._described = Losses(), bag, False
+        self._losses, self._bag = Losses(), bag
         self.intake = Intake(options.queue_limit, options.snapshot)
         self._stopping.clear()
         self._splitting.clear()
@@ -205,8 +204,7 @@ class Recorder:
         self._thread.join()
         self._thread = None
         with self._bag as bag:  # finishes the bag even where the disk is too full for these
-            if not self._described:
-                self._describe(bag, True)
+            self._describe(bag, True)
             counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
             for name, numbers in (("logger", counts), ("losses", self._losses.by_topic())):
                 bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
@@ -235,9 +233,8 @@ class Recorder:
             while not self._stopping.wait(_WRITE_INTERVAL_S):
                 self._write(intake)
                 check_disk(self.folder, self._min_free)
-                if not self._described:
-                    # Now, not at the end: a bag whose recording is killed needs its description too.
-                    self._described = self._describe(self._bag, False)
+                # Now, not at the end: a bag whose recording is killed needs its description too.
+                self._describe(self._bag, False)
                 if self._splitting.is_set():
                     self._splitting.clear()
                     self._bag.split()

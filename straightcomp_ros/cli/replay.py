@@ -63,6 +63,8 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
     if found.missing:
         missing = f"{found.missing} samples, references or states are not in the bag"
         notes.print(f"{missing}: commands after them cannot be computed until the law starts anew")
+    if found.changed:
+        notes.print("the controller's parameters changed while it was recorded: what came then is not verified")
     if found.began_running:
         notes.print("the recording began while the law was running: it is verified from the law's next start")
     if found.first:

@@ -3,7 +3,7 @@
 import re
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags.recorded_nodes import attach_map
+from straightcomp_ros.bags.recorded_nodes import attach_map, note_changes
 from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.topics import Topic, definition
 from straightcomp_ros.bags.writer import BagWriter
@@ -104,6 +104,8 @@ class LoggerComponent:
         self._silent: dict[str, Topic] = {}
         """Topics that have had no message yet."""
         self._remote = RemoteParameters(node, parameters.nodes.split())
+        self._described: Mapping[str, Mapping[str, object]] = {}
+        """The nodes' parameters that the bag has; empty before it has any."""
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
         self._recorder = recorder = Recorder(parameters, stamped, self._describe)
         for stream in STREAMS:
@@ -193,6 +195,7 @@ class LoggerComponent:
 
     def _start(self) -> str:
         """Record to a new bag."""
+        self._described = {}
         folder = self._recorder.start()
         self._others.repeat(self._recorder.intake.add)
         return f"recording to {folder}"
@@ -239,16 +242,21 @@ class LoggerComponent:
             self._overruns += late_ns // _FETCH_INTERVAL_NS
         self._fetched_ns = now
 
-    def _describe(self, bag: BagWriter, at_end: bool) -> bool:
-        """Attach the nodes' parameters and map as soon as all nodes have answered, at the latest when the bag ends."""
-        if not self._remote.complete and not at_end:
-            return False
-        text = dump_yaml({name: {"ros__parameters": values} for name, values in self._remote.values.items()})
-        bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", text.encode())
-        refusal = attach_map(bag, self._remote.values)
-        if refusal:
-            self.node.get_logger().warning(refusal)
-        return True
+    def _describe(self, bag: BagWriter, at_end: bool) -> None:
+        """Attach the nodes' parameters and map as soon as all nodes have answered, at the latest when the bag ends, and
+        then note what changes."""
+        values = dict(self._remote.values)
+        if self._described:
+            note_changes(bag, time.time_ns(), self._described, values)
+        elif self._remote.complete or at_end:
+            text = dump_yaml({name: {"ros__parameters": own} for name, own in values.items()})
+            bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", text.encode())
+            refusal = attach_map(bag, values)
+            if refusal:
+                self.node.get_logger().warning(refusal)
+        else:
+            return
+        self._described = values
 
     def _watch(self) -> None:
         if self._recorder.failure:

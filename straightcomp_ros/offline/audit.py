@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_nodes import parameters_of
+from straightcomp_ros.bags.folder import opened
+from straightcomp_ros.bags.reader import StreamColumns, attachments_of, read_streams
+from straightcomp_ros.bags.recorded_nodes import noted_changes, parameters_of
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.pairing import extrapolated
@@ -23,6 +24,8 @@ from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 _AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
 _COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])
 """Columns of the law's answer, in its order."""
+_NOTICED_NS = 2_000_000_000
+"""Time before a noted change from which it may have been made: its notice takes two threads their turns."""
 _GAP_NS = 20_000_000
 """Gap between two samples beyond which the servo restarts the law."""
 
@@ -48,6 +51,7 @@ class Audit:
         unverified: recorded commands that cannot be computed: an input of the law is not in the bag, and the law has
             not restarted since.
         missing: samples or references of those steps that are not in the bag.
+        changed: whether a parameter of the controller changed in the recording: what came then is not verified.
         began_running: whether the recording began while the law was running.
     """
 
@@ -56,6 +60,7 @@ class Audit:
     different: int
     unverified: int
     missing: int
+    changed: bool
     began_running: bool
     first: Difference | None
 
@@ -83,7 +88,12 @@ def audit(
     for stream in _AUDITED:
         if stream.topic not in streams:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; an audit needs all four of the loop")
-    values = parameters_of(bag, read_attachments(bag), given)
+    with opened(bag) as files:
+        values = parameters_of(bag, attachments_of(files), given)
+        changes = [
+            when for when, changed in noted_changes(files) if any(name.startswith("controller.") for name in changed)
+        ]
+    valid_ns = min(changes, default=math.inf) - _NOTICED_NS
     if "controller" not in values:
         raise BagError(f"bag {bag}: the controller's parameters are not attached; give them with --params-file")
     try:
@@ -125,7 +135,7 @@ def audit(
         answer = servo.step(stamp_ns, y, coil_current, extrapolated(*reference, age_ns * 1e-9))
         followed = followed or starts_anew
         current = currents.get(stamp_ns)
-        if not followed or current is None:
+        if not followed or current is None or stamp_ns > valid_ns:
             continue
         pairs = zip(_COLUMNS, (*current, *numbers[:-1]), answer or (math.nan,) * len(_COLUMNS), strict=True)
         # The texts are equal where the bits are, and for every NaN, which means "none" whatever its bits.
@@ -137,7 +147,9 @@ def audit(
         compared += 1
         different += found is not None
         first = first or found
-    return Audit(parameters.control.law, compared, different, steps - compared, missing, began_running, first)
+    return Audit(
+        parameters.control.law, compared, different, steps - compared, missing, bool(changes), began_running, first
+    )
 
 
 def _rows(stream: StreamColumns, *columns: str) -> dict[int, tuple[float, ...]]:

@@ -18,10 +18,12 @@ from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -68,7 +70,7 @@ _LONGEST_VALUE = 4000
 _MOST_WAITING = 4
 _YIELD_EVERY = 64
 _UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transition.TRANSITION_ACTIVATE}
-_PARAMETERS_EVERY_S = 0.25
+_PARAMETERS_EVERY_S, _PARAMETER_EVENTS = 0.25, "/parameter_events"
 _AGAIN_AFTER = 8
 """Looks until a node is asked again: a response is lost if the node receives the request before it knows the client."""
 _DRIVER, _ACTIVE = "driver", "active"
@@ -376,7 +378,8 @@ class ServiceClient:
 
 
 class RemoteParameters:
-    """Asks each of the nodes ``names`` in this node's namespace, when it is available, for all its parameters.
+    """All parameters of the nodes ``names`` in this node's namespace, as they are now: each node is asked when it is
+    available, and anew when it was started again; what is set later is heard.
 
     Attributes:
         values: the parameters by node and dotted name.
@@ -384,20 +387,36 @@ class RemoteParameters:
 
     def __init__(self, node: Node, names: Sequence[str]) -> None:
         self.values: dict[str, dict[str, object]] = {}
+        self._node = node
         self._clients = {name: AsyncParameterClient(node, name) for name in names}
         self._looks_left = dict.fromkeys(names, 0)
-        self._timer = node.create_timer(_PARAMETERS_EVERY_S, self._look)
+        self._answered: dict[str, frozenset[bytes]] = {}
+        """Of each node that has answered, its processes at that time."""
+        node.create_timer(_PARAMETERS_EVERY_S, self._look)
+        node.create_subscription(ParameterEvent, _PARAMETER_EVENTS, self._on_event, qos_profile_parameter_events)
+
+    def ask_again(self) -> None:
+        """Ask all nodes anew."""
+        self._answered.clear()
+        self._looks_left = dict.fromkeys(self._clients, 0)
 
     def _look(self) -> None:
-        for name in [name for name in self._clients if name not in self.values]:
+        processes: dict[str, frozenset[bytes]] = {}
+        for one in self._node.get_publishers_info_by_topic(_PARAMETER_EVENTS):
+            if one.node_namespace == self._node.get_namespace():
+                known = processes.get(one.node_name, frozenset())
+                processes[one.node_name] = known | {bytes(one.endpoint_gid)}
+        for name, client in self._clients.items():
+            here = processes.get(name, frozenset())
+            if name in self._answered and here <= self._answered[name]:
+                continue
+            self._answered.pop(name, None)
             self._looks_left[name] -= 1
-            if self._looks_left[name] < 0 and self._clients[name].services_are_ready():
+            if self._looks_left[name] < 0 and client.services_are_ready():
                 self._looks_left[name] = _AGAIN_AFTER
-                self._collect(name, self._clients[name])
-        if self.complete:
-            self._timer.cancel()
+                self._collect(name, here, client)
 
-    def _collect(self, node: str, client: AsyncParameterClient) -> None:
+    def _collect(self, node: str, processes: frozenset[bytes], client: AsyncParameterClient) -> None:
         def listed(future: Future) -> None:
             names = list(future.result().result.names)
 
@@ -406,15 +425,25 @@ class RemoteParameters:
                 # Not so many after a parameter was undeclared meanwhile: ask again.
                 if len(values) == len(names):
                     self.values[node] = dict(zip(names, map(parameter_value_to_python, values), strict=True))
+                    self._answered[node], self._looks_left[node] = processes, 0
 
             client.get_parameters(names).add_done_callback(got)
 
         client.list_parameters([], 10).add_done_callback(listed)
 
+    def _on_event(self, event: ParameterEvent) -> None:
+        place, _, name = event.node.rpartition("/")
+        if name in self.values and (place or "/") == self._node.get_namespace():
+            deleted = {one.name for one in event.deleted_parameters}
+            kept = {key: value for key, value in self.values[name].items() if key not in deleted}
+            given = (*event.new_parameters, *event.changed_parameters)
+            # Replaced as a whole: another thread may be reading it.
+            self.values[name] = kept | {one.name: parameter_value_to_python(one.value) for one in given}
+
     @property
     def complete(self) -> bool:
         """Whether all nodes have answered."""
-        return len(self.values) == len(self._clients)
+        return len(self._answered) == len(self._clients)
 
 
 def message_from_waypoints(waypoints: Sequence[Waypoint]) -> JointTrajectory:

@@ -96,7 +96,7 @@ def sample(number: int) -> tuple[str, bytes, int, int]:
 def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tmp_path):
     described = []
     recorder = Recorder(
-        RecorderParameters(str(tmp_path / "run")), ["/encoder"], lambda bag, at_end: described.append(at_end) or at_end
+        RecorderParameters(str(tmp_path / "run")), ["/encoder"], lambda bag, at_end: described.append(at_end)
     )
     announced(recorder)
     recorder.intake.add(*sample(0))
@@ -133,7 +133,7 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
 
 
 def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_expected(tmp_path):
-    recorder = Recorder(RecorderParameters(str(tmp_path / "run")), [], lambda bag, at_end: True)
+    recorder = Recorder(RecorderParameters(str(tmp_path / "run")), [], lambda bag, at_end: None)
     recorder.expect(Topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort")))
     recorder.start()
     recorder.stop()
@@ -152,7 +152,7 @@ def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_
 
 def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
     check_disk(tmp_path, 1)
-    recorder = Recorder(RecorderParameters(str(tmp_path / "run")), [], lambda bag, at_end: True)
+    recorder = Recorder(RecorderParameters(str(tmp_path / "run")), [], lambda bag, at_end: None)
     announced(recorder)
     recorder.start()
     recorder.keep_free(10**18)

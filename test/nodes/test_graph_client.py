@@ -14,7 +14,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from participant import Participant
 from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 from waiting import comes_true
@@ -222,13 +224,48 @@ class LossyClient:
 
 def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch):
     monkeypatch.setattr(graph_client, "AsyncParameterClient", LossyClient)
-    node = Mock()
+    processes, node = [], Mock()
+    node.get_namespace.return_value, node.get_publishers_info_by_topic.return_value = "/line", processes
     remote = RemoteParameters(node, ["driver"])
     ((_, look), _) = node.create_timer.call_args
-    for _ in range(30):
-        look()
-    assert remote.complete and remote.values == {"driver": {"stage.rate": 2000.0}}
-    assert remote._clients["driver"].asked == 2 and node.create_timer.return_value.cancel.called
+
+    def asked():
+        for _ in range(30):
+            look()
+        return remote._clients["driver"].asked
+
+    assert asked() == 2 and remote.complete and remote.values == {"driver": {"stage.rate": 2000.0}}
+    # Of a node that is started anew, another process is seen; that of another machine is none of ours.
+    processes.append(SimpleNamespace(node_name="driver", node_namespace="/line_2", endpoint_gid=[1]))
+    assert asked() == 2
+    for number in (2, 3):
+        processes.append(SimpleNamespace(node_name="driver", node_namespace="/line", endpoint_gid=[number]))
+        assert asked() == asked() == 1 + number
+    remote.ask_again()
+    assert not remote.complete and asked() == 5 and remote.complete
+
+
+def test_parameters_of_another_node_follow_its_changes(participant):
+    seen, changing = Node("seen", namespace="/line"), Node("driver", namespace="/line")
+    other = Node("driver", namespace="/line_2")
+    for node in (changing, other):
+        node.declare_parameter("stage.rate", 2000.0)
+    remote = RemoteParameters(seen, ["driver"])
+    executor = SingleThreadedExecutor()
+    for node in (seen, changing, other):
+        executor.add_node(node)
+
+    def until(condition):
+        return comes_true(lambda: executor.spin_once(0.05) or condition())
+
+    assert until(lambda: remote.complete) and remote.values["driver"]["stage.rate"] == 2000.0
+    other.set_parameters([Parameter("stage.rate", value=10.0)])
+    changing.set_parameters([Parameter("stage.rate", value=1000.0)])
+    assert until(lambda: remote.values["driver"]["stage.rate"] != 2000.0)
+    assert remote.values["driver"]["stage.rate"] == 1000.0
+    executor.shutdown()
+    for node in (seen, changing, other):
+        node.destroy_node()
 
 
 def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_has_just_ended():

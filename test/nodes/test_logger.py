@@ -81,6 +81,7 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
         publish_until(lambda: size(bag / "bag_0.mcap") > 20_000)
         assert caller.trigger("logger/split").success
         publish_until(lambda: size(bag / "bag_1.mcap") > 5000)
+        caller.set("logger", {"min_free_bytes": 1_000_001})
         for number, fault in enumerate(("x_jump", "tripped")):
             values = [KeyValue(key="time_ns", value=str(number))]
             state.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name=fault, values=values))
@@ -106,6 +107,9 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
         assert (qos["history"], qos["depth"]) in (("keep_last", 1), ("unknown", 0))
     assert set(read_field(bag, Field("/probe", "range")).values) == {0.25}
     assert (tmp_path / "bag_2" / "metadata.yaml").exists()
+    assert read_metadata(bag)["parameters_changed"]["logger.min_free_bytes"] == "1000001"
+    kept = [read_attachments(folder)["parameters.yaml"].decode() for folder in (bag, tmp_path / "bag_2")]
+    assert ["1000001" in one for one in kept] == [False, True]
     # Sent once, before any bag was begun: each has it, as a late subscriber has.
     for folder in ("bag", "bag_2"):
         (recipe,) = read_messages(tmp_path / folder, "/recipe").data

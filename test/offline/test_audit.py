@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from rewritten_bag import rewritten
 
+from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.recorded_nodes import note_changes
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
@@ -73,6 +75,30 @@ def test_one_bit_in_a_command_or_a_sample_and_other_parameters_are_found(bag, tm
     assert found.different >= 1 and found.first.step == 500
     linear = rewritten(bag, tmp_path / "law", unchanged, lambda _, data: data.replace(b"law: smc", b"law: linear"))
     assert not audit(linear).passed
+
+
+def test_what_came_after_a_change_of_the_controller_is_unverifiable_and_the_change_is_said(tmp_path):
+    values = {"controller": {"control.law": "smc"}, "stage": {**CYCLE, "motion.settle": 4.0}}
+    before, simulation, stamps = by_node(values), Simulation(values), []
+    after = {**before, "controller": {**before["controller"], "control.law": "linear"}}
+    with SimulatedRun(tmp_path / "run", before, simulation.delay) as run:
+
+        def observe(sample, *answer):
+            if len(stamps) == 7000:
+                note_changes(run._bag, 1_000_000_000 + sample.stamp_ns, before, before)
+                note_changes(run._bag, 1_000_000_000 + sample.stamp_ns, before, after)
+            stamps.append(sample.stamp_ns)
+            run.add(sample, *answer)
+
+        simulation.run(observe=observe)
+    # In truth another law would answer then.
+    bag = rewritten(tmp_path / "run", tmp_path / "new", one_bit_more("command", 7010, 0))
+    found = audit(bag)
+    assert found.passed and found.changed and found.unverified + found.commands == len(stamps)
+    assert 0 < 7000 - found.commands < 5000
+    assert not audit(rewritten(bag, tmp_path / "broken", one_bit_more("command", 700, 0))).passed
+    with pytest.warns(UserWarning, match="changed while .*'controller.control.law' linear"):
+        evaluate_bag(bag)
 
 
 @pytest.mark.parametrize("topic", ["encoder", "reference", "controller_state"])

@@ -60,6 +60,7 @@ class WaitingClient(GraphClient):
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             # Another name than that of a node which starts such clients.
             super().__init__(GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None), nodes, batches=())
+        self._remote = RemoteParameters(self.node, nodes)
         # Now, since a response is lost if the node receives the request before it knows the client.
         self.service(SetBool, "controller/excite")
         for one in nodes:
@@ -96,9 +97,9 @@ class WaitingClient(GraphClient):
 
     def values(self) -> dict[str, dict[str, Any]]:
         """All parameters of the nodes as they are now, by node and dotted name."""
-        remote = RemoteParameters(self.node, self._nodes)
-        self.wait(lambda: remote.complete, _START_S, "the nodes do not report their parameters")
-        return {node: dict(section) for node, section in remote.values.items()}
+        self._remote.ask_again()
+        self.wait(lambda: self._remote.complete, _START_S, "the nodes do not report their parameters")
+        return {node: dict(section) for node, section in self._remote.values.items()}
 
     def processes(self) -> dict[str, str]:
         """By node, an identifier of its process: a node that is started anew has another."""
