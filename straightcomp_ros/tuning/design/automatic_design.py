@@ -28,7 +28,7 @@ from straightcomp_ros.offline.starts import STARTS, Spread, spread
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.tuning.design.error_budget import EXACT, NOTED, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
-from straightcomp_ros.tuning.design.gain_search import UNEVEN, Found, Judge, RunFigures, prepared_stroke, search
+from straightcomp_ros.tuning.design.gain_search import UNEVEN, Judge, Judged, RunFigures, prepared_stroke, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
 from straightcomp_ros.tuning.sweep.trial import LawSummary, summarise, sweep
@@ -168,14 +168,14 @@ def design_gains(
         found = runs(gains)
         return DesignFigures(*(spread(getattr(run, name) for run in found) for name in DesignFigures._fields))
 
-    def cost(one: Found) -> float:
+    def cost(one: Judged) -> float:
         """Of a finalist, on the whole stroke: short strokes may have flattered it."""
         pp = spread(run.pp for run in runs(one.gains))
         if not math.isfinite(pp.max):
             return math.inf
         # Gains that are good from some starts only are worth what they are from the worst.
         uneven = max(1.0, pp.max / (UNEVEN * pp.median))
-        return one.judgement.cost + math.log(uneven * pp.median / one.judgement.pp)
+        return one.cost + math.log(uneven * pp.median / one.pp)
 
     progress("feasible", 0.0)
     verified = list[tuple[LawSummary, Mapping[str, float], Demands]]()
@@ -187,7 +187,7 @@ def design_gains(
             break
         # The first candidates take as long as many later ones: what goes on now is the search.
         progress("search", 0.0)
-        judge, budget, found = Judge(scenario, law, quiet, held), evaluations // min(rounds, 2), list[Found]()
+        judge, budget, found = Judge(scenario, law, quiet, held), evaluations // min(rounds, 2), list[Judged]()
         ways = [[*starts(law, begins[name]), *more, tighter] for name, tighter in near.items()]
         while ways:
             share = budget // len(ways) if len(ways) == 1 else budget // (2 * len(ways))
@@ -200,12 +200,12 @@ def design_gains(
                     jobs=jobs,
                     progress=lambda fraction: progress("search", fraction),
                 )
-            found.sort(key=lambda one: one.judgement.cost)
+            found.sort(key=lambda one: one.cost)
             # Half of the candidates tell which way is the best; the others go on from there.
             ways = [] if len(ways) == 1 else [[begins[way(found[0].gains)], dict(found[0].gains)]]
             budget //= 2
         first = [one for one in found if any(one.gains == begins[name] for name in near)]
-        finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
+        finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.pp)]
         best = min(finalists, key=cost, default=found[0]).gains
         trials = sweep(
             dataclasses.replace(scenario, controls={law: with_gains(base, law, best)}),

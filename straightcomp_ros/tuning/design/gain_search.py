@@ -171,9 +171,11 @@ def shortened(scenario: Scenario, duration: float) -> Scenario:
     return dataclasses.replace(scenario, trajectory=Trajectory(forward_and_back(part)))
 
 
-class Judgement(NamedTuple):
-    """Cost, and the stage's p-p in m and work in A; infinite where gains were not simulated."""
+class Judged(NamedTuple):
+    """Gains by dotted name, their cost, and the stage's p-p in m and work in A; infinite where they were not
+    simulated."""
 
+    gains: Mapping[str, float]
     cost: float
     pp: float = math.inf
     work: float = math.inf
@@ -200,23 +202,23 @@ class Judge:
         self._work_scale = max(scale, _LEAST_STEPS * self.stage.drive.current_step)
         self._silent = _SILENT * self._work_scale if held and law == "smc_observer" else math.inf
 
-    def judge(self, gains: Mapping[str, float], bar: float = math.inf) -> Judgement:
+    def judge(self, gains: Mapping[str, float], bar: float = math.inf) -> Judged:
         """Judge ``gains``, by dotted name; by their first stroke alone if it costs more than ``bar``."""
         try:
             control = with_gains(self.control, self.law, gains)
         except ParameterError:
-            return Judgement(3.0 * _UNSTABLE)
+            return Judged(gains, 3.0 * _UNSTABLE)
         violation = self._check.violation(control)
         if violation > 0.0:
-            return Judgement(_UNSTABLE + min(_UNSTABLE, violation))
+            return Judged(gains, _UNSTABLE + min(_UNSTABLE, violation))
         law, runs = make_law(control, self.stage), []
         for start in range(_STARTS):
             runs.append(self._stroke.run(law, self.delay, start))
-            if start == 0 and (first := self._nominal(runs)[0]).cost > bar:
+            if start == 0 and (first := self._nominal(gains, runs)[0]).cost > bar:
                 return first
         if max(run.pp for run in runs) > UNEVEN * min(run.pp for run in runs):
             runs += [self._stroke.run(law, self.delay, start) for start in range(_STARTS, _MORE_STARTS)]
-        found, accuracy = self._nominal(runs)
+        found, accuracy = self._nominal(gains, runs)
         if not math.isfinite(found.pp):
             return found
         extremes = [self._short.run(law, delay, plant=plant) for plant, delay in self._extremes]
@@ -225,18 +227,18 @@ class Judge:
         mean = float(np.mean([math.log(run.pp) for run in extremes]))
         return found._replace(cost=found.cost + (_SHARE_EXTREME * (mean - accuracy) + self._penalty(extremes)))
 
-    def _nominal(self, runs: list[RunFigures]) -> tuple[Judgement, float]:
-        """The judgement of ``runs`` of the stage as described, and their accuracy."""
+    def _nominal(self, gains: Mapping[str, float], runs: list[RunFigures]) -> tuple[Judged, float]:
+        """``gains`` by their ``runs`` on the stage as described, and the accuracy of these."""
         pp, rms, work, rest = (
             float(np.mean([getattr(run, name) for run in runs])) for name in ("pp", "rms", "work", "rest_work")
         )
         if not math.isfinite(pp):
-            return Judgement(_UNSTABLE, pp, work), math.inf
+            return Judged(gains, _UNSTABLE, pp, work), math.inf
         accuracy = (1.0 - _SHARE_RMS) * math.log(pp) + _SHARE_RMS * math.log(_PP_PER_RMS * rms)
         cost = accuracy + self._quiet * _WORK_WEIGHT * math.log1p(work / self._work_scale) + self._penalty(runs)
         if rest > self._silent:
             cost += 0.1 + math.log(rest / self._silent)
-        return Judgement(cost, pp, work), accuracy
+        return Judged(gains, cost, pp, work), accuracy
 
     def _penalty(self, runs: list[RunFigures]) -> float:
         """For each oscillation by its size, for each platform that met its stop."""
@@ -353,13 +355,6 @@ def cheapest(
     return best, least
 
 
-class Found(NamedTuple):
-    """Gains by dotted name, and what they are worth."""
-
-    gains: Mapping[str, float]
-    judgement: Judgement
-
-
 def search(
     judge: Judge,
     starts: Sequence[Mapping[str, float]],
@@ -368,7 +363,7 @@ def search(
     seed: int = 1,
     jobs: int = -1,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> list[Found]:
+) -> list[Judged]:
     """Some ``evaluations`` candidates that were judged, the best first; ``starts`` are among them.
 
     The gains that are not searched stay as in the first start. The result does not depend on ``jobs``, the number of
@@ -376,27 +371,23 @@ def search(
     """
     different = [dict(one) for place, one in enumerate(starts) if one not in starts[:place]]
     with Parallel(n_jobs=jobs, backend="loky") as parallel:
-        found = list(map(Found, different, parallel(delayed(judge.judge)(one) for one in different)))
-        begins = sorted(found, key=_cost)[: max(1, min(_VALLEYS[0][1], evaluations // _FEWEST))]
+        found: list[Judged] = list(parallel(delayed(judge.judge)(one) for one in different))
+        begins = sorted(found, key=lambda one: one.cost)[: max(1, min(_VALLEYS[0][1], evaluations // _FEWEST))]
         valleys = []
         for place, begin in enumerate(begins):
             valleys.append(Valley(judge.law, begin.gains, _STEP, seed + place, rule=starts[0]))
-            valleys[-1].best = _cost(begin)
+            valleys[-1].best = begin.cost
         while len(found) < evaluations:
             number = next(number for until, number in _VALLEYS if len(found) < until * evaluations)
             valleys = sorted((one for one in valleys if not one.exhausted), key=lambda valley: valley.best)[:number]
             if not valleys:
                 break
-            bar = min(map(_cost, found)) + _HOPELESS
+            bar = min(one.cost for one in found) + _HOPELESS
             asked = [valley.ask() for valley in valleys]
             judgements = iter(parallel(delayed(judge.judge)(one, bar) for gains in asked for one in gains))
             for valley, gains in zip(valleys, asked, strict=True):
-                judged = [Found(one, next(judgements)) for one in gains]
-                valley.tell([_cost(one) for one in judged])
+                judged = [next(judgements) for _ in gains]
+                valley.tell([one.cost for one in judged])
                 found += judged
             progress(min(1.0, len(found) / evaluations))
-    return sorted(found, key=_cost)
-
-
-def _cost(found: Found) -> float:
-    return found.judgement.cost
+    return sorted(found, key=lambda one: one.cost)

@@ -25,7 +25,7 @@ from straightcomp_ros.tuning.design.error_budget import EXACT, OWN, RIGID, Budge
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains
 from straightcomp_ros.tuning.design.gain_search import (
     Judge,
-    Judgement,
+    Judged,
     RunFigures,
     extreme_machines,
     prepared_stroke,
@@ -120,8 +120,8 @@ def test_a_search_of_any_law_never_ends_behind_its_start_and_repeats_with_its_se
     judge, begin = Judge(shipped, law, 0.5), closed_form(shipped, law)
     one, same, other = (search(judge, [begin], evaluations=8, seed=seed, jobs=1) for seed in (3, 3, 4))
     assert one == same and [found.gains for found in other] != [found.gains for found in one]
-    costs = [found.judgement.cost for found in one]
-    assert math.isfinite(one[0].judgement.pp) and costs == sorted(costs)
+    costs = [found.cost for found in one]
+    assert math.isfinite(one[0].pp) and costs == sorted(costs)
     assert begin in [found.gains for found in one] and {gain.name for gain in SEARCHED[law]} <= set(begin)
 
 
@@ -132,7 +132,7 @@ class TwoValleys:
 
     def judge(self, gains, bar=math.inf):
         phi, frequency = (math.log(gains[f"control.smc.{name}"] / 100.0) for name in ("phi", "natural_frequency"))
-        return Judgement(min((phi - 1.0) ** 2 + frequency**2, 4.0 * ((phi + 1.0) ** 2 + frequency**2) - 1.0))
+        return Judged(gains, min((phi - 1.0) ** 2 + frequency**2, 4.0 * ((phi + 1.0) ** 2 + frequency**2) - 1.0))
 
 
 def test_a_search_finds_a_deeper_valley_than_that_of_its_best_start():
@@ -143,7 +143,7 @@ def test_a_search_finds_a_deeper_valley_than_that_of_its_best_start():
     ]
     assert judge.judge(begins[0]).cost < judge.judge(begins[1]).cost
     for starts, depth in ((begins[:1], 0.0), (begins, -1.0)):
-        assert search(judge, starts, evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(depth, abs=0.01)
+        assert search(judge, starts, evaluations=300, jobs=1)[0].cost == pytest.approx(depth, abs=0.01)
 
 
 def test_gains_that_are_hopeless_or_unstable_are_not_simulated_further_and_quiet_trades_error_for_work(
