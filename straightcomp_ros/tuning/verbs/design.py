@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         if output is not None:
             print_written(output, then=f"straightcomp simulate --stage {quote(str(output))}")
         else:
-            console.print("Nothing is written: -o FILE writes the stage file with these gains.", highlight=False)
+            console.print("Nothing is written: -o FILE writes the stage file with these gains.")
     return 0 if design.holds else 1
 
 
@@ -150,7 +150,7 @@ def _print(design: Design, name: str) -> None:
     title = f"Law '{design.law}' for stage '{name}'"
     console.print(titled_table(title, "parameter", "closed form", "designed", rows=gains))
     if design.shape != "no filter":
-        console.print(f"The platform's modes are answered by {design.shape}.", highlight=False)
+        console.print(f"The platform's modes are answered by {design.shape}.")
     promised = (
         (words, *(one.scaled(factor).text(digits) for one in both), unit)
         for (words, factor, unit, digits), *both in zip(
@@ -164,16 +164,15 @@ def _print(design: Design, name: str) -> None:
     console.print(titled_table(title, "cause", "p-p [µm]", "RMS [µm]", rows=budget))
     if design.newer:
         words = f"reference_lead: {design.lead * 1e3:.2g} ms; older references miss the motion by more than a count"
-        console.print(words, highlight=False)
+        console.print(words)
     for remark in [*design.warnings, *remarks(design.budget, 1e6)]:
-        console.print(remark, soft_wrap=True, highlight=False)
+        console.print(remark)
     for state, limit in design.limits.items():
         console.print(
             f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, of the amplifier "
             f"× {limit.amplifier_low:.2f} to {limit.amplifier_high:.2f}, masses × {limit.mass_low:.2f} to "
             f"{limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
-            highlight=False,
         )
     sweep = design.verification
     shown = ", ".join(f"{key} {with_digits(value * 1e6, 2)}" for key, value in sweep.percentiles("pp").items())
-    console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)
+    console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}")

@@ -139,18 +139,17 @@ def _print(found: ComparedResponse, name: str) -> None:
     title = f"Loop of stage '{name}' under law '{found.law}'"
     console.print(titled_table(title, "margin", "measured", "description", rows=rows))
     if found.explained:
-        console.print(_verdict(found), style="green", highlight=False)
+        console.print(_verdict(found), style="green")
     for mode in found.mechanics.modes:
-        console.print(mode.text[0].upper() + mode.text[1:], highlight=False)
+        console.print(mode.text[0].upper() + mode.text[1:])
     if found.lateness:
-        notes.print(found.lateness, highlight=False)
+        notes.print(found.lateness)
     if found.clipped:
         notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
     notes.print(
         f"Friction is taken as the damping that it equals at {found.measured.speed * 1e3:.2f} mm/s RMS: "
         f"{found.damping:.0f} N·s/m. straightcomp design and stage check leave it out: their margins are smaller, and "
         "hold for a platform that slides",
-        soft_wrap=True,
     )
 
 

@@ -130,7 +130,7 @@ def _print(estimate: Estimate) -> None:
         f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
     )
     for sentence in ([str(estimate.centre)] if estimate.centre else []) + estimate.not_identifiable:
-        notes.print(sentence, highlight=False)
+        notes.print(sentence)
     for name, words in estimate.advice.items():
         notes.print(f"{name} would need: {words}")
     if estimate.advice:
