@@ -1,4 +1,4 @@
-"""The loop that the figures are computed with: as a parameter file says, or idealised; its release, and its sine.
+"""The loop that the figures are computed with: as shipped, or idealised; its release, and its sine.
 
 The loop runs on its own: any initial position, any reference over time, no guide and no map.
 """
@@ -17,9 +17,10 @@ from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
-DELAY = 0.5
+_DELAY = 0.5
 """Command delay of the paper's loop, in samples; the shipped friction was fitted with it."""
 IDEAL_RATE = 20_000
 """Samples per second of the idealised loop: ten times the machine's, so that σ chatters a tenth as wide."""
@@ -93,8 +94,10 @@ class Machine:
         return round(duration * self.stage.rate)
 
 
-def machine_from(values: Values) -> Machine:
-    """The machine of a parameter file, values as `read_parameter_file` gives them; ParameterError if one is refused."""
+def paper_machine() -> Machine:
+    """The machine of the shipped parameters, but for the paper's delay."""
+    values = shipped_parameters()
+    values["stage"]["drive.delay"] = _DELAY
     driver, _, controller, _ = node_set(values)
     return Machine(plant=driver.plant, control=controller.control, stage=controller.stage, values=values)
 

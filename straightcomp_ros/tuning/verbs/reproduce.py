@@ -10,11 +10,10 @@ from straightcomp_ros.cli.options import add_force, add_json, output_folder
 from straightcomp_ros.cli.output import console, print_json, print_written, working
 from straightcomp_ros.cli.results import shown, titled_table
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.figure import PaperFigure
 from straightcomp_ros.tuning.paper.friction import friction_curve, stick_slip
 from straightcomp_ros.tuning.paper.gain_error import far_release, gain_error
-from straightcomp_ros.tuning.paper.machine import DELAY, Machine, machine_from
+from straightcomp_ros.tuning.paper.machine import Machine, paper_machine
 from straightcomp_ros.tuning.paper.recovery import recovery
 from straightcomp_ros.tuning.paper.stroke import linear_stroke, sliding_mode_stroke, surveyed_guide
 from straightcomp_ros.tuning.paper.surface import near_release, pole_claims
@@ -45,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Reproduce with the shipped parameters, but the paper's delay, and print the claims."""
     output = output_folder("--output", options.output)
-    values = shipped_parameters()
-    values["stage"]["drive.delay"] = DELAY
-    machine = machine_from(values)
+    machine = paper_machine()
     claims = list(pole_claims(machine))
     with making(output, FIGURES, force=options.force) as place, working("computing the figures") as advance:
         for number, (name, compute) in enumerate(FIGURES.items()):
@@ -68,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
     console.print(table)
     for claim in claims:
         if claim.within is False:
-            console.print(f"not within tolerance: {claim.name}: {claim.note}", highlight=False)
+            console.print(f"not within tolerance: {claim.name}: {claim.note}")
     print_written(
         *(output / name for name in FIGURES), then="compare them with the paper; docs/paper.md says what differs"
     )

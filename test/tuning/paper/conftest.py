@@ -7,8 +7,7 @@ import json
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper.machine import DELAY, Machine, machine_from
+from straightcomp_ros.tuning.paper.machine import Machine, paper_machine
 from straightcomp_ros.tuning.verbs import reproduce
 
 SLOW = ("figure_4.png", "beyond_figure_4.png", "figure_8.png")
@@ -17,9 +16,7 @@ SLOW = ("figure_4.png", "beyond_figure_4.png", "figure_8.png")
 
 @pytest.fixture(scope="session")
 def machine() -> Machine:
-    values = shipped_parameters()
-    values["stage"]["drive.delay"] = DELAY
-    return machine_from(values)
+    return paper_machine()
 
 
 def reproduced(folder, slow: tuple[str, ...]) -> dict:
