@@ -190,13 +190,12 @@ def recorded_series(bag: Path) -> Series:
     if ENCODER.topic not in streams:
         none = np.empty(0)
         return Series(np.empty(0, np.int64), none, none, none, none, none)
-    encoder = streams[ENCODER.topic]
-    stamps, rows = np.unique(encoder.stamp, return_index=True)
-    x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
+    encoder = streams[ENCODER.topic].by_stamp()
+    x, y, current = (encoder.columns[name] for name in ("x", "y", "coil_current"))
     current = advanced(current, readback_lag(bag))
-    command = values_at(streams.get(COMMAND.topic), "control_current", stamps)
-    latency = values_at(streams.get(DRIVER_STATE.topic), "command_latency", stamps)
-    return Series(stamps, x, y, current, command, latency)
+    command = values_at(streams.get(COMMAND.topic), "control_current", encoder.stamp)
+    latency = values_at(streams.get(DRIVER_STATE.topic), "command_latency", encoder.stamp)
+    return Series(encoder.stamp, x, y, current, command, latency)
 
 
 def recorded_reading(bag: Path, travel: float = math.inf) -> Array:

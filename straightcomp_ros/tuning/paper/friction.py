@@ -13,6 +13,7 @@ from scipy.signal import savgol_filter
 from scipy.stats import binned_statistic
 
 from straightcomp_ros.analysis.pictures import label, legend_above
+from straightcomp_ros.analysis.record import runs_of
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
@@ -41,9 +42,7 @@ _ORDER = 3
 
 def stick_phases(response: Response, coulomb: float) -> NDArray[np.intp]:
     """First and last sample, (m, 2), of each time the platform sticks."""
-    held = np.abs(response.friction) < HELD * coulomb
-    edges = np.diff(np.concatenate([[0], held.astype(np.int8), [0]]))
-    phases = np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1])
+    phases = runs_of(np.abs(response.friction) < HELD * coulomb) - [0, 1]
     return phases[np.diff(response.time[phases])[:, 0] >= SHORTEST_STICK]
 
 

@@ -20,14 +20,9 @@ _RETURNED = 0.01
 """|y/y0| at the end that counts as converged."""
 
 
-def largest_gain_error(a: float) -> float:
-    """Largest |m_i| over all |i_c| <= I0 at y/y0 = a."""
-    return float(np.abs(stiffness_errors(a, _CURRENTS)[1]).max())  # type: ignore[arg-type]
-
-
 def gain_error_limit() -> float:
     """|y/y0| up to which |m_i| <= 1 for all |i_c| <= I0, found from (4) itself."""
-    return float(brentq(lambda a: largest_gain_error(a) - 1.0, 0.1, 0.9, xtol=1e-12))
+    return float(brentq(lambda a: np.abs(stiffness_errors(a, _CURRENTS)[1]).max() - 1.0, 0.1, 0.9, xtol=1e-12))
 
 
 def gain_error(machine: Machine) -> PaperFigure:

@@ -212,8 +212,8 @@ def _from_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     half = min(_HALF_WINDOW, len(values) - 1)
     # Beyond the ends the readings are mirrored at the end point: a slope stays a slope.
-    before, after = 2.0 * values[0] - values[half:0:-1], 2.0 * values[-1] - values[-2 : -half - 2 : -1]
-    window = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, values, after]), 2 * half + 1)
+    mirrored = np.pad(values, half, mode="reflect", reflect_type="odd")
+    window = np.lib.stride_tricks.sliding_window_view(mirrored, 2 * half + 1)
     return np.asarray(np.median(0.5 * (window[:, :half] + window[:, : -half - 1 : -1]), axis=1))
 
 

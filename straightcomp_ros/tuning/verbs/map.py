@@ -40,7 +40,6 @@ SUMMARY = "build the map of the guide from a survey, convert surveys, export a c
 PURPOSE = "set up"
 _OUTLIERS = 6.0
 """Robust standard deviations beyond which a reading is a spike."""
-_SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
 
 
 def _build_arguments(parser: argparse.ArgumentParser) -> None:
@@ -287,7 +286,7 @@ def _export(options: argparse.Namespace) -> None:
     The table's correction is the map's reference: what has to be added to the platform's position. Before the first
     motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
     conventions = _chosen_conventions(options)
-    check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
+    check_range("--spacing", options.spacing, 0.1, 1000.0, "mm")
     output = output_file(options, "--output")
     points, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
     name = format_of(output, options.format)
