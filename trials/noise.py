@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 
 
 class Kind(NamedTuple):
-    """A kind of guide: its straightness, the change of slope at its joint in m/m, its hysteresis in m, and the file of
-    a stage that has it, for residuals; empty for the shipped one."""
+    """A kind of guide: its straightness, the change of slope at its joint in m/m, the largest value of its hysteresis
+    in m, and the file of a stage that has it, for residuals; empty for the shipped one."""
 
     base: StraightnessMap = GUIDE
     kink: float = 0.0
@@ -64,6 +64,9 @@ class Kind(NamedTuple):
         return "both" if self.hysteresis else "mean"
 
 
+SHIPPED = Kind()
+
+
 def _of_stage(stage: str, survey: str, hysteresis: float = 0.0) -> Kind:
     file = str(STAGES / survey)
     return Kind(load_map(MapParameters(file, smooth="none", direction="mean")), 0.0, hysteresis, str(STAGES / stage))
@@ -72,7 +75,7 @@ def _of_stage(stage: str, survey: str, hysteresis: float = 0.0) -> Kind:
 def kinds() -> dict[str, Kind]:
     """By name."""
     return {
-        "shipped": Kind(),
+        "shipped": SHIPPED,
         "with a joint": Kind(kink=KINK),
         "3 m, hysteresis 0.3 um": _of_stage("gantry.yaml", "gantry_3_m.csv", 0.3e-6),
         "ground, 2 um": _of_stage("short_ground.yaml", "ground_300_mm.csv"),
@@ -106,8 +109,7 @@ def maps_of(
     """Survey and parameters of the maps by name: through every mean, smoothed, and by the best spline for one who knows
     the guide, where there is hysteresis of the runs of each way."""
     base, fine = replace(base, travel=_TRAVEL), kind.fine
-    chosen = {"kink": kind.kink, "hysteresis": kind.hysteresis, "base": kind.base}
-    survey, runs = surveyed(spacing_mm * 1e-3, noise_um * 1e-6, seed=seed, **chosen), []
+    survey, runs = surveyed(spacing_mm * 1e-3, noise_um * 1e-6, kind, seed=seed), []
     for way in WAYS:
         ours = [run.deviation for run in survey.runs if run.direction == way or not kind.hysteresis]
         best = best_spline(survey.runs[0].x, np.mean(ours, axis=0), fine, kind.true(fine, way))
@@ -174,29 +176,27 @@ def guide(x: Array, kink: float = 0.0, base: StraightnessMap = GUIDE) -> Array:
 
 
 def settling(x: Array) -> Array:
-    """Hysteresis of a guide over x in m as a share of its largest value."""
+    """Hysteresis of a guide over x in m as a share of its largest value: a wave of 1.5 m."""
     return np.asarray(np.sin(np.pi * x / 1.5) ** 2)
 
 
 def surveyed(
     spacing: float,
     noise: float,
+    kind: Kind = SHIPPED,
     *,
     runs: int = 6,
     seed: int = 1,
-    kink: float = 0.0,
     drift: float = 0.0,
-    hysteresis: float = 0.0,
-    base: StraightnessMap = GUIDE,
 ) -> Survey:
-    """Runs forward and backward in turn. ``drift``: of a run's offset in m and slope in m/m, one standard deviation;
-    ``hysteresis``: its largest value in m, over x a wave of 1.5 m."""
-    x = np.linspace(*base.span, round(np.ptp(base.span) / spacing) + 1)
+    """Runs forward and backward in turn along a guide of this kind. ``drift``: of a run's offset in m and slope in m/m,
+    one standard deviation."""
+    span, ways = kind.base.span, [WAYS[i % 2] for i in range(runs)]
+    x = np.linspace(*span, round(np.ptp(span) / spacing) + 1)
     random = np.random.default_rng(seed)
     lines = drift * random.normal(size=(runs, 2)) @ np.array([np.ones_like(x), x])
-    half = 0.5 * np.array([hysteresis, -hysteresis])[np.arange(runs) % 2, None] * settling(x)
-    values = guide(x, kink, base) + half + lines + random.normal(0.0, noise, (runs, x.size))
-    return Survey(tuple(Run(str(i // 2 + 1), WAYS[i % 2], x, values[i]) for i in range(runs)))
+    values = np.array([kind.true(x, way) for way in ways]) + lines + random.normal(0.0, noise, (runs, x.size))
+    return Survey(tuple(Run(str(i // 2 + 1), way, x, values[i]) for i, way in enumerate(ways)))
 
 
 def mapped(survey: Survey, smooth: str = "auto") -> StraightnessMap:

@@ -20,7 +20,7 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.straightness.survey import write_survey
-from trials.noise import surveyed
+from trials.noise import Kind, surveyed
 
 pytestmark = pytest.mark.keeps_time
 
@@ -157,7 +157,7 @@ def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, i
 def test_the_graph_in_lockstep_follows_a_map_with_two_tables_as_the_simulation_does(tmp_path, in_lockstep):
     file = str(tmp_path / "survey.csv")
     # 0.2 µm in the middle of the short stroke.
-    write_survey(file, surveyed(10e-3, 25e-9, hysteresis=30e-6))
+    write_survey(file, surveyed(10e-3, 25e-9, Kind(hysteresis=30e-6)))
     in_lockstep["stage"].update({"guide.file": file})
     in_lockstep["driver"]["simulated.truth.guide"] = file
     live = simulated_and_live(in_lockstep, Simulation(in_lockstep).run(), tmp_path)

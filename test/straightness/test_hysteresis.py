@@ -20,10 +20,10 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import Feedforward, Travel, along, follower, handover
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.survey import Survey, write_survey
-from trials.noise import FINE, guide, mapped, settling, surveyed
+from trials.noise import FINE, Kind, guide, mapped, settling, surveyed
 
 HYSTERESIS = 0.3e-6
-SURVEY = surveyed(10e-3, 25e-9, hysteresis=HYSTERESIS)
+SURVEY = surveyed(10e-3, 25e-9, Kind(hysteresis=HYSTERESIS))
 MAP = mapped(SURVEY)
 PERIOD_NS = 500_000
 
@@ -31,7 +31,7 @@ PERIOD_NS = 500_000
 @pytest.mark.parametrize("noise", [25e-9, 2e-7])
 @pytest.mark.parametrize("spacing", [1e-3, 10e-3])
 def test_hysteresis_that_is_more_than_the_noise_makes_a_table_for_each_direction(spacing, noise):
-    straightness = mapped(surveyed(spacing, noise, hysteresis=HYSTERESIS))
+    straightness = mapped(surveyed(spacing, noise, Kind(hysteresis=HYSTERESIS)))
     assert straightness.directed and "two tables" in str(straightness)
     mean = straightness.deviations(FINE)
     for way, sign in (("forward", 0.5), ("backward", -0.5)):

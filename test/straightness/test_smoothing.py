@@ -13,7 +13,7 @@ from straightcomp_ros.straightness.smoothing import NORMAL_95, measured, point_n
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid
 from straightcomp_ros.tuning.identification.estimate import excitation_survey
-from trials.noise import FINE, GUIDE, JOINT, WAYS, errors, guide, kinds, mapped, surveyed
+from trials.noise import FINE, GUIDE, JOINT, WAYS, Kind, errors, guide, kinds, mapped, surveyed
 
 LACKING = range(300, 316)
 TABLE = [("shipped", *each) for each in itertools.product((0.5, 1.0, 2.0, 10.0, 20.0), (0.05, 0.2, 0.5))]
@@ -93,7 +93,7 @@ def test_no_noise_makes_the_reference_curve_more_than_twice_as_much_as_the_guide
 def test_with_auto_no_table_curves_more_than_twice_as_much_as_the_smooth_curve_of_the_survey(kind):
     guide_of, through, tables = kinds()[kind], [], set()
     for spacing, noise in ((5e-3, 5e-8), (10e-3, 2e-8), (10e-3, 2e-7), (15e-3, 5e-7)):
-        survey = surveyed(spacing, noise, kink=guide_of.kink, hysteresis=guide_of.hysteresis, base=guide_of.base)
+        survey = surveyed(spacing, noise, guide_of)
         maps = [mapped(survey, how) for how in ("none", "auto", "1")]
         tables |= {one.directed for one in maps}
         x = np.linspace(*guide_of.base.span, 20 * survey.runs[0].x.size)
@@ -105,7 +105,7 @@ def test_with_auto_no_table_curves_more_than_twice_as_much_as_the_smooth_curve_o
 
 
 def test_a_joint_stays_sharp_in_a_map_that_is_smooth_elsewhere():
-    kink, survey = 5e-5, surveyed(1e-3, 5e-8, kink=5e-5)
+    kink, survey = 5e-5, surveyed(1e-3, 5e-8, Kind(kink=5e-5))
     near = np.abs(FINE - JOINT) < 0.01
     left = mapped(survey).deviations(FINE) - guide(FINE, kink)
     assert np.ptp(left[near]) < 0.1e-6
@@ -188,7 +188,7 @@ BANDS += nightly([("shipped", 1e-3, 2e-7), ("ground, 2 um", 5e-3, 5e-7), ("shipp
 def test_the_95_percent_band_contains_the_guide_at_95_percent_of_x(kind, spacing, noise, draws):
     base, held = kinds()[kind].base, []
     for seed in range(draws):
-        survey = surveyed(spacing, noise, seed=seed, base=base)
+        survey = surveyed(spacing, noise, Kind(base), seed=seed)
         straightness, x = mapped(survey), survey.runs[0].x
         left = straightness.deviations(x) - base.deviations(x)
         held.append(np.mean(np.abs(left) <= NORMAL_95 * straightness.noise.band(x)))
