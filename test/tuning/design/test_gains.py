@@ -10,7 +10,7 @@ import pytest
 from scripts.stage_files import stage_names, stage_scenario
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, loop_margins, missing_margin, sampled_plant
-from straightcomp_ros.model.modes import ModeParameters, modes_of
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -101,9 +101,7 @@ def test_friction_that_is_known_better_is_believed_from_the_start_and_few_revers
 
 
 def test_a_notch_is_tried_narrow_and_wide_with_a_slower_loop_and_its_frequency_is_hardly_moved():
-    stage = STAGE
-    mode = ModeParameters(350.0, 0.01, 1.0 / 3.0, 1.0 / 3.0)
-    ringing = dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=modes_of(mode)))
+    ringing = STAGE.with_modes(ModeParameters(350.0, 0.01, 1.0 / 3.0, 1.0 / 3.0))
     gains = {**rule("smc_observer", ringing), **shapes_for(ringing)["a notch"]}
     begins = starts("smc_observer", gains)
     assert len({one["control.filters.first.width"] for one in begins}) > 2
@@ -114,13 +112,11 @@ def test_a_notch_is_tried_narrow_and_wide_with_a_slower_loop_and_its_frequency_i
 
 
 def test_a_loop_that_leaves_a_mode_alone_need_not_damp_it():
-    stage = STAGE
     # By itself it decays with less than half of what is demanded of the rigid loop, and the loop hardly sees it.
-    mode = ModeParameters(180.0, 0.005, 0.03, 0.03)
-    ringing = dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, modes=modes_of(mode)))
-    assert 2.0 * math.pi * 180.0 * 0.005 * stage.dead_time < 0.5 * STANDARD.decay
-    control = with_gains(ControlParameters(), "smc_observer", rule("smc_observer", stage))
-    assert StabilityCheck(ringing).violation(control) == StabilityCheck(stage).violation(control) == 0.0
+    ringing = STAGE.with_modes(ModeParameters(180.0, 0.005, 0.03, 0.03))
+    assert 2.0 * math.pi * 180.0 * 0.005 * STAGE.dead_time < 0.5 * STANDARD.decay
+    control = with_gains(ControlParameters(), "smc_observer", rule("smc_observer", STAGE))
+    assert StabilityCheck(ringing).violation(control) == StabilityCheck(STAGE).violation(control) == 0.0
 
 
 OF_A_SEARCH = {

@@ -16,8 +16,7 @@ from straightcomp_ros.control.excitation import (
 )
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_margins, loop_response
-from straightcomp_ros.model.modes import ModeParameters, modes_of
-from straightcomp_ros.model.plant import PlatformParameters
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ComparedResponse,
@@ -121,7 +120,7 @@ def test_what_the_uncertainty_of_a_described_mode_leaves_open_does_not_contradic
         """Whether the described mode explains one at ``frequency``, measured without noise."""
         plants = []
         for one in (mode, dataclasses.replace(mode, frequency=frequency)):
-            stage = StageParameters(platform=PlatformParameters(modes=modes_of(one)))
+            stage = StageParameters().with_modes(one)
             law = make_law(ControlParameters(), stage)
             plants.append(loop_response(law, stage, excitation.frequencies, 10.0).plant)
         # Of a signal that is neither taken back nor added to, so that the reading is the plant's answer to it.
@@ -130,7 +129,7 @@ def test_what_the_uncertainty_of_a_described_mode_leaves_open_does_not_contradic
         spectrum[:, excitation.bins] *= plants[1]
         reading = np.zeros_like(excitation.currents)
         excitation.used(reading)[:] = np.fft.irfft(spectrum, excitation.samples, axis=1)
-        control, stage = ControlParameters(), StageParameters(platform=PlatformParameters(modes=modes_of(mode)))
+        control, stage = ControlParameters(), StageParameters().with_modes(mode)
         asked = np.zeros_like(reading)
         found = compared_response(excitation, asked, excitation.currents, reading, control, stage, 0)
         return dataclasses.replace(found, model=dataclasses.replace(found.model, plant=plants[0])).explained
