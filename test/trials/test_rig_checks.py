@@ -76,14 +76,7 @@ def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_m
         return row_of(trial, injected, times_ms, failures)
 
     limit = row()["limit_ms"]
-    expected = {
-        "name": trial.name,
-        "injected": 2,
-        "detected": 2,
-        "median_ms": 2.0,
-        "max_ms": 3.0,
-        "green": True,
-    }
+    expected = {"name": trial.name, "injected": 2, "detected": 2, "median_ms": 2.0, "max_ms": 3.0, "green": True}
     assert expected.items() <= row().items()
     for bad in (
         {"injected": 3},
@@ -186,19 +179,9 @@ def test_two_stages_pass_by_their_errors_beside_those_without_the_hosts_stalls_a
     monkeypatch.setattr(strokes, "require_ros", lambda: None)
     parser = argparse.ArgumentParser()
     strokes.add_arguments(parser)
-    words = [
-        "--pair",
-        str(STAGES / "gantry.yaml"),
-        "--graphs",
-        "composed",
-        "--loads",
-        "quiet",
-        "--priorities",
-        "40",
-        "--runs",
-        "1",
-    ]
-    assert strokes.run(parser.parse_args([*words, "-o", str(tmp_path / "bags")])) == code
+    words = ["--graphs", "composed", "--loads", "quiet", "--priorities", "40", "--runs", "1"]
+    files = ["--pair", str(STAGES / "gantry.yaml"), "-o", str(tmp_path / "bags")]
+    assert strokes.run(parser.parse_args(words + files)) == code
     found = json.loads(capsys.readouterr().out)
     rows = [one["ratio_to_alone"] for one in found["rows"] if "ratio_to_alone" in one]
     assert len(found["failures"]) == (beside is None) and len(rows) == (0 if beside is None else 2)

@@ -168,26 +168,23 @@ def pos(*blocks):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "conventions", "peak_to_peak"),
+    ("name", "text", "peak_to_peak"),
     [
-        ("aerotech", COLUMNS, {}, PP),
-        ("aerotech", aerotech("1 2 2 1", [[v, v] for v in UM], columns=2), {}, PP),
-        ("aerotech", COLUMNS + aerotech("2 1 2 1", [0.5 * UM] * 2), {}, 1.5 * PP),
-        ("aerotech", COLUMNS + aerotech("2 1 2 1", [COARSE] * 2, "10 20", 12), {}, 1.5 * PP),
-        ("aerotech", COLUMNS + aerotech("2 3 2 3", [UM, UM]), {}, PP),
-        ("crosscomp", crosscomp(2, 1), {}, PP),
-        ("crosscomp", crosscomp(3, 2), {"platform_axis": 3, "stage_axis": 2}, PP),
-        ("etalon", etalon(), {}, PP),
+        ("aerotech", COLUMNS, PP),
+        ("aerotech", aerotech("1 2 2 1", [[v, v] for v in UM], columns=2), PP),
+        ("aerotech", COLUMNS + aerotech("2 1 2 1", [0.5 * UM] * 2), 1.5 * PP),
+        ("aerotech", COLUMNS + aerotech("2 1 2 1", [COARSE] * 2, "10 20", 12), 1.5 * PP),
+        ("aerotech", COLUMNS + aerotech("2 3 2 3", [UM, UM]), PP),
         # Points may stand on the lines of the braces.
-        ("etalon", etalon().replace("{\n", "{ ").replace("\n}", " }"), {}, PP),
-        ("etalon", etalon() + etalon("EXX"), {}, PP),
-        ("renishaw", rtl(OUT_AND_BACK), {}, PP),
-        ("api", pos(("Bidirectional", 2 * UM), ("Forward Directional", UM), ("Reverse Directional", UM)), {}, PP),
-        ("api", pos(("Bidirectional", UM)), {}, PP),
+        ("etalon", etalon().replace("{\n", "{ ").replace("\n}", " }"), PP),
+        ("etalon", etalon() + etalon("EXX"), PP),
+        ("renishaw", rtl(OUT_AND_BACK), PP),
+        ("api", pos(("Bidirectional", 2 * UM), ("Forward Directional", UM), ("Reverse Directional", UM)), PP),
+        ("api", pos(("Bidirectional", UM)), PP),
     ],
 )
-def test_a_file_has_the_value_that_its_maker_gives_it(tmp_path, name, text, conventions, peak_to_peak):
-    for run in read(tmp_path, name, text, Conventions(**conventions)):
+def test_a_file_has_the_value_that_its_maker_gives_it(tmp_path, name, text, peak_to_peak):
+    for run in read(tmp_path, name, text):
         assert len(run.x) == 24
         assert np.ptp(run.deviation) * 1e6 == pytest.approx(peak_to_peak, abs=0.1)
 
@@ -241,33 +238,26 @@ def test_a_file_that_says_another_axis_a_point_twice_or_is_cut_off_is_refused(tm
 
 
 @pytest.mark.parametrize(
-    ("header", "x", "deviation"),
+    ("others", "header", "x", "deviation"),
     [
-        ("carriage_pos_mm,lateral_error_um", "Carriage_pos_mm", "lateral_error_um"),
-        ("Pos [mm],Dev. (um)", "Pos [mm]", "Dev. (um)"),
-        ("Pos [mm],Dev. (um)", "pos_mm", "dev. (um)"),
+        ("", "carriage_pos_mm,lateral_error_um", "Carriage_pos_mm", "lateral_error_um"),
+        ("", "Pos [mm],Dev. (um)", "Pos [mm]", "Dev. (um)"),
+        ("", "Pos [mm],Dev. (um)", "pos_mm", "dev. (um)"),
+        ("x_mm,deviation_um,", "target_mm,straightness_um", "target_mm", "straightness_um"),
+        ("Position (mm),Deviation (um),", "target_mm,straightness_um", "target_mm", "straightness_um"),
     ],
 )
-def test_columns_of_other_names_are_chosen_by_name(tmp_path, capsys, header, x, deviation):
+def test_columns_of_other_names_are_chosen_and_no_others_of_their_quantities_are_meant(
+    tmp_path, capsys, others, header, x, deviation
+):
     path = tmp_path / "survey.csv"
-    rows = "".join(f"{x},{y}\n" for x, y in zip(X, UM, strict=True))
-    path.write_text(f"{header}\n{rows}")
+    zeros = "0," * others.count(",")
+    path.write_text("\n".join([others + header, *(f"{zeros}{at},{y}" for at, y in zip(X, UM, strict=True))]))
     assert main(["map", "build", str(path)]) == 2
     assert "--x-column" in capsys.readouterr().err
     assert main(["map", "build", str(path), "--x-column", x, "--deviation-column", deviation, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["points"] == 24
-
-
-@pytest.mark.parametrize("others", ["x_mm,deviation_um", "Position (mm),Deviation (um)"])
-def test_where_a_column_is_chosen_no_other_of_its_quantity_is_meant(tmp_path, capsys, others):
-    path = tmp_path / "survey.csv"
-    rows = "".join(f"0,0,{x},{y}\n" for x, y in zip(X, UM, strict=True))
-    path.write_text(f"{others},target_mm,straightness_um\n{rows}")
-    assert main(["map", "build", str(path)]) == 2
-    assert "--x-column" in capsys.readouterr().err
-    names = ["--x-column", "target_mm", "--deviation-column", "straightness_um"]
-    assert main(["map", "build", str(path), *names, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["correction_pp_um"] == pytest.approx(np.ptp(UM), rel=0.05)
+    found = json.loads(capsys.readouterr().out)
+    assert found["points"] == 24 and found["correction_pp_um"] == pytest.approx(np.ptp(UM), rel=0.05)
 
 
 @pytest.mark.parametrize(
