@@ -93,15 +93,9 @@ class WatchedMachine(SimulatedMachine):
 def drawn(stage: StageParameters, seed: int, number: int) -> tuple[dict[str, float], float]:
     """Values of the driver for machine ``number``, and its encoder's count in m."""
     ranges, u = stage.uncertainty, np.random.default_rng([seed, number]).random(7).tolist()
-    truth = {
-        "mass": 1.0 + ranges.mass * (2.0 * u[0] - 1.0),
-        "force": 1.0 + ranges.force * (2.0 * u[1] - 1.0),
-        "air_gap": 1.0 + ranges.air_gap * (2.0 * u[2] - 1.0),
-        "friction": ranges.friction ** (2.0 * u[3] - 1.0),
-        "amplifier": ranges.amplifier ** (2.0 * u[4] - 1.0),
-    }
+    factors = ranges.factors(*(2.0 * one - 1.0 for one in u[:5]))._asdict()
     late = ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]
-    machine = {f"simulated.truth.{name}": value for name, value in truth.items()}
+    machine = {f"simulated.truth.{name}": value for name, value in factors.items() if name != "modes"}
     count = COUNTS[0] * (COUNTS[1] / COUNTS[0]) ** u[6]
     return {**machine, "stage.drive.delay": late * stage.drive.delay}, count
 

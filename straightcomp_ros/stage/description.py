@@ -85,6 +85,11 @@ class UncertaintyParameters:
                 "('{group}shortest_delay')",
             )
 
+    def factors(self, mass: float, force: float, air_gap: float, friction: float, amplifier: float = 0.0) -> "Factors":
+        """The machine at these places of its ranges, each from −1 to 1; of friction and amplifier in logarithms."""
+        relative = (1.0 + self.mass * mass, 1.0 + self.force * force, 1.0 + self.air_gap * air_gap)
+        return Factors(*relative, self.friction**friction, self.amplifier**amplifier)
+
 
 @dataclass(frozen=True)
 class StageParameters:

@@ -35,7 +35,7 @@ from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario, Stroke
 from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.stage.description import Factors, deviating
+from straightcomp_ros.stage.description import deviating
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import map_of
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -261,15 +261,7 @@ def extreme_machines(scenario: Scenario) -> list[tuple[PlantParameters, float]]:
     )
     return [
         (
-            deviating(
-                scenario.driver.plant,
-                Factors(
-                    mass=1.0 - gain * ranges.mass,
-                    force=1.0 + gain * ranges.force,
-                    air_gap=1.0 - gain * ranges.air_gap,
-                    friction=ranges.friction**friction,
-                ),
-            ),
+            deviating(scenario.driver.plant, ranges.factors(-gain, gain, -gain, friction)),
             stage.drive.delay * late * stage.period,
         )
         for gain, friction, late in ends

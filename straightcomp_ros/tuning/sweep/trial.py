@@ -107,13 +107,7 @@ def draw(stage: StageParameters, random: Generator) -> tuple[Factors, float, flo
     delay of its commands in samples."""
     ranges = stage.uncertainty
     u = random.random(7).tolist()
-    factors = Factors(
-        mass=1.0 + ranges.mass * (2.0 * u[0] - 1.0),
-        force=1.0 + ranges.force * (2.0 * u[1] - 1.0),
-        air_gap=1.0 + ranges.air_gap * (2.0 * u[2] - 1.0),
-        friction=ranges.friction ** (2.0 * u[3] - 1.0),
-        amplifier=ranges.amplifier ** (2.0 * u[6] - 1.0),
-    )
+    factors = ranges.factors(*(2.0 * u[k] - 1.0 for k in (0, 1, 2, 3, 6)))
     if stage.platform.modes.present:
         frequency, damping, participation = (2.0 * random.random(3) - 1.0).tolist()
         factors = factors._replace(modes=(frequency, damping, participation))
