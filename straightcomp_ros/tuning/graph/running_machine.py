@@ -26,6 +26,7 @@ from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Grap
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
+from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
@@ -117,10 +118,8 @@ class RunningMachine:
 
     def response(self, values: Values, excitation: MultisineParameters, *, moving: bool = False) -> ComparedResponse:
         """See `Machine`; with ``moving`` the stage makes strokes meanwhile, otherwise it stands where it is."""
-        asked = to_mapping(excitation)
-        controller = {**values.get("controller", {}), **{f"excitation.{name}": one for name, one in asked.items()}}
-        controller["excitation.signal"] = "multisine"
-        values = {**values, "controller": controller}
+        asked = {f"excitation.{name}": one for name, one in to_mapping(excitation).items()}
+        values = with_values(values, "controller", {**asked, "excitation.signal": "multisine"})
         nodes = node_parameters("controller", values)
         self._prepare(values, error_limit=2.0 * excitation.travel)
         bag, duration = self._folder / "bags" / "frequency_response", excitation.seconds + 2.0 * _SETTLE_S
@@ -167,14 +166,14 @@ class RunningMachine:
         use_kept_free(True)
 
     def _in_open_loop(self, excitation: ExcitationParameters) -> Values:
-        own = {f"excitation.{name}": value for name, value in to_mapping(excitation).items()}
-        return {**self._values, "controller": {**self._values["controller"], "control.law": OPEN_LOOP, **own}}
+        asked = {f"excitation.{name}": one for name, one in to_mapping(excitation).items()}
+        return with_values(self._values, "controller", {"control.law": OPEN_LOOP, **asked})
 
     def _prepare(self, values: Values, **controller: Any) -> None:
         """Bring the loop to work with these parameters, the amplifier off."""
         use_kept_free(False)
         self._give("feedforward", values)
-        self._give("controller", {**values, "controller": {**values.get("controller", {}), **controller}})
+        self._give("controller", with_values(values, "controller", controller))
         # A client that was killed may have left another.
         self._client.give("driver", {_TRAVEL: self._travel})
         self._client.bring("driver", "active")
@@ -317,7 +316,7 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
     os.environ.update(isolated_environment())
     with _bus_folder(folder) as bus:
         if emulated:
-            values = {**values, "driver": {**values.get("driver", {}), **on_hub(values, str(bus / "bus"))}}
+            values = with_values(values, "driver", on_hub(values, str(bus / "bus")))
         parameter_file = folder / "parameters.yaml"
         write_whole(parameter_file, as_parameter_file(values))
         machine = emulated_machine(values, parameter_file)
