@@ -111,9 +111,7 @@ class Trial(NamedTuple):
     ``unflagged_wrong`` counts samples accepted with a number, position or time of no sample that was taken.
     """
 
-    frames: int
     injected: Mapping[str, int]
-    delivered: int
     unflagged_wrong: int
     receiver: Receiver
 
@@ -158,7 +156,7 @@ def run_trial(rates: Mapping[str, float], board: CanParameters, *, frames: int =
         good = abs(sample.x - x * _COUNT) < _ROUNDED and abs(sample.y - y * _COUNT) < _ROUNDED
         late_ns = sample.stamp_ns - _START_NS - round(index * period_ns) - _TRANSIT_NS
         wrong += not (good and 0 <= index < frames and abs(late_ns) < 100_000)
-    return Trial(frames, faults.injected, len(receiver.samples), wrong, receiver)
+    return Trial(faults.injected, wrong, receiver)
 
 
 def _frames(wire: Wire, index: int, stamp_ns: int) -> Iterator[Frame]:

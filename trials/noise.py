@@ -154,8 +154,7 @@ def residuals(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dic
             stroke = one.stroke()
             deviation = true.offset - along(true, stroke.true_x)[0]
             for offset in offsets():
-                simulated = replace(one.driver.simulated, initial_y=offset)
-                cycle = replace(one, driver=replace(one.driver, simulated=simulated)).cycle(laws_of(one)[law], stroke)
+                cycle = one.cycle(laws_of(one)[law], stroke, offset=offset)
                 record = stroke.record(stroke.stamps * 1e-9, cycle, deviation, law)
                 found[name].append(float(np.ptp(straightness_over(record, stroke.map)[2])) * 1e6)
     return {name: float(np.median(pp)) for name, pp in found.items()}

@@ -11,7 +11,6 @@ from roughly_known import ROUGH, encoder_of_twice_the_count, lossy_bus, one_coil
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError, procedure
 from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
@@ -62,10 +61,9 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(tmp_
 
 def done_before(folder, outcomes):
     """Write the record of these steps."""
-    values = shipped_parameters(stage=STAGE)
     folder.mkdir(exist_ok=True)
     (folder / RECORD).unlink(missing_ok=True)
-    procedure = Procedure(SimulatedMachine(values), values, folder, evaluations=1, machines=1)
+    procedure = begun(folder)
     procedure.outcomes.update(outcomes)
     with making(folder, [RECORD], anew=False):
         procedure._write()
