@@ -70,11 +70,10 @@ def survey_check(straightness: StraightnessMap, check: Survey, noise: float) -> 
         )
     x, values = x[inside], values[:, inside]
     expected = straightness.deviations(x)
-    ways = [run.direction for run in check.runs]
     left = np.array(
         [
-            least_squares_residual(x, run - straightness.deviations(x, way))
-            for run, way in zip(values, ways, strict=True)
+            least_squares_residual(x, own - straightness.deviations(x, run.direction))
+            for own, run in zip(values, check.runs, strict=True)
         ]
     )
     mean, runs = left.mean(axis=0), len(left)
