@@ -211,7 +211,7 @@ def safe_law(scenario: Scenario, progress: Callable[[float], None] = lambda frac
     stroke, runs = prepared_stroke(shortened(scenario, _SHORT)), []
     ends = (1.0 / stage.uncertainty.friction, stage.uncertainty.friction)
     for (_, corner), friction in itertools.product(worst[:_WORST], ends):
-        plant = deviating(corner.plant, Factors(friction=friction))
+        plant = deviating(corner.stage.plant, Factors(friction=friction))
         run = stroke.run(law, corner.stage.drive.delay * stage.period, plant=plant)
         oscillates = run.oscillation > _HARMLESS
         if not run.excursion <= _TRAVEL * plant.platform.stop or oscillates:
@@ -234,7 +234,7 @@ def _allowed(stage: StageParameters) -> float:
 def _corners(stage: StageParameters) -> list[Corner]:
     """The corners of the uncertainty, and the stage with its modes at the ends of theirs."""
     rung = with_modes_off(stage).items()
-    return [*corners_of(stage), *(corner_at(f"modes at {name}", one, one.plant) for name, one in rung)]
+    return [*corners_of(stage), *(corner_at(f"modes at {name}", one) for name, one in rung)]
 
 
 def growths(scenario: Scenario, corners: Sequence[Corner], gains: Values) -> list[float]:

@@ -28,7 +28,6 @@ from straightcomp_ros.control.margins import (
     spectral_radius,
     with_modes_off,
 )
-from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 
@@ -154,20 +153,19 @@ def _rigid(stage: StageParameters) -> StateSpace:
 
 
 class Corner(NamedTuple):
-    """A machine at a corner of the uncertainty: in words, as a description of its own, as a plant, and that sampled,
-    with and without its modes."""
+    """A machine at a corner of the uncertainty: in words, as a description of its own, and sampled, with and without
+    its modes."""
 
     name: str
     stage: StageParameters
-    plant: PlantParameters
     sampled: StateSpace
     rigid: StateSpace
 
 
-def corner_at(name: str, stage: StageParameters, plant: PlantParameters) -> Corner:
-    """A machine that is described by ``stage``, and is the ``plant``."""
+def corner_at(name: str, stage: StageParameters) -> Corner:
+    """A machine that is as ``stage`` describes it."""
     sampled = _sampled(stage)
-    return Corner(name, stage, plant, sampled, _rigid(stage) if stage.platform.modes.present else sampled)
+    return Corner(name, stage, sampled, _rigid(stage) if stage.platform.modes.present else sampled)
 
 
 def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "amplifier", "delay")) -> list[Corner]:
@@ -187,7 +185,7 @@ def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "ampl
         drive = dataclasses.replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
         corner = dataclasses.replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
         name = ", ".join(f"{fact} × {factor:g}" for fact, factor in at.items())
-        found.append(corner_at(name, corner, plant))
+        found.append(corner_at(name, corner))
     return found
 
 
