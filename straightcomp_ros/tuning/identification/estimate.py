@@ -185,7 +185,7 @@ def estimate_from_bag(
 
 
 def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> dict[str, Estimated]:
-    free = list(searched.free)
+    free = searched.free
     total = np.zeros((len(NAMES), len(NAMES)))
     # The remaining bias is assumed as large as its last changes, each of which moves all parameters together.
     total[np.ix_(free, free)] = found.covariance + found.pulls.T @ found.pulls

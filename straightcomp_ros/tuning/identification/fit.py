@@ -170,7 +170,7 @@ class Search:
         samples = (recording.y, recording.current, path.before, path.after, path.switch_ns)
         self._record = Record(unknowns.stage.actuator.bias_current, *samples, recording.period_ns)
         self._noise = resolution / np.sqrt(12.0)
-        self._free = list(unknowns.free)
+        self._free = unknowns.free
         self._steps = _STEP * np.eye(len(self._free))
         self.gains = np.empty((len(recording.y), 4))
 
@@ -277,14 +277,13 @@ def fit(
             "record with more excitation, or start nearer to the machine (--params-file, --set); check encoder "
             "resolution, bias current and pole area there"
         )
-    free = list(unknowns.free)
     search.take_gains(last.vector, last.missed)
     errors = search.residuals(last.vector) / search.gains[BURN_IN:, 3]
     block = max(1, round(BLOCK / (recording.period_ns * 1e-9)))
     return Fit(
         solution=last,
         covariance=block_covariance(last.jacobian, last.residuals, block, float(PRIOR)),
-        pulls=np.array([(last.vector - other)[free] for other in (*neighbours, search.onward(last))]),
+        pulls=np.array([(last.vector - other)[unknowns.free] for other in (*neighbours, search.onward(last))]),
         rms_error_m=float(np.sqrt(np.mean(errors**2))),
     )
 

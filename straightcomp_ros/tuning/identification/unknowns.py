@@ -74,7 +74,7 @@ class Unknowns:
     start: Array  # (9,) natural logarithms of the values of NAMES in SI units, as the bounds
     low: Array
     high: Array
-    free: tuple[int, ...]  # indices of the unknown elements
+    free: list[int]  # indices of the unknown elements
     stage: StageParameters  # its pole area, bias current and flexure are taken as given
 
     def constants(self, vector: Array, rate: float) -> Array:
@@ -108,8 +108,7 @@ def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
     low, high = start - _REACH, start + _REACH
     ratio = NAMES.index(RATIO)
     low[ratio] = 0.0
-    free = tuple(place for place, name in enumerate(NAMES) if name not in known)
-    return Unknowns(start, low, high, free, stage)
+    return Unknowns(start, low, high, [place for place, name in enumerate(NAMES) if name not in known], stage)
 
 
 @dataclass(frozen=True)

@@ -381,7 +381,7 @@ def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(
     monkeypatch.setattr(ScriptedSearch, "surprises", LIKELIER[likelier], raising=False)
     monkeypatch.setattr(fitting, "Search", ScriptedSearch)
     monkeypatch.setattr(fitting, "sliding_start", lambda recording, unknowns: np.array([SLID]))
-    recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=(0,))
+    recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=[0])
     solution = fitting.fit(recording, None, unknowns, 1e-7).solution
     assert solution.vector == [found] and solution.missed == (fitting.MISSED[levels - 1] if levels else 3e-5)
 
