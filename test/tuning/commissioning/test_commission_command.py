@@ -124,7 +124,7 @@ def commissioned(monkeypatch, capsys, tmp_path):
         words = [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
         few = ("--evaluations", "40", "--machines", "20", "--json")
         folder = tmp_path / "done"
-        assert main(["commission", str(ROUGH), "-o", str(folder), *words, *few, *options]) == 1
+        assert main(["commission", STAGE, "-o", str(folder), *words, *few, *options]) == 1
         found = json.loads(capsys.readouterr().out)
         assert built and all(one.state is State.OFF and one.applied_current == 0.0 for one in built)
         assert found["remaining"][0] == found["failed"] and found["remaining"][-1] == "certificate"

@@ -1,6 +1,5 @@
 """The errata of equations (6) and (10), both sides computed apart; closed forms of the sliding motion."""
 
-import dataclasses
 import math
 from dataclasses import replace
 
@@ -20,8 +19,9 @@ from straightcomp_ros.model.actuator import (
 )
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.paper import gain_error, recovery
+from straightcomp_ros.tuning.paper import recovery
 from straightcomp_ros.tuning.paper.friction import estimate_friction, stick_phases
+from straightcomp_ros.tuning.paper.gain_error import FAR
 from straightcomp_ros.tuning.paper.machine import AMPLITUDE, OMEGA, evaluated, follow_sine, fundamental
 from straightcomp_ros.tuning.paper.surface import (
     following_error_gain,
@@ -122,12 +122,9 @@ def test_free_motion_solves_equation_12():
 
 
 def test_the_reaching_condition_asks_for_nothing_without_friction_and_cannot_be_met_beyond_the_gain_error_limit():
-    frictionless = dataclasses.replace(STAGE, friction=LuGreParameters(coulomb=0.0, static=0.0))
+    frictionless = replace(STAGE, friction=LuGreParameters(coulomb=0.0, static=0.0))
     assert reaching_demand(DESIGN, frictionless, 0.0, 0.5, released=True) == pytest.approx(DESIGN.gamma)
     assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * ACTUATOR.air_gap, ACTUATOR.bias_current, released=True))
-
-
-FAR = gain_error.FAR
 
 
 def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12_and_with_it_the_platform_sticks(machine):
