@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
-from typing import Protocol
+from typing import NamedTuple, NoReturn, Protocol
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
@@ -73,8 +73,9 @@ class StageMovements:
 
     def __init__(self, motion: MotionParameters, as_one: bool) -> None:
         self._motion, self.as_one, self._goals = motion, as_one, goals(motion)
-        self._begin_ns = self._duration_ns = 0
-        self._goal = self._latest = 0.0
+        self._begin_ns = self._duration_ns = self._before = 0
+        self._goal = self._begun_by = self._latest = 0.0
+        self._own: int | None = None
         self.begin(0)
 
     def begin(self, strokes: int) -> None:
@@ -105,8 +106,10 @@ class StageMovements:
             waypoints = [Waypoint(0, seen.x, 0.0), Waypoint(round(rest * _NS), seen.x, 0.0)]
             waypoints += move(waypoints[-1], goal, motion.speed, motion.acceleration, motion.jerk)
         self._duration_ns, self._goal, _ = waypoints[-1]
-        self._begin_ns, self._latest = seen.stamp_ns, now + self._duration_ns / _NS + _ARRIVE_WITHIN_S
-        self._under_way = True
+        self._begun_by = now + _ARRIVE_WITHIN_S
+        self._begin_ns, self._latest = seen.stamp_ns, self._begun_by + self._duration_ns / _NS
+        # Numbers of the motion before, and of this one once the driver has begun it.
+        self._before, self._own, self._under_way = seen.motion, None, True
         return waypoints
 
     def progress(self, seen: Observation) -> float:
@@ -119,19 +122,45 @@ class StageMovements:
     def arrived(self, seen: Observation, now: float) -> bool:
         """Whether no movement is running; counts one that has just ended. One that is held is running.
 
-        WorkFailed: the stage stands elsewhere 5 s after the end of the movement.
+        WorkFailed: the driver has not begun the movement within 5 s, or has begun another one; it was ended before its
+        time, or the stage stands elsewhere 5 s after its end.
         """
-        there = self.as_one or (seen.still and abs(seen.x - self._goal) < _ARRIVED_M)
+        if not self._under_way:
+            return True
+        if self._own is None and seen.motion != self._before:
+            self._own = seen.motion
+        if self._own is None:
+            if now > self._begun_by:
+                self._fail("the driver did not begin the motion of the stage; its log says why")
+            return False
+        if seen.motion != self._own:
+            self._fail("another client has begun a motion of the stage")
+        over = self.progress(seen) > _ARRIVED_SHARE
         if seen.behind_ns or seen.stage in ("stopping", "held"):
             self._latest = max(self._latest, now + _ARRIVE_WITHIN_S)
-        elif there and self.progress(seen) > _ARRIVED_SHARE:
+        elif over and abs(seen.x - self._goal) < _ARRIVED_M and (seen.still or self.as_one):
             self.forget()
             self._number += 1
             self.strokes_done = self.strokes if self.as_one else self._number // len(self._goals)
-        elif self._under_way and seen.still and now > self._latest and not self.as_one:
-            self.forget()
-            raise WorkFailed(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m")
+        elif seen.stage == "rest":
+            # The end of a motion can be seen before its last samples.
+            self._latest = min(self._latest, now + _RECEIVED_S)
+        if self._under_way and seen.still and now > self._latest and (seen.stage == "rest" or not self.as_one):
+            why = "" if over else ": its motion was ended"
+            self._fail(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m{why}")
         return not self._under_way
+
+    def _fail(self, reason: str) -> NoReturn:
+        self.forget()
+        raise WorkFailed(reason)
+
+
+class _Jog(NamedTuple):
+    """One that is asked for: the number of the motion before, until when it must have begun, and who waits."""
+
+    before: int
+    until: float
+    answered: Answer
 
 
 @dataclass(eq=False)
@@ -154,6 +183,7 @@ class CellSequence:
         self.recovered = 0  # number of times that the amplifier was switched on again
         self.centred = False  # the reference is in the middle of the travel, or was requested to go there
         self._named = False
+        self._jog: _Jog | None = None
         self._enter(State.STOPPED, "")
 
     @property
@@ -209,8 +239,8 @@ class CellSequence:
         elif order is Order.OVERRIDE:
             self.machine.override(argument * 1e-2, answered)
         elif order is Order.JOG:
+            self._jog = _Jog(self.seen.motion, self.clock() + _REPORTED_WITHIN_S, answered)
             self.machine.move(jog(self.motion, self.seen.x, argument * 1e-6))
-            answered("")
         else:
             # No stroke may begin before the answer.
             self.centred = before or middle
@@ -225,7 +255,7 @@ class CellSequence:
         if order is Order.JOG:
             if self.state is not State.EXECUTE or strokes:
                 return "Jog is not accepted while strokes are run, or without them; accepted in Execute with 0 strokes"
-            if not self.seen.still or self.seen.stage != "rest":
+            if self._jog or not self.seen.still or self.seen.stage != "rest":
                 return "Jog is not accepted while the stage moves"
             if self.centred or not 0 < abs(argument) <= _FARTHEST_JOG_UM:
                 return f"Jog by {argument} µm; allowed: 1 to {_FARTHEST_JOG_UM} either way, with the map's reference"
@@ -234,6 +264,10 @@ class CellSequence:
     def tick(self, seen: Observation) -> None:
         """Continue with the graph as ``seen`` now."""
         self.now, self.seen = self.clock(), seen
+        asked = self._jog
+        if asked and (seen.motion != asked.before or self.now > asked.until):
+            self._jog = None
+            asked.answered("" if seen.motion != asked.before else "the driver did not begin the jog; its log says why")
         missing = seen.absence if seen.missing else ""
         # A machine whose controller has died cannot be switched on again.
         trouble = missing if self._recovering else self._trouble(seen)

@@ -33,6 +33,7 @@ class Observation:
     x: float = math.nan  # newest position of the stage in m; NaN before the first
     y: float = math.nan  # of the platform
     unreferenced: str = ""  # why x is not counted from its reference; empty if it is
+    motion: int = 0  # number of the stage's motion, as the driver counts those that it begins
     stage: str = "rest"  # condition of the stage's motion as the driver reports it: rest, moving, stopping, held
     override: float = 1.0  # fraction of the speed of the stage's motions
     behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest
@@ -92,7 +93,8 @@ class Observation:
     def obstacle(self) -> str:
         """Why a cycle cannot start now; empty if it can."""
         unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
-        motion = "" if self.still else "the stage moves"
+        # Another client's motion pauses.
+        motion = "" if self.still and self.stage != "moving" else "the stage moves"
         return self.occupied or self.fault or self.absence or self.contradiction or unrecorded or motion
 
 

@@ -301,6 +301,7 @@ class GraphClient:
             commissioning=self.commissioning.doing or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
             amplifier_on=fresh and self.safety.amplifier_on,
             unreferenced=reports.get(_DRIVER, {}).get(UNREFERENCED, ""),
+            motion=self.stage.number,
             stage=self.stage.condition,
             override=self.stage.override,
             behind_ns=self.stage.behind_ns,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
-from straightcomp_ros.model.motion import MotionParameters, Trajectory
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, jog
 from straightcomp_ros.model.paced_motion import PacedMotion
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
@@ -86,7 +86,7 @@ class Bench:
         now_ns = round(self.now * 1e9)
         x, motion = self.motion.position(now_ns), self.motion
         self.see(stamp_ns=now_ns, x=x, still=abs(x - self.seen.x) < 5e-5, stage=motion.condition)
-        self.see(behind_ns=motion.behind_ns, override=motion.pace.override)
+        self.see(behind_ns=motion.behind_ns, override=motion.pace.override, motion=motion.number)
         self.sequence.tick(self.seen)
 
     def ticks(self, count):
@@ -175,13 +175,19 @@ def test_a_slower_movement_is_awaited_however_long_it_takes_and_one_that_is_held
 def test_a_jog_moves_the_stage_while_the_platform_is_compensated_and_no_stroke_runs():
     bench = started(1)
     assert not bench.ordered(Order.JOG, 100) and "0 strokes" in bench.sequence.message
-    bench = started(0)
-    assert bench.ordered(Order.JOG, -1000)
+    bench, answers = started(0), []
+    bench.sequence.order(Order.JOG, -1000, answers.append)
+    # Its answer is the driver's: the motion has begun.
+    assert not answers and not bench.ordered(Order.JOG, 100) and "moves" in bench.sequence.message
     bench.tick()
-    assert not bench.ordered(Order.JOG, 100) and "moves" in bench.sequence.message
+    assert answers == [""]
     bench.ticks(20)
     assert bench.seen.x == pytest.approx(-1e-3, abs=1e-9)
     assert not bench.ordered(Order.JOG, 0) and "allowed" in bench.sequence.message
+    bench.move = lambda waypoints: None
+    bench.sequence.order(Order.JOG, 100, answers.append)
+    bench.ticks(40)
+    assert "did not begin" in answers[1] and bench.sequence.message == answers[1]
 
 
 @pytest.mark.parametrize(
@@ -258,12 +264,42 @@ def test_a_node_that_refuses_at_the_start_stops_the_machine_with_its_words(hindr
     assert bench.obeys or bench.requests.count("on") > 2  # asked again
 
 
-def test_a_stage_that_does_not_arrive_aborts():
-    bench = Bench()
+@pytest.mark.parametrize("as_one", [False, True])
+def test_a_motion_that_the_driver_refuses_or_another_client_ends_or_replaces_aborts(as_one):
+    bench = Bench(as_one=as_one)
     bench.move = lambda waypoints: None
     bench.idle()
     bench.give(Command.START, State.ABORTED, 1)
-    assert "did not arrive" in bench.sequence.message
+    assert "did not begin" in bench.sequence.message and not bench.seen.amplifier_on
+
+    def end():
+        bench.motion.ask(bench.motion.pace._replace(end=True))
+
+    def replace_it():
+        bench.motion.begin(Trajectory(jog(MOTION, 0.0, 1e-3)), round(bench.now * 1e9))
+
+    # At rest before the first stroke it is ended where it may be to arrive.
+    for ticks, change, words in ((7, end, "ended"), (2, end, "ended"), (2, replace_it, "another client")):
+        bench = started(2, as_one=as_one)
+        bench.ticks(ticks)
+        change()
+        bench.until(State.ABORTED)
+        assert words in bench.sequence.message and bench.sequence.movements.strokes_done == 0
+
+
+def test_a_stage_that_stands_elsewhere_after_its_motion_aborts():
+    bench = started(1)
+    position = bench.motion.position
+    bench.motion.position = lambda now_ns: 0.9 * position(now_ns)
+    bench.until(State.ABORTED)
+    assert "did not arrive" in bench.sequence.message and "ended" not in bench.sequence.message
+
+
+def test_a_stage_that_pauses_in_another_client_s_motion_is_awaited():
+    bench = Bench()
+    bench.motion.begin(Trajectory([Waypoint(0, 0.0, 0.0), Waypoint(3_000_000_000, 0.0, 0.0)]), 100_000_000_000)
+    bench.tick()
+    assert bench.give(Command.RESET, State.IDLE) == [State.RESETTING, State.IDLE] and bench.now > 103.0
 
 
 def test_faults_of_a_graph_that_others_run_change_nothing_while_stopped():
@@ -333,7 +369,7 @@ def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_
         bench.now += TICK_S
         if lasts_ns:
             samples.append(min(len(samples) * 50_000_000, lasts_ns[0] - 500_000))
-            bench.see(stamp_ns=first_ns + samples[-1], first_ns=first_ns, still=False)
+            bench.see(stamp_ns=first_ns + samples[-1], first_ns=first_ns, still=False, motion=1)
         bench.sequence.tick(bench.seen)
 
     bench.tick, bench.move = lockstep, lambda waypoints: lasts_ns.append(waypoints[-1].time_ns)
