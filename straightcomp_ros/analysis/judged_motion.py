@@ -89,6 +89,8 @@ def bounds_of(
             bounds["destabilised"] = partial(destabilised, parameters["controller"])
         if node := _described(parameters["controller"]):
             bounds["dither"] = dither_frequency(node.control, node.stage)
+            bounds["coulomb"] = node.stage.friction.coulomb
+            bounds["current_stiffness"] = node.stage.actuator.current_stiffness
     return bounds
 
 
@@ -170,6 +172,8 @@ class JudgedMotion:
     map_noise: float = 0.02e-6
     modes: Sequence[float] = ()  # Hz, described resonances of the platform
     destabilised: Callable[[], bool] = lambda: False  # whether these take margins from the law
+    coulomb: float = 0.0  # N, friction; 0: none, or not known
+    current_stiffness: float = 0.0  # N/A, of the magnets
     dither: float = 0.0  # Hz, of the sine that the law itself adds; 0: none
 
     @cached_property

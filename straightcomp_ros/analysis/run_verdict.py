@@ -26,7 +26,7 @@ from straightcomp_ros.analysis.judged_motion import (
     recorded_drive,
 )
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import residual_over
+from straightcomp_ros.analysis.metrics import force_balance, residual_over
 from straightcomp_ros.analysis.record import Array, ReferenceMap, StrokeRecord, group_means, runs_of
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -367,7 +367,22 @@ def _inaccurate(motion: JudgedMotion) -> str:
 def _cause(motion: JudgedMotion) -> str:
     if motion.unseen:
         return "the encoder of y hardly shows it: it is the encoder's own, between its counts (interpolation)"
-    return causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
+    return _more_friction(motion) or causes.of_error(
+        motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting()
+    )
+
+
+def _more_friction(motion: JudgedMotion) -> str:
+    """What the balance of forces says of friction beyond the description's range; empty if it is within, or unknown."""
+    columns = motion.time, motion.y, motion.current
+    balances = [force_balance(*(of[one.samples] for of in columns)).friction for one in motion.strokes]
+    found = motion.current_stiffness * float(np.median(balances)) if balances else 0.0
+    if not found > motion.friction * motion.coulomb > 0.0:
+        return ""
+    return (
+        f"friction is not as described: {found:.2g} N, allowed: {motion.friction:g} times {motion.coulomb:.2g} N "
+        "(stage.friction.coulomb); straightcomp friction BAG estimates it"
+    )
 
 
 def _more_than_promised(motion: JudgedMotion) -> str:

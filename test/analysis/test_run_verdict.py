@@ -12,6 +12,7 @@ from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
 from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey
 
@@ -80,6 +81,7 @@ def promised(smooth: float, as_mapped: float = 0.0, largest: float = 0.0, rms: f
 PAUSED = np.cumsum(np.select([TIME < 3.0, TIME < 5.0], [0.5, 0.0], -0.5)) * T
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
 NEARLY = 0.02 * R
+DRY = {"y": R, "current": 0.05 * np.sign(np.gradient(R)), "current_stiffness": 40.0}
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
 CASES = {
     "a small error is in order": [("in_order", "0.1 µm p-p.*20 µm", motion())],
@@ -272,6 +274,11 @@ CASES = {
         ("inaccurate", "^(?!.*settle)", motion(SMALL + bump(1.0, 13e-6, 0.3))),
         ("inaccurate", "^(?!.*settle)", motion(0.55 * R + bump(0.0, 13e-6))),
     ],
+    "friction that the balance of forces shows beyond its described range is named": [
+        ("inaccurate", r"not as described: 2 N, allowed: 2 times 0\.4 N", motion(0.55 * R, **DRY, coulomb=0.4)),
+        ("inaccurate", "^(?!.*allowed: 2 times)", motion(0.55 * R, **DRY, coulomb=1.1)),
+        ("inaccurate", "^(?!.*allowed: 2 times)", motion(0.55 * R, **DRY)),
+    ],
     "an error of half the uncompensated deviation is inaccurate": [
         ("in_order", "", motion(0.45 * R)),
         ("inaccurate", "", motion(0.55 * R)),
@@ -315,6 +322,7 @@ def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_kno
     assert bounds_of({}) == {}
     named = {"driver": {"stage.platform.stop": 1e-3}, "controller": {"stage.actuator.current_limit": 0.5}}
     described = {"friction": 2.0, "sensor_noise": 0.5, "map_noise": 0.02e-6, "modes": (), "dither": 0.0}
+    described |= {"coulomb": 0.43, "current_stiffness": StageParameters().actuator.current_stiffness}
     assert bounds_of(named) == {"stop": 1e-3, "current_limit": 0.5, **described}
     assert bounds_of({"driver": {}, "controller": {}}) == {"stop": 1.2e-3, "current_limit": 0.9, **described}
     weak = {"stage.drive.gain": 0.01, "stage.drive.dac_bits": 4}
