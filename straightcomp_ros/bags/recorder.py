@@ -3,7 +3,7 @@
 import shutil
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from itertools import groupby, islice
 from pathlib import Path
@@ -17,7 +17,11 @@ from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter, Message
 from straightcomp_ros.messages.cdr import NANOSECONDS
 
 BREAK: Message = ("", b"", 0, 0)
-"""Marks in the queue where messages were left out on purpose: they do not count as lost."""
+"""Marks between two messages that those between them were left out on purpose: they do not count as lost."""
+
+
+def _messages(entries: Sequence[Message]) -> int:
+    return len(entries) - entries.count(BREAK)
 
 
 class Intake:
@@ -60,14 +64,19 @@ class Intake:
         """Send what is in memory to the disk; returns how many messages that is."""
         room = max(self._limit - len(self.queue), 0)
         kept = list(self._memory)[-room:] if room else []
-        self.dropped += len(self._memory) - len(kept)
+        sent = _messages(kept)
+        self.dropped += _messages(self._memory) - sent
         self._memory.clear()
         self.queue += [BREAK, *kept]
-        return len(kept)
+        return sent
+
+    def interrupt(self) -> None:
+        """Do not count what is missing before the next message as lost."""
+        (self._memory if self._keep_ns else self.queue).append(BREAK)
 
     def pause(self) -> None:
         """Ignore messages from now on, and count none of them as lost."""
-        self.queue.append(BREAK)
+        self.interrupt()
         self.paused = True
 
 

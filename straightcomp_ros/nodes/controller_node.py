@@ -93,6 +93,7 @@ class ControllerComponent:
         """Start with the samples that arrive from now on."""
         self._samples.fetch()
         self._references.fetch()
+        self._gaps.interrupt()
         self._pairing = self._new_pairing()
 
     def prepare(self, parameters: ControllerNodeParameters) -> Callable[[], None]:

@@ -62,6 +62,7 @@ class FeedforwardComponent:
     def activate(self) -> None:
         """Start with the samples that arrive from now on."""
         self._queue.fetch()
+        self._gaps.interrupt()
         self._feedforward.reset()
         self._x = math.nan
 

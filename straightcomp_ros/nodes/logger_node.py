@@ -130,8 +130,10 @@ class LoggerComponent:
             self.node.get_logger().info(f"recording to {self._recorder.folder}")
 
     def deactivate(self) -> None:
-        """Record the messages that have arrived; the bag stays open."""
+        """Record the messages that have arrived; the bag stays open, and what it lacks from now on is not lost."""
         self._take()
+        self._recorder.intake.interrupt()
+        self._gaps.interrupt()
 
     def prepare(self, parameters: LoggerNodeParameters) -> Callable[[], None]:
         """Prepare another limit of free disk space."""

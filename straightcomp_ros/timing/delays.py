@@ -22,6 +22,7 @@ _EXACT = 2 << _SUB_BITS
 _LARGEST_NS = (1 << 40) - 1
 """18 minutes; longer durations count as this one."""
 _RESTART_NS = 10_000_000_000
+_NEVER_NS = -(2**63)
 _BINS = ((40 - _SUB_BITS - 1) << _SUB_BITS) + _EXACT
 
 
@@ -114,7 +115,7 @@ class StampGaps:
 
     def __init__(self) -> None:
         self.lost = 0
-        self._last_ns = -(2**63)
+        self._last_ns = _NEVER_NS
         self._period_ns = _RESTART_NS
 
     def see(self, stamp_ns: int) -> None:
@@ -124,6 +125,10 @@ class StampGaps:
             self._period_ns = step
         elif self._period_ns < step < _RESTART_NS:
             self.lost += round(step / self._period_ns) - 1
+
+    def interrupt(self) -> None:
+        """Do not count the gap before the next sample: those in it were left out on purpose."""
+        self._last_ns = _NEVER_NS
 
 
 class ThreadWaits:

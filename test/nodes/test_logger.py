@@ -1,5 +1,6 @@
 """The logger's own services and refusals, with played samples instead of a driver."""
 
+import itertools
 import re
 import time
 import zipfile
@@ -45,6 +46,28 @@ def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(single, pa
     assert metadata["origin"]["package"] == "straightcomp_ros"
     assert set(metadata["losses"]) == {"/encoder"}
     assert "logger" in read_attachments(bag)["parameters.yaml"].decode()
+
+
+def test_what_comes_while_the_logger_is_inactive_is_not_lost(single, participant, tmp_path):
+    bag, numbers = tmp_path / "bag", itertools.count()
+    encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
+    single.start("logger", {"autostart": False, "output": str(bag), "topics": "encoder", "nodes": "logger"})
+
+    def publish_until(enough):
+        participant.until(
+            lambda: encoder.publish(ENCODER.layout.pack(10**18 + 500_000 * next(numbers), 0, 0, 0, 0)) or enough()
+        )
+
+    assert participant.change("logger", "configure") and participant.change("logger", "activate")
+    publish_until(lambda: size(bag / "bag_0.mcap") > 5000)
+    assert participant.change("logger", "deactivate")
+    for _ in range(1000):
+        next(numbers)
+    assert participant.change("logger", "activate")
+    before = size(bag / "bag_0.mcap")
+    publish_until(lambda: size(bag / "bag_0.mcap") > before + 5000)
+    assert single.stop(["logger"])["logger"] == 0
+    assert read_metadata(bag)["losses"] == {"/encoder": "0"}
 
 
 def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, tmp_path):

@@ -88,6 +88,15 @@ def test_samples_lost_within_ten_seconds_are_counted(stamps, lost):
     assert gaps.lost == lost
 
 
+def test_samples_that_were_left_out_on_purpose_are_not_lost():
+    gaps = StampGaps()
+    for interrupted, stamp in ((False, 0), (False, 1), (True, 100), (False, 102)):
+        if interrupted:
+            gaps.interrupt()
+        gaps.see(stamp)
+    assert gaps.lost == 1
+
+
 def test_the_longest_wait_of_a_thread_from_look_to_look_counts_once_it_was_seen_and_while_it_lives(tmp_path):
     waited_ns = {}
 
