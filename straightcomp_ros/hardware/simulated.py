@@ -27,6 +27,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 _AT_INDEX_NS = 10_000_000
 _HOMING = "it is being homed"
+_HOMING_ENDED = "homing ended before the index; call home again"
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,12 @@ class SimulatedHardware(Hardware):
         if self.motion.moving:
             # A sample that is due, but not taken yet, is of the motion that there was.
             start_ns = min(start_ns, self._next_sample_ns)
+        self._begin(trajectory, start_ns)
+
+    def _begin(self, trajectory: Trajectory, start_ns: int) -> None:
         self.motion.begin(trajectory, start_ns)
+        if self.unreferenced == _HOMING:
+            self.unreferenced = _HOMING_ENDED
 
     def home(self, now_ns: int) -> None:
         if self.state is State.ON:
@@ -199,8 +205,11 @@ class SimulatedHardware(Hardware):
             if left:
                 self._effective_ns[:left] = self._effective_ns[taken:count]
                 self._asked[:left] = self._asked[taken:count]
-        if self.unreferenced == _HOMING and x == self._index:
-            self.zero, self.unreferenced = self._parameters.index_shift, ""
+        if self.unreferenced == _HOMING:
+            if x == self._index:
+                self.zero, self.unreferenced = self._parameters.index_shift, ""
+            elif self.motion.over:
+                self.unreferenced = _HOMING_ENDED
         self._time_ns = time_ns
         age_ns = time_ns - self._last_command_ns
         if age_ns > self.command_timeout_ns and self.state is State.ON:

@@ -7,6 +7,7 @@ from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back
+from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
@@ -199,3 +200,26 @@ def test_homing_finds_the_index_where_it_is_now_and_ends_at_the_start_of_the_str
     hardware.enable()
     with pytest.raises(HardwareError, match="amplifier on"):
         hardware.home(START + 4000 * PERIOD)
+
+
+@pytest.mark.parametrize("replaced", [False, True], ids=["ended", "replaced"])
+def test_homing_that_ends_before_the_index_says_so_until_it_is_repeated(replaced):
+    parameters = SimulatedParameters(referenced=False, index=0.05)
+    hardware = SimulatedHardware(parameters, STAGE, GUIDE, x=0.2)
+    hardware.start(START)
+    hardware.home(START)
+    hardware.pace(Pace(hold=replaced, end=not replaced))
+    time_ns = START + 200 * PERIOD
+    hardware.read(time_ns)
+    if replaced:
+        # Held on its way it is still being homed.
+        assert hardware.unreferenced == "it is being homed"
+        x = hardware.motion.position(time_ns) - hardware.zero
+        hardware.move(Trajectory([Waypoint(0, x, 0.0)]), time_ns)
+    assert hardware.unreferenced == "homing ended before the index; call home again"
+    hardware.home(time_ns)
+    hardware.pace(Pace())
+    hardware.read(time_ns + 100 * PERIOD)
+    assert hardware.unreferenced == "it is being homed"
+    hardware.read(time_ns + 8000 * PERIOD)
+    assert not hardware.unreferenced
