@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.parameters.output_files import same_or_within
+from straightcomp_ros.parameters.output_files import check_writable, same_or_within
 
 
 def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
@@ -108,11 +108,12 @@ def output_file(
                 raise CommandFailed(f"{option} {name}: is an input ({read}); name another file", exit_code=2)
         if not options.force:
             raise CommandFailed(f"{option} {name}: is there already; name another file, or give --force", exit_code=2)
-    # A file is replaced by a new one, so that its folder counts, too; a pipe or a device is not.
-    folder = Path(os.path.realpath(path)).parent
-    places = [path] if path.exists() and not path.is_file() else [folder, *([path] if path.exists() else [])]
-    if not all(os.access(place, os.W_OK) for place in places):
+    if path.exists() and not os.access(path, os.W_OK):
         raise CommandFailed(f"{option} {name}: cannot be written; check its permissions", exit_code=2)
+    try:
+        check_writable(path)
+    except OSError as error:
+        raise CommandFailed(f"{option} {name}: cannot be written: {error.strerror}", exit_code=2) from error
     return path
 
 

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
-from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.output_files import check_writable, write_whole
 from straightcomp_ros.parameters.yaml_text import bounded_lines
 from straightcomp_ros.straightness.feedforward import restarted, updated
 
@@ -335,7 +335,9 @@ class LearningParameters:
 
     learn: bool = parameter(False, "Learn from stroke to stroke, and correct the law's reference by what was learned")
     file: str = parameter(
-        "", "File of the learned correction: read at the start if it exists, written at the end; empty: memory only"
+        "",
+        "File of the learned correction: read at the start if it exists, written when the controller is deactivated "
+        "and when it ends; empty: memory only",
     )
     gain: float = parameter(0.3, "Fraction of a pass's error that is learned, once many were averaged", "(0, 1]")
     forgetting: float = parameter(0.01, "Fraction of the correction that each pass forgets", "[0, 0.5]")
@@ -425,10 +427,26 @@ class Learning:
             r_ddot + weight * (curvature * v * v + slope * tracked.a),
         )
 
-    def save(self) -> None:
-        """Write the file that the parameters name, if they do; OSError if it cannot be written."""
+    def check_file(self) -> None:
+        """Raise ParameterError if :meth:`save` could not write the file now; call it before there is much to lose."""
         if self._parameters.file:
-            write_tables(Path(self._parameters.file), self._law, self.tables)
+            try:
+                check_writable(self._parameters.file)
+            except OSError as error:
+                allowed = "a file in a folder where this user may make files"
+                raise ParameterError(f"{self._refusal(error)}; allowed: {allowed}") from error
+
+    def save(self) -> None:
+        """Write the file that the parameters name, if they do. If it cannot be written, OSError with a sentence; what
+        was learned is still here then, and can be saved again."""
+        if self._parameters.file:
+            try:
+                write_tables(Path(self._parameters.file), self._law, self.tables)
+            except OSError as error:
+                raise OSError(f"{self._refusal(error)}; what was learned is not saved") from error
+
+    def _refusal(self, error: OSError) -> str:
+        return f"parameter 'learning.file': {self._parameters.file!r} cannot be written: {error.strerror}"
 
     def counters(self) -> dict[str, object]:
         """Figures for the diagnostics."""

@@ -59,6 +59,8 @@ class ControllerComponent:
         run = self._worker.run if not lockstep else lambda job: job()
         learning, law, rate = parameters.learning, parameters.control.law, parameters.stage.rate
         self._learning = Learning(learning, law, rate, run) if learning.learn else None
+        if self._learning is not None:
+            self._learning.check_file()
         self._law = self._made(parameters)
         if self._learning is not None:
             node.create_subscription(DiagnosticStatus, STAGE_STATE, partial(_mark_cut, self._learning), LATCHED)
@@ -146,7 +148,12 @@ class ControllerComponent:
         self._publish_command.finish()
         self._publish_state.finish()
         if self._learning is not None:
-            self._learning.save()
+            try:
+                self._learning.save()
+            except OSError as error:
+                # It has stopped all the same; a failed transition would release what was learned.
+                again = "it stays in memory, and is written again at the next deactivate, at cleanup or at the end"
+                self._node.get_logger().error(f"{error}: {again}")
 
     def _wait(self, timeout_ns: int) -> None:
         """Wait for a sample. Before, while no sample waits for its command, fetch references for later samples."""

@@ -13,6 +13,7 @@ import math
 import os
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -65,6 +66,20 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
     sync_names(target.parent)
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise the OSError with which :func:`write_whole` would fail now, as far as that shows before something is
+    written: ``path`` is a folder, or its own folder takes no new file."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if path.is_file() or not path.exists():
+            with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
+                pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def sync_names(folder: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -228,6 +229,32 @@ def test_a_damaged_file_is_refused_with_the_place_and_what_is_allowed(file, chan
         file.write_bytes(b"\xff\xfe")
         with pytest.raises(ParameterError, match=str(no_text)):
             read_tables(no_text, "smc", tables())
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_and_keeps_what_was_learned_after(file, tmp_path, capsys):
+    folder = tmp_path / "away"
+    folder.mkdir()
+    path = folder / "learned.csv"
+    shutil.copy(file, path)
+    learner = learning(file=str(path), spacing=FILE_SPACING)
+    learner.check_file()
+    written = path.read_text()
+    shutil.rmtree(folder)
+    words = re.escape(f"parameter 'learning.file': '{path}' cannot be written: No such file or directory")
+    with pytest.raises(ParameterError, match=words):
+        learner.check_file()
+    with pytest.raises(OSError, match=f"{words}; what was learned is not saved"):
+        learner.save()
+    folder.mkdir()
+    learner.save()
+    assert path.read_text() == written
+    learning().check_file()
+    # Offline the option is refused before the run, and a file of the parameters when it is over.
+    assert main(["simulate", "--learned", "/proc/x.csv", *SHORT]) == 2
+    assert "--learned /proc/x.csv: cannot be written: No such file" in capsys.readouterr().err
+    learn = ("--learn", "--set=controller.learning.file=/proc/x.csv", "--law", "linear")
+    assert main(["simulate", *learn, *SHORT]) == 1
+    assert "parameter 'learning.file': '/proc/x.csv' cannot be written" in " ".join(capsys.readouterr().err.split())
 
 
 SHORT = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.2", "pause=0.1")]

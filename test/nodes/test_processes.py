@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from tiers import nightly
 from waiting import wait_for_line
@@ -14,7 +15,9 @@ from waiting import wait_for_line
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
 
 MANAGED = {
@@ -83,6 +86,30 @@ def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_ref
             assert "not configured" in participant.enable().message
     assert process.poll() is None
     assert single.stop(["driver"])["driver"] == 0
+
+
+def test_a_controller_keeps_what_it_learned_while_the_file_cannot_be_written(single, participant, tmp_path):
+    folder = tmp_path / "learned"
+    file = folder / "table.csv"
+    learning = {"learning.learn": True, "learning.file": str(file), "autostart": False}
+    single.start("controller", learning)
+    assert not participant.change("controller", "configure")
+    assert f"'learning.file': '{file}' cannot be written" in single.log("controller").read_text()
+    folder.mkdir()
+    first = Learning(LearningParameters(file=str(file)), ControllerNodeParameters().control.law, 2000.0)
+    nodes = np.full(20, 1e-8)
+    first.tables[True].restore(0, nodes, nodes, nodes, nodes)
+    first.save()
+    written = file.read_bytes()
+    assert participant.change("controller", "configure") and participant.change("controller", "activate")
+    file.unlink()
+    file.mkdir()
+    assert participant.change("controller", "deactivate") and participant.state("controller") == "inactive"
+    assert "Is a directory; what was learned is not saved: it stays in memory" in single.log("controller").read_text()
+    file.rmdir()
+    assert participant.change("controller", "cleanup")
+    assert file.read_bytes() == written
+    assert single.stop(["controller"])["controller"] == 0
 
 
 UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean 'realtime.priority'")

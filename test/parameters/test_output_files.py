@@ -9,7 +9,14 @@ import tempfile
 import pytest
 
 from straightcomp_ros.parameters import share
-from straightcomp_ros.parameters.output_files import MARK, UNFINISHED, OutputRefused, making, write_whole
+from straightcomp_ros.parameters.output_files import (
+    MARK,
+    UNFINISHED,
+    OutputRefused,
+    check_writable,
+    making,
+    write_whole,
+)
 from straightcomp_ros.parameters.share import private_folder
 
 
@@ -55,6 +62,25 @@ def test_a_failure_leaves_the_old_file_and_no_other_and_names_it(tmp_path, monke
         write_whole(tmp_path / "file", "new")
     assert caught.value.filename == str(tmp_path / "file")
     assert [path.name for path in tmp_path.iterdir()] == ["file"] and (tmp_path / "file").read_text() == "old"
+
+
+def test_what_cannot_be_written_is_known_before_and_nothing_is_left_of_the_attempt(tmp_path):
+    (tmp_path / "file").write_text("old")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere" / "file")
+    for name in ("file", "new", "pipe"):
+        check_writable(tmp_path / name)
+    for name, error in (
+        (".", IsADirectoryError),
+        ("nowhere/file", FileNotFoundError),
+        ("file/new", NotADirectoryError),
+        ("link", FileNotFoundError),
+    ):
+        with pytest.raises(error) as caught:
+            check_writable(tmp_path / name)
+        assert caught.value.filename == str(tmp_path / name) and caught.value.strerror
+    assert {one.name for one in tmp_path.iterdir()} == {"file", "pipe", "link"}
+    assert (tmp_path / "file").read_text() == "old"
 
 
 def make(folder, text="new", **how):
