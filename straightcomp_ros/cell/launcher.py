@@ -29,6 +29,8 @@ IN_THE_LOOP = ("driver", "feedforward", "controller")
 """Those of them whose delays move the platform."""
 COMPOSED = "servo"
 """The process in which these run, if they run in one."""
+CLIENTS = ("cell", "opcua")
+"""Programs that move the machine. They switch the amplifier off when they are stopped, and need the driver for that."""
 SLACK_S = 700.0
 """Time for start, discovery and delays of a busy machine, beyond the duration of the cycle itself. A process that ends
 is seen at once, and what waits for the others gives up before."""
@@ -159,8 +161,11 @@ class Graph:
         return lines[-1].strip() if lines else "it printed nothing"
 
     def stop(self, names: Sequence[str] | None = None) -> dict[str, int]:
-        """Interrupt the named nodes (None: all) and wait for their ends; returns their exit codes."""
-        stopping = {name: self._processes.pop(name) for name in (names or list(self._processes))}
+        """Interrupt the named nodes (None: all, first the clients among them) and wait for their ends; returns their
+        exit codes."""
+        if names is None:
+            return self.stop([name for name in CLIENTS if name in self._processes]) | self.stop([*self._processes])
+        stopping = {name: self._processes.pop(name) for name in names}
         for process in stopping.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)

@@ -142,7 +142,10 @@ class DriverComponent:
 
     def deactivate(self) -> None:
         """Switch the amplifier off and stop sampling. A fault stays latched."""
+        on = self._safety.condition is State.ON
         self._safety.disable()
+        if on:
+            self._node.get_logger().warning("deactivated with the amplifier on: it has been switched off")
         self._panel.report()
         self._action.abandon("the driver is not active any more")
         self._publish_sample.finish()

@@ -155,7 +155,7 @@ class GraphClient:
     ) -> None:
         self.node, self._fresh = node, fresh
         self._own = {node.get_name(): description} if description else {}
-        self.safety = SafetyState()
+        self.safety, self._reported_off = SafetyState(), False
         self._clients: dict[str, ServiceClient] = {}
         for kind, names_of_kind in _SERVICES.items():
             for name in names_of_kind:
@@ -228,9 +228,20 @@ class GraphClient:
         self._clients[service].ask(Trigger.Request() if on is None else SetBool.Request(data=on), then)
 
     def leave(self) -> Future:
-        """Switch off at the end of the client; the future's result is the reason for a refusal, or an empty text."""
+        """Switch off at the end of the client. The future's result is an empty text once the driver has done so or
+        reports the amplifier off, as a driver does that ends at the same moment; otherwise why it is not off."""
         left = Future()
-        self.request(_ENABLE, False, left.set_result)
+
+        def answered(refusal: str) -> None:
+            if not left.done():
+                left.set_result("" if self._reported_off else refusal)
+
+        def look() -> None:
+            if self._reported_off or not self._clients[_ENABLE].ready:
+                answered("the driver has left the graph")
+
+        self.request(_ENABLE, False, answered)
+        self.node.create_timer(_TICK_S, look)
         return left
 
     def move(self, waypoints: Sequence[Waypoint]) -> None:
@@ -320,6 +331,7 @@ class GraphClient:
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         self.safety = SafetyState.of(message)
+        self._reported_off = not self.safety.amplifier_on
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

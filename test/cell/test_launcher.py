@@ -70,6 +70,31 @@ def test_a_launcher_in_the_background_of_a_script_interrupts_its_programs_too(tm
         signal.signal(signal.SIGINT, before)
 
 
+SLOWLY_ENDING = """
+import pathlib, signal, sys, time
+name, seconds, ended = sys.argv[1:]
+def end(*_):
+    time.sleep(float(seconds))
+    with pathlib.Path(ended).open("a") as file:
+        print(name, file=file)
+    sys.exit()
+signal.signal(signal.SIGINT, end)
+print("ready", flush=True)
+time.sleep(60)
+"""
+
+
+def test_what_moves_the_machine_ends_before_the_nodes_that_it_needs_for_that(tmp_path):
+    ended = tmp_path / "ended"
+    with Graph(tmp_path) as graph:
+        for name, seconds in (("driver", 0.0), ("opcua", 0.0), ("cell", 0.5)):
+            graph.start_program(name, [sys.executable, "-c", SLOWLY_ENDING, name, str(seconds), str(ended)])
+            assert comes_true(lambda name=name: "ready" in graph.log(name).read_text(), 60.0)
+        assert graph.stop() == {"cell": 0, "opcua": 0, "driver": 0}
+        assert ended.read_text().split() == ["opcua", "cell", "driver"]
+        assert graph.stop() == {}
+
+
 def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):
     code = (
         "import pathlib, time\n"

@@ -157,6 +157,37 @@ def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(parti
     driver.node.destroy_node()
 
 
+@pytest.mark.parametrize("end", ["answers", "refuses", "reports it off", "reported it off before", "leaves"])
+def test_a_client_that_leaves_knows_what_became_of_the_amplifier(participant, end):
+    driver, asked = Driver(), []
+
+    def enable(request, response):
+        asked.append(request.data)
+        response.success, response.message = end == "answers", "no"
+        return response
+
+    # The driver's own node is not spun: it does not answer.
+    spun = participant.node if end in ("answers", "refuses") else driver.node
+    spun.create_service(SetBool, "driver/enable", enable)
+    client = GraphClient(participant.node, ["driver"], batches=())
+    participant.until(lambda: client.safety.amplifier_on and client._clients["driver/enable"].ready)
+    if end == "reported it off before":
+        driver.say(State.OFF)
+        participant.until(lambda: not client.safety.amplifier_on)
+    left = client.leave()
+    if end == "reports it off":
+        participant.spin(0.2)
+        assert not left.done()
+        driver.say(State.OFF)
+    if end == "leaves":
+        driver.node.destroy_node()
+    participant.until(left.done)
+    assert left.result() == {"refuses": "no", "leaves": "the driver has left the graph"}.get(end, "")
+    client.streams.close()
+    if end != "leaves":
+        driver.node.destroy_node()
+
+
 @pytest.mark.parametrize(
     "text", ["\x1b[2J", "\n[FATAL] [driver]: on", "\r", "\x9b2J", "\u202e", "\u2028", "\t", "\x00"]
 )

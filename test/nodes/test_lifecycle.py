@@ -65,7 +65,7 @@ def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_uni
                 assert COUNT.fullmatch(value), f"{node}: {name} = {value} is no count and names no unit"
 
 
-def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loop):
+def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loop, shared_graph):
     loop.trip()
     loop.until(lambda: loop.safety[-1].fault.startswith("tripped"))
     assert loop.change("driver", "deactivate") and loop.change("driver", "activate")
@@ -76,6 +76,10 @@ def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loo
     loop.switch_on()
     assert loop.change("driver", "deactivate")
     loop.until(lambda: not loop.safety[-1].amplifier_on and not loop.safety[-1].fault)
+    logs = [shared_graph.log(name) for name in ("driver", "servo")]
+    # Once: before, a fault had switched it off.
+    printed = "".join(log.read_text() for log in logs if log.exists())
+    assert printed.count("deactivated with the amplifier on: it has been switched off") == 1
     assert loop.change("driver", "activate")
 
 
