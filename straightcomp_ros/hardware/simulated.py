@@ -167,9 +167,6 @@ class SimulatedHardware(Hardware):
         if self.motion.moving:
             # A sample that is due, but not taken yet, is of the motion that there was.
             start_ns = min(start_ns, self._next_sample_ns)
-        self._begin(trajectory, start_ns)
-
-    def _begin(self, trajectory: Trajectory, start_ns: int) -> None:
         self.motion.begin(trajectory, start_ns)
         if self.unreferenced == _HOMING:
             self.unreferenced = _HOMING_ENDED

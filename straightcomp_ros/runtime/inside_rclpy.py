@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy import get_rmw_implementation_identifier
+import rclpy
 from rclpy.action.server import GoalEvent, ServerGoalHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
@@ -64,7 +64,7 @@ def raw_take(subscription: Subscription) -> Callable[[], tuple[bytes, Mapping[st
     the last take that found none, and before this one: for such a middleware the earliest possible time is returned.
     """
     take, kind = subscription.handle.take_message, subscription.msg_type
-    if middleware(get_rmw_implementation_identifier()).stamps_arrival:
+    if middleware(rclpy.get_rmw_implementation_identifier()).stamps_arrival:
         return lambda: take(kind, True)
     none_waited_ns = 0
 
