@@ -33,6 +33,18 @@ def test_add_tells_what_it_added_and_a_folder_may_hold_bags_that_are_refused(mon
     assert "FROM refused" in capsys.readouterr().err
 
 
+def test_a_named_bag_that_was_refused_is_refused_as_long_as_it_is_unchanged(tmp_path, capsys):
+    store, bag = str(tmp_path / "store"), tmp_path / "bags" / "run"
+    shutil.copytree(SAMPLES / "cut_off", bag)
+    said = []
+    for _ in range(2):
+        assert main(["history", "add", str(bag), "-o", store]) == 1
+        said.append(capsys.readouterr().err)
+    assert all("run/cut_off_0.mcap was not finished" in text and "bags refused: 1; " in text for text in said)
+    assert said[1].startswith("refused before, and unchanged: bag ")
+    assert main(["history", "add", str(bag.parent), "-o", store]) == 0
+
+
 def answer(capsys, *words):
     """What `straightcomp history` prints with --json."""
     assert main(["history", *map(str, words), "--json"]) == 0

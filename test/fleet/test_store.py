@@ -220,6 +220,33 @@ def test_the_strokes_of_a_stage_come_in_the_order_of_time(alone):
         store.strokes("stage_7")
 
 
+READS_AND_ADDS = """\
+import os, sys, time, pyarrow.compute, pyarrow.parquet
+from straightcomp_ros.fleet.history.bag_places import bags_in
+from straightcomp_ros.fleet.history.adding import Tally, add
+from straightcomp_ros.fleet.history.store import Store
+store, bag = Store(sys.argv[1]), sys.argv[2]
+def threads():
+    return set(os.listdir("/proc/self/task"))
+before, tally = threads(), Tally()
+assert not store.has(next(bags_in(bag)))
+list(add(store, bags_in(bag), tally, jobs=1))
+assert store.has(next(bags_in(bag))) and tally.added == 1
+assert all(store.strokes(stage).num_rows for stage in store.stages())
+end = time.monotonic() + 10.0
+while threads() - before and time.monotonic() < end:
+    time.sleep(0.01)  # a thread of Python's has been joined before the kernel forgets it
+print(threads() - before)
+"""
+
+
+def test_no_thread_of_arrow_s_is_left_that_could_hold_python_s_bytes_when_the_interpreter_ends(alone, tmp_path):
+    """It would end the process with `terminate called without an active exception`, now and then (rows_in)."""
+    store = shutil.copytree(alone[0], tmp_path / "store")
+    command = [sys.executable, "-c", READS_AND_ADDS, str(store), str(SAMPLES / "smc")]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
 @pytest.mark.parametrize("row", [StrokeRow, BagRow])
 def test_every_column_says_what_it_is_and_keeps_its_type(row):
     assert table_of(row, []).schema == schema_of(row)

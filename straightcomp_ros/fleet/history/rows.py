@@ -171,6 +171,24 @@ def parquet(row: type, rows: Sequence[Any]) -> bytes:
     return file.getvalue()
 
 
+def rows_in(row: type, data: bytes) -> pyarrow.Table:
+    """The rows of a Parquet file, with the columns of the class ``row``: null where it was written before a column was
+    declared.
+
+    Read in this thread alone. ``pyarrow.parquet.read_table`` leaves a task to a thread of Arrow's pool, which may let
+    go of ``data`` when the interpreter has ended, and aborts the process then (apache/arrow#34314).
+    """
+    import pyarrow.parquet
+
+    found = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data)).read(use_threads=False)
+    schema, there = schema_of(row), set(found.column_names)
+    columns = [
+        found[field.name].cast(field.type) if field.name in there else pyarrow.nulls(found.num_rows, field.type)
+        for field in schema
+    ]
+    return pyarrow.Table.from_arrays(columns, schema=schema)
+
+
 def checksum_of(parts: Iterable[bytes]) -> str:
     """BLAKE2b of these bytes, one after the other, 128 bits in hexadecimal."""
     digest = hashlib.blake2b(digest_size=16)

@@ -19,6 +19,7 @@ import os
 import re
 import shutil
 import time
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,7 @@ from straightcomp_ros.fleet.history.rows import (
     StrokeRow,
     checksum_of,
     parquet,
+    rows_in,
     schema_of,
     stored_name,
 )
@@ -82,19 +84,21 @@ class Store:
 
     def has(self, place: BagPlace) -> bool:
         """Whether a bag was added, or refused, as it is now. One that could not be read is to be tried again."""
-        import pyarrow.parquet
+        found = self.row(place.location)
+        same = (found.get("size"), found.get("modified")) == (place.size, place.modified)
+        return same and place.modified is not None and found["checksum"] is not None
+
+    def row(self, location: str) -> dict[str, Any]:
+        """The row of the bag at this place by its columns, those of
+        :class:`~straightcomp_ros.fleet.history.rows.BagRow`; empty where there is none, or it is damaged."""
+        from pyarrow import ArrowException
 
         try:
             with reaching(self.url):
-                data = self.files.cat_file(self._bag_file(place.location))
-        except FileNotFoundError:
-            return False
-        try:
-            found = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pylist()[0]
-        except (pyarrow.ArrowException, LookupError):
-            return False  # a damaged row is written anew
-        same = (found["size"], found["modified"]) == (place.size, place.modified)
-        return same and place.modified is not None and found["checksum"] is not None
+                data = self.files.cat_file(self._bag_file(location))
+            return rows_in(BagRow, data).to_pylist()[0]  # type: ignore[no-any-return]
+        except (FileNotFoundError, ArrowException, LookupError):
+            return {}
 
     def put(self, row: BagRow, strokes: bytes | None) -> None:
         """Write the row of a bag, and its strokes, a Parquet file, if it has not been refused.
@@ -123,14 +127,17 @@ class Store:
     def strokes(self, stage: str) -> pyarrow.Table:
         """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``. Raises HistoryError for a stage
         that the store does not have."""
-        import pyarrow.dataset
+        import pyarrow
 
         folder = f"{self.root}/{STROKES}/stage={quote(stored_name(stage), safe='')}"
         if not self.files.isdir(folder):
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
-        data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=self.files)
-        return data.to_table().sort_by(_ORDER)
+        files = [file for file in self.files.find(folder) if file.endswith(".parquet")]
+        # On another storage most of the time is the way there.
+        with ThreadPoolExecutor() as threads:
+            tables = [rows_in(StrokeRow, data) for data in threads.map(self.files.cat_file, files)]
+        return pyarrow.concat_tables([schema_of(StrokeRow).empty_table(), *tables]).sort_by(_ORDER)
 
     def query(self, sql: str, force: bool = False) -> pyarrow.Table:
         """What a query in DuckDB's SQL gives; a table without columns for a statement that gives nothing.
@@ -277,9 +284,9 @@ def _with_bag(file: Path, checksum: str, data: bytes) -> bytes:
     import pyarrow.compute as compute
     import pyarrow.parquet
 
-    strokes = pyarrow.parquet.read_table(pyarrow.BufferReader(data), schema=schema_of(StrokeRow))
+    strokes = rows_in(StrokeRow, data)
     if file.exists():
-        there = pyarrow.parquet.read_table(pyarrow.BufferReader(file.read_bytes()), schema=strokes.schema)
+        there = rows_in(StrokeRow, file.read_bytes())
         others = there.filter(compute.not_equal(there["checksum"], checksum))
         strokes = pyarrow.concat_tables([others, strokes])
     out = pyarrow.BufferOutputStream()

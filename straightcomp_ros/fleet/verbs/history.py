@@ -66,8 +66,8 @@ def _add(options: argparse.Namespace) -> None:
     for example s3://bucket/folder.
 
     A bag that was cut off, is damaged or has no stroke is refused: the store's table `refused` says why. Among the bags
-    of a folder there are such ones; the exit code is 1 if a bag that was named itself was refused now, or if no other
-    bag was there.
+    of a folder there are such ones; the exit code is 1 if a bag that was named itself was refused, now or before, or if
+    no other bag was there.
     """
     from straightcomp_ros.fleet.history.adding import Tally, add
     from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
@@ -105,9 +105,12 @@ def _add(options: argparse.Namespace) -> None:
     else:
         counts = f"added {tally.added}, known and unchanged {tally.known}, refused {tally.refused}"
         console.print(f"{options.store}: bags {counts}; strokes added {tally.strokes}", soft_wrap=True)
+    before = [reason for bag in sorted(named - refused) if (reason := store.row(bag).get("reason"))]
+    for reason in before:
+        notes.print(f"refused before, and unchanged: {reason}", soft_wrap=True, highlight=False)
     why = f'straightcomp history query {shlex.quote(options.store)} "SELECT location, reason FROM refused"'
-    if tally.refused and (named & refused or not tally.added + tally.known):
-        raise CommandFailed(f"bags refused: {tally.refused}; the reasons: {why}")
+    if before or (tally.refused and (named & refused or not tally.added + tally.known)):
+        raise CommandFailed(f"bags refused: {tally.refused + len(before)}; the reasons: {why}")
     if not options.json:
         then = f"straightcomp history advise {shlex.quote(options.store)}"
         print_written(options.store, then=f"{then}; why bags were refused: {why}" if tally.refused else then)
