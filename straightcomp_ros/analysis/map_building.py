@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.metrics import about_lines
+from straightcomp_ros.analysis.straightness_statement import Statement, map_input, stated
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -34,6 +35,8 @@ _WHOLE_RUN = 0.25
 """Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
 _WIDEST = 3
 """Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
+_POINTS = 2000
+"""Points of the map for which its straightness is stated: the most that are taken as they are."""
 _FEWEST = 3
 """Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
@@ -71,6 +74,13 @@ class BuiltMap:
     measured: Survey
     counts: Mapping[str, int] = field(default_factory=dict)
 
+    @cached_property
+    def statements(self) -> list[Statement]:
+        """The straightness of the map, the mean of both directions, about each line, with its uncertainty."""
+        x = np.linspace(*self.straightness.span, _POINTS)
+        curve = (x, x, self.straightness.deviations(x))
+        return stated("before", "forward", [curve], [map_input(self.straightness, seen=True)], repeats=False)
+
     def figures(self) -> dict[str, Any]:
         """By name, the unit in each name."""
         kept, report, noise = self.straightness.survey, self.straightness.report, self.straightness.noise
@@ -85,7 +95,7 @@ class BuiltMap:
             "partial_runs": self.counts.get("partial_runs", 0),
             "rejected_points": len(self.rejected_points),
             **{name: self.counts.get(name, 0) for name in ("samples", "rejected_samples", "unusable_samples")},
-            **{f"straightness_{line}_um": value * 1e6 for line, value in about_lines(x, mean).items()},
+            **{f"straightness_{one.line}_um": one.value * 1e6 for one in self.statements},
             "correction_pp_um": peak_to_peak(mean) * 1e6,
             **report.to_display(),
             "hysteresis_of_map_um": self.straightness.hysteresis * 1e6,

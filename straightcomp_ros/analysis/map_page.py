@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import BuiltMap
 from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
-from straightcomp_ros.analysis.straightness_statement import COVERAGE_FACTOR, map_input, stated
+from straightcomp_ros.analysis.straightness_statement import COVERAGE_FACTOR
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, SOFT, VERMILION
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -92,11 +92,7 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
     spacing = f"{np.median(steps):.4g} mm{unequal}"
     yield "points", f"{len(found.x)}, spacing {spacing}; rejected: {len(built.rejected_points)}"
     yield "x", f"{figures['first_mm']:.6g} to {figures['last_mm']:.6g} mm"
-    x = np.linspace(*built.straightness.span, _POINTS)
-    lines = stated(
-        "before", "forward", [(x, x, built.straightness.deviations(x))], [map_input(built.straightness, True)], False
-    )
-    for one in lines:
+    for one in built.statements:
         value, uncertainty = one.value * 1e6, one.expanded_uncertainty * 1e6
         yield one.line.replace("_", " "), f"{value:.3f} µm ± {uncertainty:.2g} µm (ISO 230-1, map, U)"
     for name in ("forward", "backward", "bidirectional"):

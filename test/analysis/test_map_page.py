@@ -8,6 +8,7 @@ import pytest
 
 from straightcomp_ros.analysis import map_page
 from straightcomp_ros.analysis.map_building import Choices, build
+from straightcomp_ros.analysis.metrics import LINES
 from straightcomp_ros.straightness.survey import Run, Survey
 
 X = np.linspace(0.0, 0.4, 41)
@@ -54,6 +55,17 @@ def test_the_panels_show_runs_means_and_bands_and_what_is_left_of_the_mean(drawn
     assert (low, high) == pytest.approx((-0.15 - 0.2 * np.sqrt(2.0), -0.15 + 0.2 * np.sqrt(2.0)))
     # Without noise the map goes through every mean.
     assert lines(lowest)["mean of the runs"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_page_and_the_figures_state_the_same_straightness_of_a_noisy_survey(drawn):
+    random = np.random.default_rng(0)
+    runs = (run(str(k), "forward", random.normal(0.0, 3e-7, X.size)) for k in range(6))
+    built = build(Survey(tuple(runs)), Path(__file__), CHOICES)
+    map_page.plot_map(built, Path("map.png"))
+    figures = built.figures()
+    for line in LINES:
+        stated = f"{figures[f'straightness_{line}_um']:.3f} µm ± "
+        assert any(text.startswith(stated) and "ISO 230-1" in text for text in facts(drawn[0]))
 
 
 def test_rejected_runs_and_points_are_drawn_where_they_were_measured(drawn):
