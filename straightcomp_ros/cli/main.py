@@ -26,7 +26,7 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
-_WRONG_USE = {"AdmissionError", "HardwareError", "HistoryError", "NoBag"}
+_WRONG_USE = {"AdmissionError", "CommissionRefused", "HardwareError", "HistoryError", "NoBag"}
 _WRONG_USE |= {"OutputRefused", "ParameterError", "SurveyError"}
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141

@@ -28,5 +28,9 @@ class CommissioningError(ValueError):
     """Commissioning cannot go on; the message says what was found, and what helps."""
 
 
+class CommissionRefused(CommissioningError):
+    """What was asked for is refused before any step is done."""
+
+
 class LeftTravel(CommissioningError):
     """The platform strayed from its reference; the amplifier was switched off."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
-from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, STEP_NAMES, CommissioningError
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, STEP_NAMES, CommissionRefused
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.certificate import certificate
 from straightcomp_ros.tuning.commissioning.closed_loop import design, frequency_response, identification, safe_loop
@@ -41,7 +41,7 @@ class Procedure:
     same description is taken up again. ``choices`` are those of :class:`Work`, by their names there.
 
     Raises:
-        CommissioningError: the folder has a record of another description, or one that cannot be read.
+        CommissionRefused: the folder has a record of another description, or one that cannot be read.
         ParameterError: a value is refused.
     """
 
@@ -57,11 +57,12 @@ class Procedure:
         The certificate is void from the beginning: it names the bag and the figures that the step replaces.
 
         Raises:
-            CommissioningError: a step before it has not passed.
+            CommissionRefused: a step before it has not passed.
+            CommissioningError: the machine ends the step.
         """
         later = _after(step)
         if (first := self.remaining()[:1]) and first[0] not in (step, *later):
-            raise CommissioningError(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
+            raise CommissionRefused(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
         former = self.outcomes.get(step)
         # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
         self._forget(step, "certificate")
@@ -126,14 +127,14 @@ class Procedure:
             outcomes = {name: Outcome(**one) for name, one in record["steps"].items()}
             identity = record["description"]
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise CommissioningError(
+            raise CommissionRefused(
                 f"record {path}: cannot be read ({error}); remove it, or name another folder"
             ) from error
         if identity != self._identity:
-            raise CommissioningError(
+            raise CommissionRefused(
                 f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
             )
         if record.get("simulated", self._work.machine.simulated) != self._work.machine.simulated:
             kind = "a simulated" if record["simulated"] else "a real"
-            raise CommissioningError(f"record {path}: is of {kind} machine; name another folder, or remove it")
+            raise CommissionRefused(f"record {path}: is of {kind} machine; name another folder, or remove it")
         return outcomes

@@ -146,12 +146,14 @@ def _commission(
     if options.json:
         print_json({"output": str(folder), "failed": failed, "remaining": procedure.remaining(), "steps": done})
     else:
-        left = ", ".join(procedure.remaining())
-        then = (
-            f"the same command does the steps that are left: {left}"
-            if left
-            else "all is done; --only STEP repeats a step"
-        )
+        if failed == STEP_NAMES[-1]:
+            # The same command would judge the same measurements in the same way.
+            learned = f"--only {_ACCEPTANCE} --learn N lets the controller learn first"
+            then = f"--only STEP measures again ({learned}); another --require judges the same measurements"
+        elif left := ", ".join(procedure.remaining()):
+            then = f"the same command does the steps that are left: {left}"
+        else:
+            then = "all is done; --only STEP repeats a step"
         print_written(folder, then=then)
     if failed:
         raise CommandFailed(f"step '{failed}' did not pass; the amplifier is off")

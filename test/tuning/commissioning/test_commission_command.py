@@ -11,7 +11,7 @@ from roughly_known import ROUGH, encoder_of_twice_the_count, lossy_bus, one_coil
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissioningError, procedure
+from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissionRefused, procedure
 from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
@@ -36,7 +36,7 @@ def test_a_step_alone_is_done_and_a_later_one_is_refused(tmp_path, capsys):
     folder = str(tmp_path / "done")
     assert main(["commission", STAGE, "-o", folder, "--only", "connection"]) == 0
     assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(capsys.readouterr().out.split())
-    assert main(["commission", STAGE, "-o", folder, "--only", "design"]) == 1
+    assert main(["commission", STAGE, "-o", folder, "--only", "design"]) == 2
     assert "rests on 'signs_and_scales', which has not passed" in capsys.readouterr().err
 
 
@@ -56,6 +56,19 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(tmp_
     learned = Outcome(True, "passed", figures, gains={"learning.learn": True})
     done_before(Path(folder), {**passed, "acceptance": learned})
     assert main(["commission", STAGE, "-o", folder, "--check-survey", str(check), "--learn", "3"]) == 0
+    assert "next: all is done" in capsys.readouterr().err
+
+
+def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_command(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "done"
+    done_before(folder, {name: Outcome(True, "passed") for name in STEPS})
+    monkeypatch.setitem(procedure.STEPS, "certificate", lambda work: Outcome(work.require > 0.3, "judged"))
+    asked = ["commission", STAGE, "-o", str(folder), "--require"]
+    assert main([*asked, "0.25"]) == 1
+    (said,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("next: "))
+    assert "--only STEP" in said and "another --require" in said and "the same command" not in said
+    # It does what it says.
+    assert main([*asked, "0.4"]) == 0
     assert "next: all is done" in capsys.readouterr().err
 
 
@@ -289,9 +302,9 @@ def test_an_interrupt_leaves_the_record_of_plain_json_as_it_was(done, tmp_path, 
 
 def test_a_record_of_another_description_or_one_that_is_damaged_is_refused(done, tmp_path):
     begun(tmp_path).run("connection")
-    with pytest.raises(CommissioningError, match="is of another description"):
+    with pytest.raises(CommissionRefused, match="is of another description"):
         begun(tmp_path, platform__mass=2.0)
     for text in ("", "[]", '{"steps": {"connection": {"colour": 1}}, "description": ""}'):
         (tmp_path / RECORD).write_text(text)
-        with pytest.raises(CommissioningError, match="cannot be read"):
+        with pytest.raises(CommissionRefused, match="cannot be read"):
             begun(tmp_path)
