@@ -117,7 +117,7 @@ CASES = {
         ),
     ],
     "a platform that reached its stop is at the stop whatever else": [
-        ("at_stop", "", motion(R - 1.2e-3, stop=1.2e-3)),
+        ("at_stop", "a mode that nobody described", motion(R - 1.2e-3, stop=1.2e-3)),
         ("in_order", "", motion(y=np.full_like(R, 1.1e-3), stop=1.2e-3)),
         ("in_order", "", motion(y=np.full_like(R, 1.2e-3))),
     ],
