@@ -3,6 +3,7 @@
 import re
 
 _UNITS = {"um": "µm", "nm": "nm", "mm": "mm", "us": "µs", "ms": "ms", "s": "s", "A": "A", "Hz": "Hz", "deg": "°"}
+_UNITS |= {"um_per_m": "µm/m", "1e-6": "1e-6"}
 _WORDS = {
     "encoder_pp": "compensation error p-p, encoder",
     "encoder_rms": "compensation error RMS, encoder",
@@ -30,6 +31,12 @@ _WORDS = {
     "expanded_uncertainty": "U (k = 2)",
     "correction_pp": "correction p-p",
     "map_uncertainty_95": "uncertainty of the map (95 %)",
+    "map_uncertainty_95_twice_the_runs": "uncertainty of the map with twice the runs (95 %)",
+    "told": "zero and sign are known",
+    "lag": "lag, half of the shift between the directions",
+    "middle": "middle of the survey, where the shift is",
+    "unexplained_before_rms": "difference from the survey RMS, as it is",
+    "unexplained_after_rms": "difference from the survey RMS, aligned",
     "phase": "phase margin",
     "gain_low": "the loop's gain may fall to, times",
     "gain_high": "the loop's gain may rise to, times",
@@ -46,8 +53,12 @@ _PARTS = (
 
 def in_words(name: str) -> tuple[str, str]:
     """Words and unit, which may be empty, of a figure such as ``encoder_pp_forward_um``."""
-    stem, _, suffix = name.rpartition("_")
-    stem, unit = (stem, _UNITS[suffix]) if stem and suffix in _UNITS else (name, "")
+    if name.endswith("_95"):
+        # The half width of the interval of the figure before it, with its unit.
+        words, unit = in_words(name.removesuffix("_95"))
+        return f"{words}, ± (95 %)", unit
+    suffix = next((one for one in _UNITS if name.endswith(f"_{one}")), "")
+    stem, unit = (name.removesuffix(f"_{suffix}"), _UNITS[suffix]) if suffix else (name, "")
     stem = stem.removesuffix("_Hz") if unit == "µm" else stem
     base, way = re.fullmatch(r"(.*?)(?:_(forward|backward))?", stem).groups()  # type: ignore[union-attr]
     if base in _WORDS:

@@ -132,6 +132,11 @@ def test_the_verb_writes_the_corrected_survey_only_when_asked_and_stage_check_na
     assert (figures["sign"], figures["output"]) == (-1, None) and len(list(tmp_path.iterdir())) == 2
     assert figures["shift_mm"] == pytest.approx(1.0, abs=figures["shift_mm_95"])
     assert main([*line, "-o", "new.csv", "--note", "encoder reference=index 4"]) == 0
+    table = [[cell.strip() for cell in row.split("│")] for row in capsys.readouterr().out.splitlines()]
+    units = {row[1]: row[3] for row in table if len(row) == 5}
+    assert units["shift"] == units["shift, ± (95 %)"] == units["lag, half of the shift between the directions"] == "mm"
+    assert units["scale, ± (95 %)"] == "1e-6" and units["tilt, ± (95 %)"] == "µm/m"
+    assert not any("told" in words or ("95 " not in words and "95" in words) for words in units)
     written = read_survey("new.csv")
     assert written.mark == "index 4" and written.facts["instrument"] == "probe 7"
     assert "straightcomp map align" in written.facts["aligned by"]
