@@ -68,6 +68,11 @@ def _magnitude(axes: Axes, found: ComparedResponse, name: str, scale: float) -> 
 def _phase(axes: Axes, found: ComparedResponse, name: str) -> None:
     frequencies, expected = found.measured.frequencies, getattr(found.model, name)
     model = np.degrees(np.unwrap(np.angle(expected)))
+    if name == "open_loop":
+        # The turn in which the phase margin is the distance from −180°, where the gain is 1.
+        crossover = np.abs(np.log(np.abs(expected))).argmin()
+        model -= 360.0 * np.round((model[crossover] + 180.0) / 360.0)
+        axes.axhline(-180.0, color=GREY, linewidth=0.8)
     # Near the model, whichever turn the measured angle counts from.
     shown = model + np.degrees(np.angle(getattr(found.measured.response, name) / expected))
     axes.semilogx(frequencies, model, color=VERMILION, linewidth=1.0)

@@ -2,9 +2,11 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from straightcomp_ros.control.excitation import (
     ExcitationParameters,
@@ -25,6 +27,7 @@ from straightcomp_ros.tuning.frequency_response.measured_response import (
     measured_response,
     response_margins,
 )
+from straightcomp_ros.tuning.frequency_response.response_plot import _phase
 
 RATE = 1000.0
 
@@ -225,6 +228,16 @@ def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equatio
     law = make_law(ControlParameters(law="linear"), stage)
     ratio = loop_response(law, stage, f, damping).plant / (mechanics * amplifier * held)
     np.testing.assert_allclose(ratio, 1.0, atol=5e-3)
+
+
+@pytest.mark.parametrize("law", ["linear", "smc", "smc_observer"])
+def test_in_the_picture_the_phase_margin_is_the_distance_of_the_open_loop_from_minus_180_degrees(law):
+    loop = loop_response(make_law(ControlParameters(law=law), STAGE), STAGE, GRID)
+    measured = SimpleNamespace(frequencies=GRID, response=loop)
+    axes = Figure().add_subplot()
+    _phase(axes, SimpleNamespace(measured=measured, model=loop), "open_loop")
+    model, margins = np.asarray(axes.get_lines()[-2].get_ydata()), response_margins(GRID, loop.open_loop)
+    assert np.interp(margins.crossover_Hz, GRID, model) + 180.0 == pytest.approx(margins.phase_deg, abs=0.5)
 
 
 @pytest.mark.parametrize("law", ["linear", "smc"])
