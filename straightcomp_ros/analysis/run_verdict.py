@@ -194,8 +194,8 @@ def _at_stop(motion: JudgedMotion) -> str:
         return ""
     return (
         f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(motion.stop)}; check where the "
-        "platform starts, the current limit, by straightcomp robustness whether the law is stable on this machine, and "
-        "by straightcomp frequency-response whether the platform has a mode that nobody described"
+        "platform starts, the current limit, and by straightcomp robustness whether the law is stable on this machine; "
+        "it may have a mode that nobody described (stage.platform.modes): straightcomp commission finds one"
     )
 
 
