@@ -60,7 +60,8 @@ class OpcuaNode(Runnable):
             self._obey(request)
         sequence = self._sequence
         sequence.tick(seen)
-        state = f"{sequence.state.name.lower()}: {sequence.message}"
+        # Where it starts, a state has no message.
+        state = ": ".join(filter(None, (sequence.state.name.lower(), sequence.message)))
         if state != self._logged:
             self._logged = state
             self.node.get_logger().info(state)

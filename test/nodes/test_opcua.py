@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -84,6 +85,8 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
         return json.loads(done.stdout.splitlines()[-1])
 
     results = probed("orders", survey)
+    # A state that nobody asked for has no message.
+    assert re.search(r"\]: stopped$", log := graph.log("opcua").read_text(), re.MULTILINE), log
     assert "ReloadMap is not accepted in state Stopped" in results["reload while stopped"]
     assert (results["reload"], results["center"], results["back"]) == ("done", "done", "done")
     assert (results["centred"], results["centred then"]) == (True, False)
