@@ -87,6 +87,11 @@ class StageMovements:
         """Stop following the current movement."""
         self._under_way = False
 
+    @property
+    def waits(self) -> bool:
+        """Whether the driver has not begun the current movement yet."""
+        return self._under_way and self._own is None
+
     def next(self, seen: Observation, now: float) -> Sequence[Waypoint]:
         """Waypoints of the next movement, which begins at ``now`` (clock, s).
 
@@ -129,9 +134,9 @@ class StageMovements:
             return True
         if self._own is None and seen.motion != self._before:
             self._own = seen.motion
-        if self._own is None:
+        if self.waits:
             if now > self._begun_by:
-                self._fail("the driver did not begin the motion of the stage; its log says why")
+                raise WorkFailed("the driver did not begin the motion of the stage; its log says why")
             return False
         if seen.motion != self._own:
             self._fail("another client has begun a motion of the stage")
@@ -267,7 +272,9 @@ class CellSequence:
         asked = self._jog
         if asked and (seen.motion != asked.before or self.now > asked.until):
             self._jog = None
-            asked.answered("" if seen.motion != asked.before else "the driver did not begin the jog; its log says why")
+            if late := seen.motion == asked.before:
+                self.machine.request("driver/end_motion")
+            asked.answered("the driver did not begin the jog; its log says why" if late else "")
         missing = seen.absence if seen.missing else ""
         # A machine whose controller has died cannot be switched on again.
         trouble = missing if self._recovering else self._trouble(seen)
@@ -299,6 +306,9 @@ class CellSequence:
         self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
         if state is State.ABORTING:
             self.machine.request("driver/enable", False)
+            if self.movements.waits or self._jog:
+                # It may be on its way to a driver that stands still now.
+                self.machine.request("driver/end_motion")
 
     def _trouble(self, seen: Observation) -> str:
         # In Stopped another client may use the graph: its faults are only shown as alarms.

@@ -16,19 +16,21 @@ MOST_POINTS = 10_000
 """The most strokes of a cycle, 1000, have 10 points each."""
 _MOST_JOINTS, _MOST_LAYOUTS = 64, 16
 _ARRAYS = ("positions", "velocities", "accelerations", "effort")
-_LENGTH = struct.Struct("<I")
+_LENGTH, _STAMP = struct.Struct("<I"), struct.Struct("<iI")
 
 
 Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def read_trajectory(data: bytes, joint: str) -> Columns:
-    """Times in ns, positions in m and velocities in m/s of ``joint``, (n,) each; a point without a velocity is at rest.
+def read_trajectory(data: bytes, joint: str) -> tuple[int, Columns]:
+    """The stamp in ns, 0 without one; times in ns, positions in m and velocities in m/s of ``joint``, (n,) each. A
+    point without a velocity is at rest.
 
     The number of points is checked before any is read.
 
     Raises:
-        ValueError: the joint or a position is missing, there are too many points, or the message is incomplete.
+        ValueError: the joint or a position is missing, a time is before the start, there are too many points, or the
+            message is incomplete.
     """
     if data[:2] != ENCAPSULATION[:2]:
         raise ValueError(f"stage trajectory: encapsulation {data[:2].hex()} is not little-endian CDR")
@@ -42,7 +44,12 @@ class _Cursor:
     """Reads fields one after the other; CDR aligns relative to the end of the encapsulation."""
 
     def __init__(self, body: bytes) -> None:
-        self._body, self._at = body, 8  # after the stamp
+        self._body, self._at = body, 0
+
+    def stamp_ns(self) -> int:
+        sec, nanosec = _STAMP.unpack_from(self._body, self._at)
+        self._at += _STAMP.size
+        return int(sec) * NANOSECONDS + int(nanosec)
 
     def length(self) -> int:
         self._at += -self._at % 4
@@ -89,7 +96,8 @@ class _Cursor:
         return points
 
 
-def _columns(cursor: _Cursor, joint: str) -> Columns:
+def _columns(cursor: _Cursor, joint: str) -> tuple[int, Columns]:
+    stamp_ns = cursor.stamp_ns()
     cursor.text()  # frame
     count = cursor.length()
     if count > _MOST_JOINTS:
@@ -116,4 +124,7 @@ def _columns(cursor: _Cursor, joint: str) -> Columns:
         if points["velocities"].shape[1] > place:
             velocities[part] = points["velocities"][:, place]
         begin = part.stop
-    return times, positions, velocities
+    if (times < 0).any():
+        first = int((times < 0).argmax())
+        raise ValueError(f"stage trajectory, point {first}: time {times[first] / NANOSECONDS} s; allowed: >= 0 s")
+    return stamp_ns, (times, positions, velocities)

@@ -86,15 +86,19 @@ class PacedMotion:
         """Take a trajectory that starts at ``start_ns``, :meth:`joined` to the motion that there is, with its pace.
 
         Raises:
-            ValueError: the stage is elsewhere then, or has another speed.
+            ValueError: the stage is elsewhere then, or has another speed, also where it stands.
         """
         trajectory, here = self.joined(trajectory, start_ns), self.position(start_ns)
         first = trajectory.position(0)
         if abs(first - here) > 1e-6:
             raise ValueError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
-        moving = self.moving
-        if moving and abs(trajectory.rates(0)[0] - self._velocity) > _SAME_SPEED:
-            raise ValueError("the stage is moving; end its motion first, or let the first point come later than 0 s")
+        moving, speed = self.moving, trajectory.rates(0)[0]
+        if abs(speed - self._velocity) > _SAME_SPEED:
+            if moving:
+                raise ValueError(
+                    "the stage is moving; end its motion first, or let the first point come later than 0 s"
+                )
+            raise ValueError(f"stage trajectory starts at {speed:g} m/s, but the stage stands")
         if not moving:
             self._u, self._rate = self._target, 0.0
         # A start in the past is one: the stage is on its way by now.

@@ -26,11 +26,13 @@ class GoalRefused(ValueError):
 
 
 class Outcome(NamedTuple):
-    """How a goal ended: ``succeed``, ``canceled`` or ``abort``, as rclpy's goal handles have it; its result."""
+    """How a goal ended: ``succeed``, ``canceled`` or ``abort``, as rclpy's goal handles have it; its result; whether
+    its motion is to be ended."""
 
     how: str
     code: int
     text: str
+    end: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,24 +64,22 @@ def _chosen(value: float, default: float) -> float:
     return value if value > 0.0 else math.inf if value < 0.0 else default
 
 
-def begins_after(request: Any, joint: str, now_ns: int) -> int:
-    """Time in ns from ``now_ns`` until the goal's trajectory begins by its stamp; 0 if it has none, or began lately.
-
-    Raises:
-        GoalRefused: for another joint than ``joint``, or its time is over.
-    """
-    trajectory, several = request.trajectory, request.multi_dof_trajectory
-    names, more = list(trajectory.joint_names), list(several.joint_names)
+def check_joints(request: Any, joint: str) -> None:
+    """GoalRefused if a goal's message is not of ``joint``."""
+    names, more = list(request.trajectory.joint_names), list(request.multi_dof_trajectory.joint_names)
     if joint not in names or more:
         raise GoalRefused(f"joints {str(names + more)[:200]}; allowed: '{joint}'", INVALID_JOINTS)
-    stamp = trajectory.header.stamp
-    stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-    if stamp_ns and trajectory.points:
-        last = trajectory.points[-1].time_from_start
-        over_ns = now_ns - stamp_ns - last.sec * 10**9 - last.nanosec
-        if over_ns > 0:
-            raise GoalRefused(f"the trajectory ended {over_ns * 1e-9:.3f} s ago by its stamp", OLD_HEADER_TIMESTAMP)
-    return max(0, int(stamp_ns) - now_ns) if stamp_ns else 0
+
+
+def begins_after(stamp_ns: int, lasts_ns: int, now_ns: int) -> int:
+    """Time in ns from ``now_ns`` until a trajectory of ``lasts_ns`` begins by its stamp; 0 if it has none, or began
+    lately. GoalRefused: its time is over."""
+    if not stamp_ns:
+        return 0
+    over_ns = now_ns - stamp_ns - lasts_ns
+    if over_ns > 0:
+        raise GoalRefused(f"the trajectory ended {over_ns * 1e-9:.3f} s ago by its stamp", OLD_HEADER_TIMESTAMP)
+    return max(0, stamp_ns - now_ns)
 
 
 class TrajectoryGoal:
@@ -109,13 +109,13 @@ class TrajectoryGoal:
         if motion.number != self._number:
             return Outcome("abort", INVALID_GOAL, "another motion of the stage has taken the place of this one")
         if fault and fault != self._fault:
-            return Outcome("abort", INVALID_GOAL, f"a fault switched the amplifier off: {fault}")
+            return Outcome("abort", INVALID_GOAL, f"a fault switched the amplifier off: {fault}", end=True)
         self._fault = fault
         where = f"the stage is at {x:.6f} m"
         if abs(x - desired) > self._tolerances.path:
             off = f"{where}, {(x - desired) * 1e3:+.3f} mm from its trajectory"
             allowed = f"{off}; allowed: ±{self._tolerances.path * 1e3:g} mm"
-            return Outcome("abort", PATH_TOLERANCE_VIOLATED, allowed)
+            return Outcome("abort", PATH_TOLERANCE_VIOLATED, allowed, end=True)
         if not over:
             return None
         if self.canceled:

@@ -24,7 +24,6 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
@@ -38,7 +37,7 @@ from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyPanel
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
-from straightcomp_ros.runtime.trajectory_action import TrajectoryAction
+from straightcomp_ros.runtime.trajectory_action import TrajectoryAction, read_by_stamp
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch, ZeroWatch
@@ -338,7 +337,7 @@ class DriverComponent:
         if not self._node.active:
             return
         try:
-            self._begin(Trajectory.from_columns(*read_trajectory(message, STAGE)))
+            self._begin(read_by_stamp(message, STAGE))
         except (ValueError, HardwareError) as error:
             self._refused.log(error)
 

@@ -7,10 +7,11 @@ for a subscription. A lifecycle node gives no access to its state or to the serv
 import ctypes
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import rclpy
-from rclpy.action.server import GoalEvent, ServerGoalHandle
+from rclpy.action.server import ActionServer, GoalEvent, ServerGoalHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
@@ -137,3 +138,13 @@ def state_service(node: LifecycleNode) -> Service:
 def set_executing(handle: ServerGoalHandle) -> None:
     """Show a goal as being executed, schedule nothing: a coroutine that is not done keeps an EventsExecutor busy."""
     handle._update_state(GoalEvent.EXECUTE)
+
+
+def execute(server: ActionServer, node: Node, handle: ServerGoalHandle, finished: Callable[[Any], Any]) -> None:
+    """Have ``server`` send what ``finished`` makes of a goal: as a task of the executor, or at once where that is gone,
+    at the end of a process."""
+    if node.executor is not None:
+        server.notify_execute(handle, finished)
+        return
+    with suppress(StopIteration):
+        server._execute_goal(finished, handle).send(None)

@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
@@ -159,9 +160,11 @@ class Composition(Runnable):
         self.node.fail(error)
 
     def close(self) -> None:
-        """Stop and release all components; the first one, the driver's, switches the amplifier off."""
-        for node in self.nodes:
-            node.close()
+        """Stop and release all components, the first one, the driver's, first: it switches the amplifier off. What one
+        raises does not keep the others from saving what they have."""
+        with ExitStack() as closing:
+            for node in reversed(self.nodes):
+                closing.callback(node.close)
 
 
 Managed = tuple[str, type, MakeComponent]

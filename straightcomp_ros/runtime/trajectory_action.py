@@ -21,9 +21,10 @@ from straightcomp_ros.model.trajectory_goal import (
     Tolerances,
     TrajectoryGoal,
     begins_after,
+    check_joints,
 )
 from straightcomp_ros.runtime.guarded_node import ThrottledWarning
-from straightcomp_ros.runtime.inside_rclpy import set_executing
+from straightcomp_ros.runtime.inside_rclpy import execute, set_executing
 from straightcomp_ros.runtime.loops import now_ns
 
 try:
@@ -32,6 +33,13 @@ except ImportError:
     FollowJointTrajectory = None
 
 ACTION = "follow_joint_trajectory"
+
+
+def read_by_stamp(message: bytes, joint: str) -> Trajectory:
+    """The trajectory of ``joint`` in a JointTrajectory, from now on: by its stamp it may begin later. ValueError if it
+    cannot be read, or its time is over."""
+    stamp_ns, (times, *rest) = read_trajectory(message, joint)
+    return Trajectory.from_columns(times + begins_after(stamp_ns, int(times.max(initial=0)), now_ns()), *rest)
 
 
 class TrajectoryAction:
@@ -73,10 +81,9 @@ class TrajectoryAction:
         set_executing(handle)
         request = handle.request
         try:
-            wait_ns = begins_after(request, self._joint, now_ns())
+            check_joints(request, self._joint)
             tolerances = Tolerances.of(request, self._joint)
-            times, *rest = read_trajectory(serialize_message(request.trajectory), self._joint)
-            goal = self._begin(Trajectory.from_columns(times + wait_ns, *rest), tolerances)
+            goal = self._begin(read_by_stamp(serialize_message(request.trajectory), self._joint), tolerances)
         except (ValueError, HardwareError) as error:
             self._refused.log(error)
             self._answer(handle, Outcome("abort", getattr(error, "code", INVALID_GOAL), f"refused: {error}"))
@@ -102,7 +109,7 @@ class TrajectoryAction:
         if outcome is None:
             return
         self.goal = self._handle = None
-        if outcome.how == "abort":
+        if outcome.end:
             self._end()
         self._finish(handle, outcome)
 
@@ -127,4 +134,4 @@ class TrajectoryAction:
             getattr(handle, outcome.how)()
             return FollowJointTrajectory.Result(error_code=outcome.code, error_string=outcome.text)
 
-        self._server.notify_execute(handle, finished)
+        execute(self._server, self._node, handle, finished)

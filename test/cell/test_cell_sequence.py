@@ -24,7 +24,7 @@ class Bench:
     def __init__(self, **options) -> None:
         self.now, self.obstacle = 100.0, ""
         self.obeys, self.active = True, False
-        self.moves, self.requests = [], []
+        self.moves, self.requests, self.ended = [], [], 0
         self.answers, self.centred, self.centerings = [], True, []
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
         self.motion = PacedMotion(MOTION)
@@ -49,6 +49,7 @@ class Bench:
         elif service == "driver/hold":
             self.motion.ask(self.motion.pace._replace(hold=on))
         elif service == "driver/end_motion":
+            self.ended += self.sequence.state in (State.EXECUTE, State.ABORTING)
             self.motion.ask(self.motion.pace._replace(end=True))
         elif service == "feedforward/center":
             return self.center(on, then)
@@ -188,6 +189,11 @@ def test_a_jog_moves_the_stage_while_the_platform_is_compensated_and_no_stroke_r
     bench.sequence.order(Order.JOG, 100, answers.append)
     bench.ticks(40)
     assert "did not begin" in answers[1] and bench.sequence.message == answers[1]
+    # What has not begun may still wait: it must not begin later.
+    assert bench.ended == 1
+    bench.sequence.order(Order.JOG, 100, answers.append)
+    bench.sequence.command(Command.ABORT)
+    assert bench.ended == 2
 
 
 @pytest.mark.parametrize(

@@ -50,20 +50,21 @@ def test_points_are_read_however_long_their_arrays_are(data, frame):
             points.append((1 + len(points) * 1_500_000_001, *arrays))
             expected.append(Waypoint(points[-1][0], arrays[0][place], velocity))
     points.append((10**12, [1.0] * len(joints), [], [], []))
-    read = read_trajectory(message(points, joints, frame) + bytes(data.draw(st.integers(0, 9))), JOINT)
+    stamp_ns, read = read_trajectory(message(points, joints, frame) + bytes(data.draw(st.integers(0, 9))), JOINT)
+    assert stamp_ns == 1_000_000_002
     assert Trajectory.from_columns(*read).waypoints == [*expected, Waypoint(10**12, 1.0, 0.0)]
 
 
 def test_each_cut_off_message_is_refused():
     whole = message(straight(3))
-    assert len(read_trajectory(whole, JOINT)[0]) == 3
+    assert len(read_trajectory(whole, JOINT)[1][0]) == 3
     for length in range(len(whole)):
         with pytest.raises(ValueError, match=r"no whole message|encapsulation"):
             read_trajectory(whole[:length], JOINT)
 
 
 def test_as_many_points_as_the_longest_cycle_has_are_read_and_one_more_is_refused_before_any():
-    assert len(read_trajectory(message(straight(MOST_POINTS)), JOINT)[0]) == MOST_POINTS
+    assert len(read_trajectory(message(straight(MOST_POINTS)), JOINT)[1][0]) == MOST_POINTS
     more = message(straight(MOST_POINTS + 1))
     with pytest.raises(ValueError, match=f"{MOST_POINTS + 1} points; allowed: <= {MOST_POINTS}"):
         read_trajectory(more[:100], JOINT)
@@ -75,6 +76,7 @@ def test_as_many_points_as_the_longest_cycle_has_are_read_and_one_more_is_refuse
         (message(straight(2), ["turret"]), "do not include 'stage_x'"),
         (message(straight(2), [*"abcdefgh"] * 9), "72 joints; allowed: <= 64"),
         (message([*straight(1), (10**9, [], [], [], [])]), "point 1 has no position"),
+        (message([(-(10**9), [0.0], [], [], []), *straight(1)]), "point 0: time -1.0 s; allowed: >= 0 s"),
         (message([(k, [0.0] * (1 + k % 2), [], [], []) for k in range(40)]), "17 times"),
         (b"\0\0" + message(straight(2))[2:], "not little-endian"),
     ],

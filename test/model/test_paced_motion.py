@@ -10,7 +10,14 @@ import pytest
 from straightcomp_ros.model import trajectory_goal as goals
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, jog
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
-from straightcomp_ros.model.trajectory_goal import GoalRefused, Outcome, Tolerances, TrajectoryGoal, begins_after
+from straightcomp_ros.model.trajectory_goal import (
+    GoalRefused,
+    Outcome,
+    Tolerances,
+    TrajectoryGoal,
+    begins_after,
+    check_joints,
+)
 
 T_NS = 500_000
 HOLD = Pace(hold=True)
@@ -131,6 +138,8 @@ def test_a_trajectory_is_joined_where_x_reads_from_another_zero():
 
 
 def test_what_the_stage_does_is_said_and_a_moving_stage_takes_no_other_motion():
+    with pytest.raises(ValueError, match=r"starts at 0\.4 m/s, but the stage stands"):
+        PacedMotion(MotionParameters()).begin(Trajectory([Waypoint(0, 0.0, 0.4), Waypoint(10**9, 0.2, 0.0)]), 0)
     motion = begun(MotionParameters(stroke=0.3))
     motion.position(2 * 10**9)
     assert motion.condition == "moving" and motion.moving and not motion.cut
@@ -221,6 +230,8 @@ def test_a_canceled_goal_ends_when_the_stage_stands_short_of_its_end():
 def test_what_goes_wrong_aborts_a_goal_with_its_code_and_a_sentence(options, code, words):
     outcome, _, _ = followed(**options)
     assert outcome.how == "abort" and outcome.code == code and words in outcome.text
+    # The others have no motion any more.
+    assert outcome.end is ("fault" in options or code == -4)
 
 
 def test_a_fault_that_was_latched_before_does_not_abort_a_goal_and_the_end_may_come_late():
@@ -234,7 +245,8 @@ def test_another_motion_takes_the_place_of_a_goal():
     motion.begin(trajectory, 0)
     goal = TrajectoryGoal(trajectory, Tolerances(), motion, "")
     motion.number += 1
-    assert "another motion" in goal.look(0, 0.0, 0.0, motion, False, "").text
+    outcome = goal.look(0, 0.0, 0.0, motion, False, "")
+    assert "another motion" in outcome.text and not outcome.end
 
 
 def test_zero_is_the_default_of_a_tolerance_and_a_negative_one_is_none():
@@ -258,11 +270,15 @@ def test_a_tolerance_that_is_not_checked_is_refused(wrong):
         Tolerances.of(request(**wrong), "stage_x")
 
 
-def test_a_goal_begins_by_its_stamp_and_one_that_is_over_or_of_another_joint_is_refused_with_its_code():
-    now_ns = 100 * 10**9
-    assert begins_after(request(), "stage_x", now_ns) == begins_after(request(stamp=99.0), "stage_x", now_ns) == 0
-    assert begins_after(request(stamp=100.5), "stage_x", now_ns) == 500_000_000
-    for wrong, code in ((request(stamp=97.0), -3), (request(joints=["arm"]), -2)):
+def test_a_trajectory_begins_by_its_stamp_and_one_that_is_over_or_of_another_joint_is_refused_with_its_code():
+    now_ns, lasts_ns = 100 * 10**9, 2 * 10**9
+    assert begins_after(0, lasts_ns, now_ns) == begins_after(99 * 10**9, lasts_ns, now_ns) == 0
+    assert begins_after(100_500_000_000, lasts_ns, now_ns) == 500_000_000
+    for refuse, code in (
+        (lambda: begins_after(97 * 10**9, lasts_ns, now_ns), -3),
+        (lambda: check_joints(request(joints=["arm"]), "stage_x"), -2),
+    ):
         with pytest.raises(GoalRefused) as refused:
-            begins_after(wrong, "stage_x", now_ns)
+            refuse()
         assert refused.value.code == code
+    check_joints(request(), "stage_x")

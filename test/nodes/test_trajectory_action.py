@@ -8,8 +8,9 @@ import pytest
 from parameters_of_tests import FORGIVING
 from participant import Participant
 from rclpy.action import ActionClient
+from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.contract import STAGE
+from straightcomp_ros.contract import POSITION, STAGE, STAGE_TRAJECTORY
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
 
@@ -109,6 +110,7 @@ def test_a_canceled_goal_comes_to_rest_within_its_limits_and_the_next_begins_the
         (to(0.01, 0.01), [STAGE], -1, "m/s"),
         ([Waypoint(0, 0.5, 0.0), Waypoint(10**9, 0.6, 0.0)], [STAGE], -1, "stands at"),
         ([], [STAGE], -1, "no points"),
+        ([Waypoint(0, 0.0, 0.4), Waypoint(10**9, 0.2, 0.0)], [STAGE], -1, "starts at 0.4 m/s"),
     ],
 )
 def test_a_goal_that_the_stage_cannot_follow_is_refused_in_a_sentence(client, points, joints, code, words):
@@ -141,3 +143,32 @@ def test_a_fault_aborts_a_goal_with_its_reason(client):
     assert status == ABORTED and "the door is open" in result.error_string
     client.trigger("driver/reset_fault")
     client.until(lambda: client.follow(to(0.0, 5.0))[0] == SUCCEEDED)
+
+
+def test_a_motion_that_takes_the_place_of_a_goal_goes_on_and_its_stamp_says_when_it_begins(client):
+    publisher = client.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
+    client.until(publisher.get_subscription_count)
+    assert client.set("driver", {"blend": True}).successful
+    first = client.send(to(0.1, 4.0))
+    client.until(lambda: client.feedback and client.feedback[-1].actual.positions[0] > 0.02)
+    publisher.publish(message_from_waypoints(to(0.06, 3.0)))
+    status, result = client.result(first)
+    assert status == ABORTED and "another motion" in result.error_string
+    client.until(lambda: client.received(POSITION, 1)[-1][0] == pytest.approx(0.06, abs=1e-5))
+    late = message_from_waypoints(to(0.0, 1.0))
+    late.header.stamp.sec = 1000
+    publisher.publish(late)
+    client.spin(2.0)
+    assert client.received(POSITION, 1)[-1][0] == pytest.approx(0.06, abs=1e-5)
+    assert client.follow(to(0.0, 4.0))[0] == SUCCEEDED
+    assert client.set("driver", {"blend": False}).successful
+
+
+def test_a_driver_that_ends_answers_its_goal_and_ends_well(client, shared_graph):
+    handle = client.send(to(0.05, 4.0))
+    client.until(lambda: client.feedback)
+    asked = handle.get_result_async()
+    client.spin(0.5)
+    assert shared_graph.stop(["driver"])["driver"] == 0
+    client.until(asked.done)
+    assert "not active any more" in asked.result().result.error_string
