@@ -107,7 +107,7 @@ def test_the_node_measures_until_it_is_stopped_and_the_cell_is_refused_meanwhile
     assert "cycle failed: the machine is being commissioned" in shared_graph.log("cell").read_text()
     assert asker.trigger("commissioning/stop").message == "stops measure_response"
     report = asker.result("measure_response")
-    assert report.level == DiagnosticStatus.ERROR and "interrupted" in report.message
+    assert report.level == DiagnosticStatus.ERROR and report.message.endswith("reported the amplifier off")
     left_as_found(asker, loop)
 
 

@@ -20,14 +20,14 @@ from std_srvs.srv import Trigger
 
 import straightcomp_ros.nodes  # noqa: F401 - the verbs inherit it: one thread of OpenBLAS
 from straightcomp_ros.cell.launcher import verb_command
-from straightcomp_ros.contract import COMMISSIONING_STATE
+from straightcomp_ros.contract import COMMISSIONING_STATE, SAFETY_STATE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode, Refused
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import Runnable, run
-from straightcomp_ros.runtime.safety_panel import LATCHED
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.timing.node_timing import SAMPLES
 from straightcomp_ros.tuning.commissioning import STEP_NAMES
 
@@ -53,6 +53,8 @@ class CommissioningNode(Runnable):
         self._process: subprocess.Popen[bytes] | None = None
         self._printed: IO[bytes] | None = None
         self._doing, self._answers = "", 0
+        self._amplifier = ""
+        node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_STATE, LATCHED)
         node.offer(Trigger, "~/run", self._on_run)
         node.offer(Trigger, "~/stop", self._on_stop)
@@ -76,7 +78,7 @@ class CommissioningNode(Runnable):
         return self._begin("measure_response", "frequency-response", "--force", output=self._folder / _PLOT)
 
     def _on_stop(self) -> str:
-        """End what is going on, with the amplifier off."""
+        """End what is going on; an amplifier that it switched on goes off."""
         if self._process is None:
             raise Refused("nothing is going on")
         self._process.terminate()
@@ -123,7 +125,8 @@ class CommissioningNode(Runnable):
             with self._printed, contextlib.suppress(ValueError):
                 found = json.load(self._printed)
         if code in _INTERRUPTED:
-            return False, "interrupted; the amplifier is off"
+            # It may have ended before it had the machine: then the amplifier is as another client left it.
+            return False, f"interrupted{self._amplifier}"
         if "steps" in found:
             sentences = [step["sentence"] for step in found["steps"].values()]
             return code == 0, sentences[-1] if sentences else "all steps have been done"
@@ -133,6 +136,10 @@ class CommissioningNode(Runnable):
         # Its last line is "straightcomp VERB: sentence".
         lines = self._log.read_text().splitlines() if code > 0 else []
         return False, lines[-1].partition(": ")[2][:_LONGEST_REASON] if lines else f"it ended with exit code {code}"
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        amplifier = "on" if SafetyState.of(message).amplifier_on else "off"
+        self._amplifier = f"; the driver last reported the amplifier {amplifier}"
 
     def _report(self, doing: str, good: bool, message: str, running: bool = False) -> None:
         level = DiagnosticStatus.OK if good else DiagnosticStatus.ERROR
@@ -146,7 +153,7 @@ class CommissioningNode(Runnable):
             self.node.get_logger().error(words)
 
     def close(self) -> None:
-        """End what is going on; it leaves the amplifier off."""
+        """End what is going on; an amplifier that it switched on goes off."""
         if self._process is None:
             return
         self._process.terminate()
