@@ -56,3 +56,28 @@ def test_a_verb_that_is_stopped_before_it_has_the_machine_leaves_the_amplifier_a
     participant.until(lambda: reports[-1].message not in ("ready", "is going on"))
     reported = f"; the driver last reported the amplifier {condition.value}" if condition else ""
     assert reports[-1].message == f"interrupted{reported}"
+
+
+def test_a_verb_that_cannot_be_started_is_refused_and_the_next_one_begins(participant, commissioning, tmp_path):
+    (tmp_path / "found").rename(tmp_path / "moved")
+    answer = participant.trigger("commissioning/connection")
+    assert not answer.success and answer.message.startswith("connection cannot begin: ")
+    assert "commissioning.log" in answer.message
+    (tmp_path / "moved").rename(tmp_path / "found")
+    assert participant.trigger("commissioning/run").success
+
+
+def test_the_reason_of_a_verb_is_reported_though_the_output_folder_was_removed(
+    participant, commissioning, monkeypatch, tmp_path
+):
+    _, reports = commissioning
+    play(
+        monkeypatch,
+        "import shutil, sys\n"
+        f"shutil.rmtree({str(tmp_path / 'found')!r})\n"
+        "sys.stderr.buffer.write(b'straightcomp commission: the cable is off \\xff')\n"
+        "sys.exit(1)",
+    )
+    assert participant.trigger("commissioning/connection").success
+    participant.until(lambda: reports[-1].message not in ("ready", "is going on"))
+    assert reports[-1].message == "the cable is off \N{REPLACEMENT CHARACTER}"

@@ -49,9 +49,9 @@ class CommissioningNode(Runnable):
             raise ParameterError("parameter 'output' is empty; allowed: a folder for the record and the bags")
         self._folder = Path(parameters.output).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._log = self._folder / "commissioning.log"
         self._process: subprocess.Popen[bytes] | None = None
         self._printed: IO[bytes] | None = None
+        self._log: IO[str] | None = None
         self._doing, self._answers = "", 0
         self._amplifier = ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
@@ -95,16 +95,20 @@ class CommissioningNode(Runnable):
         if namespace := self.node.get_namespace().strip("/"):
             options["namespace"] = namespace
         given = [f"--{name}={value}" for name, value in options.items()]
-        self._printed = tempfile.TemporaryFile()  # noqa: SIM115 (read at the end)
-        with self._log.open("w") as log:
+        try:
+            # Both are read at the end, wherever the output folder is then.
+            self._printed = tempfile.TemporaryFile()  # noqa: SIM115
+            self._log = (self._folder / "commissioning.log").open("w+", errors="replace")
             self._process = subprocess.Popen(
                 verb_command(verb, "--graph=running", "--json", *words, *given),
                 stdin=subprocess.DEVNULL,
                 stdout=self._printed,
-                stderr=log,
+                stderr=self._log,
                 # An interrupt from the terminal is for this node, which then ends the verb.
                 start_new_session=True,
             )
+        except OSError as error:
+            raise Refused(f"{doing} cannot begin: {error}") from error
         self._doing = doing
         self._report(doing, True, "is going on", running=True)
         return f"begins {doing}"
@@ -120,10 +124,14 @@ class CommissioningNode(Runnable):
     def _result(self, code: int) -> tuple[bool, str]:
         """Whether the work that ended with this exit code went well, and a sentence about it."""
         found: dict[str, Any] = {}
-        if self._printed is not None:
-            self._printed.seek(0)
-            with self._printed, contextlib.suppress(ValueError):
-                found = json.load(self._printed)
+        lines: list[str] = []
+        if self._printed is not None and self._log is not None:
+            with self._printed as printed, self._log as log:
+                printed.seek(0)
+                log.seek(0)
+                lines = log.read().splitlines()
+                with contextlib.suppress(ValueError):
+                    found = json.load(printed)
         if code in _INTERRUPTED:
             # It may have ended before it had the machine: then the amplifier is as another client left it.
             return False, f"interrupted{self._amplifier}"
@@ -134,8 +142,8 @@ class CommissioningNode(Runnable):
             explains = found["model_explains_the_plant"]
             return explains, f"the description {'explains' if explains else 'does not explain'} the plant"
         # Its last line is "straightcomp VERB: sentence".
-        lines = self._log.read_text().splitlines() if code > 0 else []
-        return False, lines[-1].partition(": ")[2][:_LONGEST_REASON] if lines else f"it ended with exit code {code}"
+        said = lines[-1].partition(": ")[2][:_LONGEST_REASON] if code > 0 and lines else ""
+        return False, said or f"it ended with exit code {code}"
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         amplifier = "on" if SafetyState.of(message).amplifier_on else "off"
