@@ -20,17 +20,26 @@ import numpy as np
 
 from straightcomp_ros.bags.topics import ROS_DISTRO
 from straightcomp_ros.doctor import Finding, judged
-from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
+from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description, missing_profile
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.cpus import left_behind
 
-_LAST_FREE_DOMAIN = 101
+_LAST_FREE_DOMAIN, _LAST_DOMAIN = 101, 232
+"""Ports of domains beyond the first are Linux's ephemeral ports; those beyond the second would be above 65535."""
 _ASK_ROS = """
-import json, sys
+import json, os
 import rclpy.utilities
 import lifecycle_msgs.srv, sensor_msgs.msg, trajectory_msgs.msg, diagnostic_msgs.msg, std_srvs.srv
-json.dump({"rclpy": rclpy.__file__, "rmw": rclpy.utilities.get_rmw_implementation_identifier()}, sys.stdout)
+answer = {"rclpy": rclpy.__file__, "rmw": rclpy.utilities.get_rmw_implementation_identifier()}
+print(json.dumps(answer), flush=True)
+from straightcomp_ros.runtime.middleware import own_profile
+# Each node has keys of its own under SROS 2, and the doctor has none.
+os.environ.pop("ROS_SECURITY_ENABLE", None)
+with own_profile():
+    rclpy.init()
+    rclpy.create_node("straightcomp_doctor", enable_rosout=False, start_parameter_services=False)
+rclpy.shutdown()
 """
 _MIB, _GIB = 1 << 20, 1 << 30
 _LOCKED = 512 * _MIB
@@ -64,7 +73,8 @@ def package_files() -> Finding:
 
 
 def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: float = 60.0) -> list[Finding]:
-    """rclpy, the message packages and the middleware, in a process of their own: a broken one may crash it."""
+    """rclpy, the message packages, the middleware and the start of a node, in a process of their own: a broken one may
+    crash it."""
     remedy = f"Source /opt/ros/{ROS_DISTRO}/setup.bash, or install ROS 2's wheels with make setup."
     if "RMW_IMPLEMENTATION" in os.environ:
         remedy += f" RMW_IMPLEMENTATION asks for {os.environ['RMW_IMPLEMENTATION']}: install it, or unset the variable."
@@ -72,13 +82,24 @@ def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: floa
         asked = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return [Finding("rclpy", "fail", f"cannot be asked: {error}", remedy)]
-    if asked.returncode != 0:
-        last = (asked.stderr.strip().splitlines() or [f"ended with exit code {asked.returncode}"])[-1]
+    first, _, more = asked.stdout.partition("\n")
+    # Fast DDS ends the process with a sentence on standard output.
+    last = (f"{more}{asked.stderr}".strip().splitlines() or [f"ended with exit code {asked.returncode}"])[-1]
+    if not first:
         return [Finding("rclpy", "fail", last, remedy)]
-    answer = json.loads(asked.stdout)
-    remedy = "Set RMW_IMPLEMENTATION to rmw_fastrtps_cpp or rmw_cyclonedds_cpp: no other one has been tried."
-    rmw = judged("middleware", answer["rmw"] in MIDDLEWARES, description(answer["rmw"], os.environ), remedy)
-    return [Finding("rclpy", "ok", answer["rclpy"]), rmw]
+    answer = json.loads(first)
+    words = description(answer["rmw"], os.environ)
+    if missing_profile(answer["rmw"], os.environ):
+        rmw = Finding(
+            "middleware", "fail", words, "Correct the path, or unset the variable: nodes then use our profile."
+        )
+    else:
+        remedy = "Set RMW_IMPLEMENTATION to rmw_fastrtps_cpp or rmw_cyclonedds_cpp: no other one has been tried."
+        rmw = judged("middleware", answer["rmw"] in MIDDLEWARES, words, remedy)
+    started = asked.returncode == 0
+    remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}, and ROS_LOG_DIR to a folder that this user may write in."
+    node = judged("start of a node", started, "it starts" if started else last, remedy, "fail")
+    return [Finding("rclpy", "ok", answer["rclpy"]), rmw, node]
 
 
 def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
@@ -92,9 +113,12 @@ def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
 def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
     """Whether the graph keeps to this machine, and whether its domain's ports are free."""
     reach = environment.get(RANGE_VARIABLE, "SUBNET (ROS 2's default)")
-    domain = environment.get("ROS_DOMAIN_ID", "0")
+    domain = environment.get("ROS_DOMAIN_ID") or "0"
     detail = f"discovery range {reach}, domain {domain}"
-    if not domain.isdigit() or int(domain) > _LAST_FREE_DOMAIN:
+    if not domain.isdecimal() or int(domain) > _LAST_DOMAIN:
+        remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}: there is no such domain."
+        return Finding("discovery", "fail", detail, remedy)
+    if int(domain) > _LAST_FREE_DOMAIN:
         remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}: the ports of others are given out by Linux itself."
         return Finding("discovery", "warn", detail, remedy)
     remedy = f"Set {RANGE_VARIABLE}=LOCALHOST unless other machines shall take part in the graph."

@@ -1,6 +1,7 @@
 """The known ROS 2 middlewares: our profile for each, and what differs under it."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 from straightcomp_ros.parameters.share import share_path
@@ -61,11 +62,24 @@ def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[s
     return {**variables, RANGE_VARIABLE: chosen.loopback_range} if on_loopback else variables
 
 
+def missing_profile(identifier: str, environment: Mapping[str, str]) -> str:
+    """The variable in which the user names a profile of Fast DDS that is not there, with its value; empty if none does.
+
+    Fast DDS then starts with its defaults, which use shared memory.
+    """
+    chosen = middleware(identifier)
+    # Cyclone DDS's variable may hold the profile itself, or several files.
+    given = {name: environment[name] for name in chosen.variables if name in environment and not chosen.uri}
+    return next((f"{name}={file}" for name, file in given.items() if not Path(file).is_file()), "")
+
+
 def description(identifier: str, environment: Mapping[str, str]) -> str:
     """One line for a log: the middleware's name, its profile, and what differs from Fast DDS."""
     chosen, ours = middleware(identifier), profile_variables(identifier, environment)
     names = [name for name in chosen.variables if name in environment]
     profile = next(iter((*names, *ours.values())), "its own default")
+    if missing := missing_profile(identifier, environment):
+        profile = f"its own default, since there is no file {missing}"
     unknown = "; it does not say when a message arrived: latencies end when it was sent"
     differs = "" if chosen.stamps_arrival else unknown
     return f"{identifier}, profile: {profile}{differs}"

@@ -71,9 +71,10 @@ def answer(rmw):
 @pytest.mark.parametrize(
     ("program", "states", "word"),
     [
-        (answer("rmw_fastrtps_cpp"), ["ok", "ok"], "here"),
-        (answer("rmw_cyclonedds_cpp"), ["ok", "ok"], "here"),
-        (answer("rmw_of_tomorrow"), ["ok", "warn"], "here"),
+        (answer("rmw_fastrtps_cpp"), ["ok", "ok", "ok"], "here"),
+        (answer("rmw_cyclonedds_cpp"), ["ok", "ok", "ok"], "here"),
+        (answer("rmw_of_tomorrow"), ["ok", "warn", "ok"], "here"),
+        (f"{answer('rmw_fastrtps_cpp')}; raise SystemExit(1)", ["ok", "ok", "fail"], "here"),
         ("import no_such_rclpy", ["fail"], "no_such_rclpy"),
         ("import os; os.abort()", ["fail"], "exit code -6"),
         ("import time; time.sleep(600)", ["fail"], "timed out"),
@@ -91,6 +92,36 @@ def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where
     assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
     (found,) = computer.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "7", ""),
+        ("ROS_DOMAIN_ID", "233", "domainId is over 232"),
+        ("ROS_DOMAIN_ID", "abc", "ROS_DOMAIN_ID is not an integral number"),
+        ("ROS_LOG_DIR", "/proc/logs", "Failed to create log directory '/proc/logs'"),
+        ("HOME", "/proc/nowhere", "Failed to create log directory '/proc/nowhere/.ros/log'"),
+    ],
+)
+def test_what_keeps_a_node_from_starting_is_found(monkeypatch, tmp_path, variable, value, words):
+    pytest.importorskip("rclpy")
+    for name, one in {**LOCAL, "HOME": str(tmp_path), "ROS_DOMAIN_ID": "7", variable: value}.items():
+        monkeypatch.setenv(name, one)
+    found = computer.ros(timeout=600.0)[-1]
+    assert found.name == "start of a node" and found.state == ("fail" if words else "ok") and words in found.detail
+
+
+def test_a_profile_that_is_not_there_is_found_since_fast_dds_starts_with_shared_memory(monkeypatch, tmp_path):
+    program = (sys.executable, "-c", answer("rmw_fastrtps_cpp"))
+    profile = tmp_path / "mine.xml"
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    rmw = computer.ros(program, timeout=600.0)[1]
+    assert rmw.state == "fail" and f"no file FASTRTPS_DEFAULT_PROFILES_FILE={profile}" in rmw.detail
+    profile.touch()
+    assert computer.ros(program, timeout=600.0)[1] == Finding(
+        "middleware", "ok", "rmw_fastrtps_cpp, profile: FASTRTPS_DEFAULT_PROFILES_FILE"
+    )
 
 
 def nothing(seconds):
@@ -123,7 +154,11 @@ def given(check, *arguments, **files):
         (given(computer.distribution, {}), "ok", "none sourced"),
         (given(computer.discovery, LOCAL), "ok", "domain 0"),
         (given(computer.discovery, {}), "warn", "LOCALHOST"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": ""}), "ok", "domain 0"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "102"}), "warn", "0 to 101"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "232"}), "warn", "0 to 101"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "233"}), "fail", "0 to 101"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "abc"}), "fail", "0 to 101"),
         (given(computer.locked_memory, 8 * MIB, FILE, file="CapEff:\t0\n"), "warn", "memlock unlimited"),
         (given(computer.locked_memory, 8 * MIB, FILE, file="CapEff:\t4000\n"), "ok", "CAP_IPC_LOCK"),
         (given(computer.locked_memory, resource.RLIM_INFINITY, FILE, file="CapEff:\t0\n"), "ok", "unlimited"),
