@@ -95,7 +95,9 @@ _STATUS = {
         T.String, "What commissioning is doing; empty: no cycle is refused for it", lambda s: s.seen.commissioning
     ),
     "StageState": Value(
-        T.String, "Motion of the stage: rest, moving, stopping, held; pauses are moving", lambda s: s.seen.stage
+        T.String,
+        "Motion of the stage: rest, moving (pauses too), stopping, held; empty while no driver reports it",
+        lambda s: s.seen.stage,
     ),
     "Override": Value(T.Double, "Speed of the stage's motions in % of theirs", lambda s: 100.0 * s.seen.override),
     "FaultCode": Value(T.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code),

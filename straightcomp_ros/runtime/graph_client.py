@@ -296,8 +296,9 @@ class GraphClient:
         fresh = time.monotonic() - self._last_came < self._fresh
         states, reports = self.states, self.reports()
         controller = reports.get("controller", {})
+        reporting = states.get(_DRIVER) not in (ABSENT, STARTING, SILENT)
         # A fault of the driver is in its safety state at once, but in its diagnostics up to a second later.
-        safety = self.safety if states.get(_DRIVER) not in (ABSENT, STARTING, SILENT) else SafetyState()
+        safety = self.safety if reporting else SafetyState()
         errors = {node: error for node, (_, error, _) in self._reports.items() if error is not None}
         faults = {node: error for node, error in errors.items() if node in reports and node != _DRIVER}
         reported = {node: values[DESCRIPTION] for node, values in reports.items() if DESCRIPTION in values}
@@ -313,7 +314,7 @@ class GraphClient:
             amplifier_on=fresh and self.safety.amplifier_on,
             unreferenced=reports.get(_DRIVER, {}).get(UNREFERENCED, ""),
             motion=self.stage.number,
-            stage=self.stage.condition,
+            stage=self.stage.condition if reporting else "",
             override=self.stage.override,
             behind_ns=self.stage.behind_ns,
             still=self._strokes.still,

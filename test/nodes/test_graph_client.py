@@ -21,12 +21,13 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 from waiting import comes_true
 
-from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
+from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE, STAGE_STATE
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningSign, SafetyState, safety_status
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import LONGEST_REASON, Fault
 from straightcomp_ros.safety.state_machine import Latched
@@ -44,6 +45,7 @@ class Driver:
         self.node = Node("driver")
         self._state = StreamPublisher(self.node, DRIVER_STATE, at_once=True)
         self._safety = self.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
+        self._stage = self.node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
         self._diagnostics = self.node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         # Latched: the watch comes later.
         self.say(State.ON)
@@ -51,6 +53,9 @@ class Driver:
     def say(self, condition, fault=None):
         self.condition = condition
         self._safety.publish(safety_status(condition, fault, "driver"))
+
+    def move(self, number):
+        self._stage.publish(StageState("moving", number=number).message("driver"))
 
     def sample(self):
         self._state(time.time_ns(), 0.0, 0.0, 0.0, float(self.condition is not State.ON))
@@ -115,6 +120,16 @@ def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_fr
     driver.report("controller", "")
     driver.say(State.OFF)
     assert until(lambda seen: not seen.faults).fault_code == 0
+
+
+def test_a_driver_that_does_not_report_says_nothing_of_the_stage_and_has_begun_no_other_motion(seen):
+    driver, until = seen
+    driver.move(7)
+    until(lambda seen: (seen.stage, seen.motion) == ("moving", 7))
+    for state in ("absent", "starting", "silent"):
+        gone = until(lambda seen: True, {**STATES, "driver": state})
+        assert (gone.stage, gone.motion) == ("", 7) and not gone.stands
+    assert until(lambda seen: True).stage == "moving"
 
 
 def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_graph_nor_kept(seen):
