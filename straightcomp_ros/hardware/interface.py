@@ -134,6 +134,11 @@ class Hardware(ABC):
         return ""
 
     @property
+    def link_problem(self) -> str:
+        """Why the machine cannot be reached; empty if it can, or nothing tells."""
+        return ""
+
+    @property
     def newest_arrival_ns(self) -> int | None:
         """When the newest sample arrived; None for a machine that does not send samples by itself."""
         return None

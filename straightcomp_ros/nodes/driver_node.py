@@ -322,6 +322,10 @@ class DriverComponent:
         """Why the amplifier may not be switched on now, apart from faults; empty if it may."""
         if not self._node.active:
             return "the driver is not active"
+        newest_ns = self._newest.stamp_ns if self._newest else 0
+        if now_ns() - newest_ns > self._command_timeout_ns and not self._lockstep:
+            # No command for it could be fresh, and what the machine says of its reference is old.
+            return "; ".join(filter(None, ("no samples come from the machine", self._hardware.link_problem)))
         if unreferenced := self._hardware.unreferenced or self._zero_watch.finding:
             return f"x is not referenced: {unreferenced}"
         if self._lockstep:

@@ -171,6 +171,10 @@ class CanHardware(Hardware):
         return ""
 
     @property
+    def link_problem(self) -> str:
+        return self._link.problem
+
+    @property
     def newest_arrival_ns(self) -> int:
         return self._receiver.newest_ns
 

@@ -1,0 +1,49 @@
+"""Why a driver does not switch on: its machine sends no samples, or no controller answers them."""
+
+import math
+
+import pytest
+import rclpy
+
+from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.nodes.driver_node import DriverComponent
+from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
+from straightcomp_ros.runtime.loops import now_ns
+from straightcomp_ros.runtime.managed import ManagedNode
+
+
+@pytest.fixture
+def driver(participant, tmp_path):
+    """The component of an active driver, whose cycles the test plays, with a board on a hub that does not run."""
+    given = {"hardware": "can", "can.interface": "straightcomp_hub", "can.channel": str(tmp_path / "bus")}
+    parameters = from_mapping(DriverNodeParameters, {**given, "can.command_timeout": 1.0})
+    node = ManagedNode("driver", DriverNodeParameters, DriverComponent)
+    component = DriverComponent(node, parameters)
+    node.active = True
+    # It takes its turns while the participant is spun.
+    rclpy.get_global_executor().add_node(node)
+    yield component
+    component.close()
+    node.streams.close()
+    rclpy.get_global_executor().remove_node(node)
+    node.destroy_node()
+
+
+def test_a_driver_without_samples_names_the_machine_and_its_link_and_with_samples_the_controller(participant, driver):
+    def refusal():
+        answer = participant.enable()
+        assert not answer.success
+        return answer.message
+
+    no_samples = "no samples come from the machine; CAN straightcomp_hub"
+    assert refusal().startswith(no_samples) and refusal().endswith("is not open yet")
+    # Nor has such a board said that it has no reference.
+    driver._newest = Sample(now_ns(), 0.0, 0.0, math.nan)
+    assert refusal() == "x is not referenced: the board reports no reference"
+    driver._hardware._receiver.referenced = True
+    driver._newest = Sample(now_ns(), 0.0, 0.0, math.nan)
+    assert "no fresh command from the controller" in refusal()
+    driver._newest = Sample(now_ns() - 1_100_000_000, 0.0, 0.0, math.nan)
+    driver._hardware._link.problem = ""
+    assert refusal() == "no samples come from the machine"
