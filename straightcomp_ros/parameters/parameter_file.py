@@ -1,14 +1,16 @@
 """Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
+import hashlib
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from straightcomp_ros.parameters.declaration import Declaration, ParameterError, belongs_to_ros
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, by_node
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError, belongs_to_ros, to_mapping
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values, by_node, node_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml, node_sections
 
@@ -19,6 +21,11 @@ DEFAULT_STAGE = "config/stage_synthetic.yaml"
 """Installed files: settings of the nodes, and the description of the synthetic stage."""
 _FILES = ((STAGE, "guide.file"), ("driver", "simulated.truth.guide"), ("driver", "can.dbc"))
 """Node and parameter of what a stage file may name: surveys, and the DBC file of its board."""
+_READ = {
+    *("stage.guide.file", "stage.motion.file"),
+    *("simulated.truth.guide", "simulated.truth.disturbances.force_file", "can.dbc"),
+}
+"""Parameters of nodes whose files are read and never written. `learning.file` is written, too."""
 
 
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -87,6 +94,20 @@ def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> d
         file = os.path.expanduser(file)
         if os.path.isfile(folder / file) or not _elsewhere(file):
             found.setdefault(node, {})[name] = str(folder / file)
+    return found
+
+
+def file_digests(values: Values) -> dict[str, str]:
+    """SHA-256 of the content of each file that the parameters ``values`` name for reading, by the name that they give
+    it. A file that cannot be read has none: its reader refuses it."""
+    nodes = (to_mapping(node_parameters(node, values)) for node in NODE_PARAMETERS if node in values)
+    names = {str(node[name]) for node in nodes for name in _READ & node.keys() if node[name]}
+    found: dict[str, str] = {}
+    for name in sorted(names):
+        path = os.path.expanduser(name)
+        with suppress(OSError):
+            content = Path(path if os.path.isfile(path) else share_path(name)).read_bytes()
+            found[name] = hashlib.sha256(content).hexdigest()
     return found
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
+from straightcomp_ros.parameters.parameter_file import file_digests
 from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, STEP_NAMES, CommissionRefused
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.certificate import certificate
@@ -37,8 +38,9 @@ def _after(step: str) -> list[str]:
 class Procedure:
     """Commissioning of one machine in one folder.
 
-    ``values`` describe the machine by node and dotted name. The record and all files are in ``folder``; a record of the
-    same description is taken up again. ``choices`` are those of :class:`Work`, by their names there.
+    ``values`` describe the machine by node and dotted name; the content of the files that they name, the survey among
+    them, belongs to the description. The record and all files are in ``folder``; a record of the same description is
+    taken up again. ``choices`` are those of :class:`Work`, by their names there.
 
     Raises:
         CommissionRefused: the folder has a record of another description, or one that cannot be read.
@@ -49,6 +51,7 @@ class Procedure:
         self._values, self._folder = values, folder
         self._work = Work(machine, values, node_parameters("controller", values).stage, folder, **choices)
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
+        self._files = file_digests(values)
         self.outcomes = self._read()
 
     def run(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Outcome:
@@ -57,12 +60,13 @@ class Procedure:
         The certificate is void from the beginning: it names the bag and the figures that the step replaces.
 
         Raises:
-            CommissionRefused: a step before it has not passed.
+            CommissionRefused: a step before it has not passed, or a file of the description was changed since.
             CommissioningError: the machine ends the step.
         """
         later = _after(step)
         if (first := self.remaining()[:1]) and first[0] not in (step, *later):
             raise CommissionRefused(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
+        self._refuse_changed(self._files, file_digests(self._values))
         former = self.outcomes.get(step)
         # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
         self._forget(step, "certificate")
@@ -110,9 +114,18 @@ class Procedure:
                 values.setdefault("controller", {}).update(self.outcomes[name].gains)
         return replace(self._work, values=values, outcomes=dict(self.outcomes), progress=progress)
 
+    def _refuse_changed(self, former: Mapping[str, str], now: Mapping[str, str]) -> None:
+        """Raise CommissionRefused if a file of the description has another content than when the record was begun."""
+        if changed := sorted({name for name, _ in former.items() ^ now.items()}):
+            raise CommissionRefused(
+                f"record {self._folder / RECORD}: {', '.join(changed)} was changed since: the description is another "
+                "one; name another folder, or remove the record"
+            )
+
     def _write(self) -> None:
         record: dict[str, Any] = {
             "description": self._identity,
+            "files": self._files,
             "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
@@ -125,7 +138,8 @@ class Procedure:
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
             outcomes = {name: Outcome(**one) for name, one in record["steps"].items()}
-            identity = record["description"]
+            identity, files = record["description"], record.get("files")
+            files = files if files is None else dict(files)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise CommissionRefused(
                 f"record {path}: cannot be read ({error}); remove it, or name another folder"
@@ -134,6 +148,12 @@ class Procedure:
             raise CommissionRefused(
                 f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
             )
+        if files is None:
+            raise CommissionRefused(
+                f"record {path}: is of an earlier version, which did not note the content of the survey; name another "
+                "folder, or remove it"
+            )
+        self._refuse_changed(files, self._files)
         if record.get("simulated", self._work.machine.simulated) != self._work.machine.simulated:
             kind = "a simulated" if record["simulated"] else "a real"
             raise CommissionRefused(f"record {path}: is of {kind} machine; name another folder, or remove it")

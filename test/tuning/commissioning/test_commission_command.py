@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from roughly_known import ROUGH, encoder_of_twice_the_count, lossy_bus, one_coil_dead, values_of
+from roughly_known import ROUGH, encoder_of_twice_the_count, lossy_bus, one_coil_dead, other_guide, values_of
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.interface import State
@@ -308,3 +308,50 @@ def test_a_record_of_another_description_or_one_that_is_damaged_is_refused(done,
         (tmp_path / RECORD).write_text(text)
         with pytest.raises(CommissionRefused, match="cannot be read"):
             begun(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "content"),
+    [
+        ("stage.guide.file", None),
+        ("driver.simulated.truth.guide", None),
+        ("stage.motion.file", "0.1\n0.2\n"),
+        ("driver.simulated.truth.disturbances.force_file", "x_m,force_n\n0,0\n1,0.1\n"),
+    ],
+)
+def test_a_record_is_of_what_the_files_of_the_description_held_when_it_was_begun(
+    done, tmp_path, capsys, parameter, content
+):
+    file, folder = tmp_path / "named.csv", tmp_path / "done"
+    file.write_text(content or Path(other_guide(file)).read_text())
+    asked = ["commission", STAGE, "-o", str(folder), "--set", f"{parameter}={file}"]
+    assert main(asked) == 0
+    record = (folder / RECORD).read_bytes()
+    file.write_text(file.read_text().replace("0.1", "0.3"))
+    capsys.readouterr()
+    assert main(asked) == 2
+    said = capsys.readouterr().err
+    assert f"{file} was changed since" in said and "name another folder" in said
+    assert (folder / RECORD).read_bytes() == record
+    # Also for a step alone; and the record serves again when the file holds what it held.
+    assert main([*asked, "--only", "certificate"]) == 2
+    file.write_text(file.read_text().replace("0.3", "0.1"))
+    assert main(asked) == 0
+
+
+def test_a_survey_that_is_changed_between_two_steps_ends_the_commission(done, tmp_path):
+    file = tmp_path / "guide.csv"
+    begun_with = begun(tmp_path, guide__file=other_guide(file))
+    begun_with.run("connection")
+    file.write_text(file.read_text() + "# measured again\n")
+    with pytest.raises(CommissionRefused, match=re.escape(f"{file} was changed since")):
+        begun_with.run("signs_and_scales")
+
+
+def test_a_record_of_a_version_that_did_not_note_the_survey_is_refused(done, tmp_path):
+    begun(tmp_path).run("connection")
+    record = json.loads((tmp_path / RECORD).read_text())
+    del record["files"]
+    (tmp_path / RECORD).write_text(json.dumps(record))
+    with pytest.raises(CommissionRefused, match="is of an earlier version"):
+        begun(tmp_path)
