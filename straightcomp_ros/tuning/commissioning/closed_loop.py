@@ -157,9 +157,11 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     Raises:
         LeftTravel: the platform left its travel, and there is no such law, or under it too.
     """
-    stage, excitation = work.stage, work.folder / "excitation.csv"
+    # Beside the bag: in the folder itself may be a file of the user's own, the survey even.
+    stage, excitation = work.stage, bag.with_name("excitation.csv")
     low, high = reach(stage.motion)
     length = min(_LENGTH, high - low)
+    excitation.parent.mkdir(parents=True, exist_ok=True)
     write_survey(excitation, excitation_survey(length, low), ("Made up: excites the platform.",))
     stroke = {"motion.start": low, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
     values = with_values(work.values, "stage", {"guide.file": str(excitation), **stroke})

@@ -13,7 +13,7 @@ from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParame
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
-from straightcomp_ros.tuning.commissioning import LeftTravel, closed_loop
+from straightcomp_ros.tuning.commissioning import MADE, LeftTravel, closed_loop
 from straightcomp_ros.tuning.commissioning.closed_loop import (
     facts_found,
     frequency_response,
@@ -298,6 +298,20 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch, step)
 
     monkeypatch.setattr(closed_loop, "design_gains", designed)
     assert closed_loop.design(dataclasses.replace(work, outcomes=safe)).sentence == "far enough"
+
+
+def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(tmp_path):
+    mine, moved_along = tmp_path / "excitation.csv", []
+    mine.write_text("a survey that took a day")
+
+    def stroke(values, bag, travel):
+        moved_along.append(values["stage"]["guide.file"])
+        raise LeftTravel("far enough")
+
+    work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=stroke))
+    assert not identification(work).passed
+    assert mine.read_text() == "a survey that took a day"
+    assert moved_along == [str(tmp_path / "bags" / "excitation.csv")] and "bags" in MADE
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from roughly_known import ROUGH, encoder_of_twice_the_count, lossy_bus, one_coil
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.interface import State
-from straightcomp_ros.parameters.output_files import making
-from straightcomp_ros.tuning.commissioning import RECORD, STEP_FILES, CommissionRefused, procedure
+from straightcomp_ros.parameters.output_files import MARK, making
+from straightcomp_ros.tuning.commissioning import MADE, RECORD, STEP_FILES, CommissionRefused, procedure
 from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
@@ -101,6 +101,7 @@ def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stro
     assert found["steps"]["frequency_response"]["figures"]["largest_deviation_dB"] < 1.0
     # 0.15 µm with full knowledge; as described, no law of this bandwidth is stable on this machine.
     assert found["steps"]["acceptance"]["figures"]["true_pp_um"] < 0.4
+    assert left(folder) <= {*MADE, MARK}
     page = (folder / "certificate.html").read_text()
     assert "data:image/png;base64," in page and "phase margin" in page and "http" not in page
     certificate = json.loads((folder / "certificate.json").read_text())
