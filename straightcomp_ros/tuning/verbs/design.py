@@ -5,6 +5,7 @@ Takes up to two minutes on two cores. Where no gains have margins, it says what 
 import argparse
 import re
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -24,15 +25,18 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
-from straightcomp_ros.parameters.yaml_text import load_yaml
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.tuning.design.error_budget import remarks
 from straightcomp_ros.tuning.design.gains import SEARCHED
 
 SUMMARY = "design the gains of a law for a stage"
 PURPOSE = "tune"
+_KEY = f"{ALL_NODES}/controller"
 _BEGIN, _END = "# Gains by `straightcomp design`:", "# End of the designed gains."
 _OURS = re.compile(rf"^{re.escape(_BEGIN)}.*?^{re.escape(_END)}\n\n?", re.MULTILINE | re.DOTALL)
+_HEAD = re.compile(r"\A(?:(?:%.*|[ \t]*(?:#.*)?)\n)*---[ \t]*(?:#.*)?\n")
+"""Directives, comments and the marker that begin a YAML document: what stands before the marker is none of it."""
 _LARGEST = 100_000
 
 
@@ -76,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
             progress=lambda part, fraction: bar.update(task, description=part, completed=fraction),
         )
     if output is not None:
-        write_whole(output, _with_gains(source.read_text(encoding="utf-8-sig"), design))
+        write_whole(output, _with_section(source, _section(design)))
     if options.json:
         name = scenario.description.name
         print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})
@@ -96,25 +100,45 @@ def _writable(source: Path, output: Path) -> None:
             f"--output {output}: is in another folder than {source}, where the survey is; name a file there",
             exit_code=2,
         )
-    rest = load_yaml(_OURS.sub("", source.read_text(encoding="utf-8"))) or {}
+    rest = load_yaml(_OURS.sub("", source.read_text(encoding="utf-8-sig"))) or {}
     for key in [key for key in rest if str(key).rsplit("/", 1)[-1] == "controller"]:
         words = "to which the gains would be added; move its parameters to a file for --params-file"
         raise CommandFailed(f"{source}: has a section '{key}' of its own, {words}", exit_code=2)
+    _with_section(source, [f"{_KEY}: {{}}"])
 
 
-def _with_gains(text: str, design: Design) -> str:
-    """The stage file with a section of gains at its beginning, in the place of an earlier one."""
+def _section(design: Design) -> list[str]:
+    """Lines of the section of gains."""
     figures, values = design.figures, {**design.values, **design.newer}
-    lines = [
+    return [
         f"{_BEGIN} law {design.law}, --quiet {design.quiet:g};",
         f"# {figures.pp.median * 1e6:.3f} µm p-p at {figures.work.median * 1e3:.2f} mA from sample to sample.",
-        f"{ALL_NODES}/controller:",
+        f"{_KEY}:",
         "  ros__parameters:",
         f"    control.law: {as_yaml(design.law)}",
         *(f"    {name}: {as_yaml(float(f'{value:.6g}'))}" for name, value in values.items()),
         _END,
     ]
-    return "\n".join(lines) + "\n\n" + _OURS.sub("", text)
+
+
+def _with_section(source: Path, section: Iterable[str]) -> str:
+    """The stage file with a section of gains at the beginning of its document, in the place of an earlier one.
+
+    Raises:
+        CommandFailed: its form takes no section of lines, as the flow style.
+    """
+    rest, added = _OURS.sub("", source.read_text(encoding="utf-8-sig")), "\n".join(section) + "\n"
+    head = match.group() if (match := _HEAD.match(rest)) else ""
+    text = f"{head}{added}\n{rest.removeprefix(head)}"
+    try:
+        kept = load_yaml(text) == {**load_yaml(added), **(load_yaml(rest) or {})}
+    except YamlError:
+        kept = False
+    if not kept:
+        words = "with each node's name at the beginning of a line; or leave out --output, and add the gains by hand"
+        why = "a section of gains cannot be put into it; write it in block style"
+        raise CommandFailed(f"{source}: {why}, {words}", exit_code=2)
+    return text
 
 
 def _in_json(design: Design) -> dict[str, Any]:

@@ -18,9 +18,9 @@ from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.offline.starts import runs_of_starts, spreads
+from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import read_stage_file, shipped_parameters
-from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, design_gains
+from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.tuning.design.error_budget import EXACT, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains
 from straightcomp_ros.tuning.design.gain_search import (
@@ -34,6 +34,7 @@ from straightcomp_ros.tuning.design.gain_search import (
 )
 from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
 from straightcomp_ros.tuning.design.stability import StabilityCheck
+from straightcomp_ros.tuning.verbs import design as design_command
 
 LAW = "smc_observer"
 FEW = {"evaluations": 18, "machines": 4, "jobs": 1}
@@ -274,6 +275,34 @@ def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_t
     promised = answer["predicted"]["true_pp_um"]
     found = json.loads(capsys.readouterr().out)["true_pp_um"]
     assert promised["min"] * 0.99 <= found <= promised["max"] * 1.01
+
+
+@pytest.mark.parametrize("head", ["---\n", "# Mine.\n\n--- # of the gantry\n", "%YAML 1.1\n# Mine.\n---\n", "\ufeff"])
+def test_gains_are_written_behind_what_begins_a_yaml_document_and_replaced_there(stage, monkeypatch, head):
+    stage.write_text(head + stage.read_text(), encoding="utf-8")
+    before = read_stage_file(stage)
+    figures = DesignFigures(*[Spread(1e-7, 1e-7, 1e-7)] * 4)
+    monkeypatch.setattr(design_command, "_print", lambda design, name: None)
+    for gains in ({"reference_lead": 0.001}, {"error_limit": 0.002}):
+        found = SimpleNamespace(law="smc", quiet=0.5, figures=figures, values=gains, newer={}, holds=True)
+        monkeypatch.setattr(design_command, "design_gains", lambda *_, found=found, **__: found)
+        assert main(["design", str(stage), "-o", str(stage)]) == 0
+        after = read_stage_file(stage)
+        assert after["controller"] == {**before["controller"], "control.law": "smc", **gains}
+        assert after["stage"] == before["stage"]
+    assert stage.read_text().startswith(head.removeprefix("\ufeff")) and stage.read_text().count("/controller") == 1
+
+
+@pytest.mark.parametrize("form", ["{{{}}}\n", "--- {{{}}}\n", "  {}\n"], ids=["flow", "on the marker", "indented"])
+def test_a_stage_file_that_takes_no_section_is_refused_before_the_work_and_stays_as_it_is(stage, capsys, form):
+    stage.write_text(form.format('"/**": {ros__parameters: {stage.name: mine}}'))
+    before = stage.read_text()
+    assert main(["stage", "check", str(stage), "--json"]) in (0, 1)
+    capsys.readouterr()
+    assert main(["design", str(stage), "-o", str(stage), *BRIEF]) == 2
+    said = capsys.readouterr().err
+    assert f"{stage}: a section of gains cannot be put into it; write it in block style" in said
+    assert stage.read_text() == before
 
 
 @pytest.mark.nightly
