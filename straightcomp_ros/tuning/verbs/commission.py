@@ -117,8 +117,9 @@ def _commission(
         check_survey=check,
         require=options.require,
     )
-    accepted = procedure.outcomes.get(_ACCEPTANCE)
-    if not options.only and accepted is not None and accepted.passed:
+    # One that remains is done once more, with what is asked for now.
+    if not options.only and _ACCEPTANCE not in procedure.remaining():
+        accepted = procedure.outcomes[_ACCEPTANCE]
         # A command that goes on after an interrupt has asked for the same before.
         ignored = {
             "--check-survey": check is not None and accepted.figures.get("survey_check") != check.source,

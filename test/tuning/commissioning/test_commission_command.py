@@ -59,6 +59,22 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(tmp_
     assert "next: all is done" in capsys.readouterr().err
 
 
+def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, tmp_path, monkeypatch, capsys):
+    asked = ["commission", STAGE, "-o", str(tmp_path / "done")]
+    assert main(asked) == 0
+    # Whoever interrupts the repeat of an early step leaves the acceptance passed, but to be done again.
+    monkeypatch.setitem(procedure.STEPS, "safe_loop", interrupted)
+    assert main([*asked, "--only", "safe_loop"]) == 130
+    monkeypatch.setitem(procedure.STEPS, "safe_loop", lambda work: Outcome(True, "once more"))
+    learned = []
+    monkeypatch.setitem(
+        procedure.STEPS, "acceptance", lambda work: learned.append(work.learning_strokes) or Outcome(True, "learned")
+    )
+    capsys.readouterr()
+    assert main([*asked, "--learn", "3"]) == 0, capsys.readouterr().err
+    assert learned == [3]
+
+
 def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_command(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "done"
     done_before(folder, {name: Outcome(True, "passed") for name in STEPS})
