@@ -27,10 +27,9 @@ class Verdict(NamedTuple):
         return f"{self.verdict.replace('_', ' ')}: {self.reason}"
 
 
-def worst(verdicts: Sequence[Verdict], kind: str) -> Verdict:
-    """The first of at least one verdict that is not in order, named "``kind`` 2 of 9" if there are several; the last
-    one if all are in order."""
-    for number, (verdict, reason) in enumerate(verdicts, 1):
-        if verdict != IN_ORDER:
-            return Verdict(verdict, f"{kind} {number} of {len(verdicts)}: {reason}" if len(verdicts) > 1 else reason)
-    return verdicts[-1]
+def worst(runs: Sequence[tuple[float, Verdict]], kind: str) -> Verdict:
+    """The verdict on the run that has the largest error, among those that are not in order if there are any, named
+    "``kind`` 2 of 9" if there are several. ``runs``: at least one, error and verdict of each."""
+    number = max(range(len(runs)), key=lambda number: (not runs[number][1].in_order, runs[number][0]))
+    verdict, reason = runs[number][1]
+    return Verdict(verdict, f"{kind} {number + 1} of {len(runs)}: {reason}" if len(runs) > 1 else reason)

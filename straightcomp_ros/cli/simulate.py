@@ -73,13 +73,16 @@ def run(options: argparse.Namespace) -> None:
     over_starts: dict[str, Spread] = {}
     try:
         record, straightness, cycles, verdicts = _run_cycles(options, values)
-        verdict = worst(verdicts, "cycle")
+        verdict = worst([(_error(cycle), one) for cycle, one in zip(cycles, verdicts, strict=True)], "cycle")
+        if verdict.in_order:
+            # The figures are the last cycle's.
+            verdict = verdicts[-1]
         if options.starts > 1:
             with working("simulating the starts") as advance:
                 runs = runs_of_starts(values, options.starts, advance)
-                found = [(evaluate(*one).to_display(), _verdict(*one, values)) for one in runs]
-            over_starts = spreads(figures for figures, _ in found)
-            verdict = worst([one for _, one in found], "start")
+                found = [(evaluate(*one), _verdict(*one, values)) for one in runs]
+            over_starts = spreads(metrics.to_display() for metrics, _ in found)
+            verdict = worst([(_error(metrics), one) for metrics, one in found], "start")
     except (ParameterError, SurveyError):
         raise
     except ValueError as error:
@@ -135,6 +138,11 @@ def _run_cycles(
             verdicts.append(_verdict(record, simulation.map, values))
     simulation.save_learning()
     return record, simulation.map, cycles, verdicts
+
+
+def _error(metrics: Metrics) -> float:
+    """The true error p-p in m, by which runs are compared."""
+    return metrics.encoder_pp if metrics.true_pp is None else metrics.true_pp
 
 
 def _verdict(record: StrokeRecord, straightness: StraightnessMap, values: Mapping[str, Mapping[str, Any]]) -> Verdict:

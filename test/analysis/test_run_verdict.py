@@ -310,10 +310,15 @@ def test_samples_that_are_missing_do_not_hide_an_oscillation():
     assert verdict_of(motion(**columns)).verdict == "oscillates"
 
 
-def test_a_run_of_several_is_named_by_its_number_and_a_verdict_reads_as_words():
+def test_of_several_runs_that_with_the_largest_error_is_named_first_of_those_that_are_not_in_order():
     good, bad = Verdict("in_order", "error 1 µm"), Verdict("at_stop", "|y| is large")
-    assert worst([good, bad, good], "start") == Verdict("at_stop", "start 2 of 3: |y| is large")
-    assert worst([bad], "start") == bad and worst([good, good], "start") == good
+    assert worst([(3.0, good), (2.0, bad), (1.0, good)], "start") == Verdict("at_stop", "start 2 of 3: |y| is large")
+    assert worst([(1.0, bad), (2.0, bad), (1.0, bad)], "start").reason == "start 2 of 3: |y| is large"
+    assert worst([(1.0, good), (2.0, good), (1.0, good)], "start") == Verdict("in_order", "start 2 of 3: error 1 µm")
+    assert worst([(1.0, bad)], "start") == bad and worst([(1.0, good)], "start") == good
+
+
+def test_a_verdict_reads_as_words():
     assert str(Verdict("left_map", "the stage moved")) == "left map: the stage moved"
     assert len(set(WORDS)) == len(WORDS) and all(one == one.lower() and " " not in one for one in WORDS)
 

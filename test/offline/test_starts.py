@@ -1,6 +1,7 @@
 """Figures over several starts: which starts, and what is reported of them."""
 
 import json
+import re
 
 import pytest
 
@@ -58,6 +59,11 @@ def test_simulate_prints_median_and_range_of_the_starts(capsys, tmp_path):
     starts = printed["starts"]
     assert starts["count"] == 3
     assert starts["true_pp_um"]["min"] <= printed["true_pp_um"] <= starts["true_pp_um"]["max"]
+    # The verdict is that of the start with the largest error.
+    said = re.match(r"start (\d) of 3: error ([\d.]+) µm p-p", printed["reason"])
+    assert said and float(said[2]) == pytest.approx(starts["true_pp_um"]["max"], rel=0.01)
+    errors = [evaluate(*run).true_pp for run in runs_of_starts(SHORT, 3)]
+    assert errors[int(said[1]) - 1] == max(errors)
     assert main(["simulate", "--starts", "3", *short]) == 0
     assert " to " in capsys.readouterr().out
 

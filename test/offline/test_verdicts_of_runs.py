@@ -297,10 +297,10 @@ def test_simulate_prints_the_verdict_on_cycles_and_starts_in_json(capsys):
     heavy = [*SHORT, "--set", "driver.simulated.truth.mass=4", "--json"]
     assert main(["simulate", *heavy, "--strokes", "2"]) == 1
     found = json.loads(capsys.readouterr().out)
-    assert found["verdict"] == "oscillates" and found["reason"].startswith("cycle 1 of 2: the loop oscillates")
+    assert found["verdict"] == "oscillates" and found["reason"].startswith("cycle 2 of 2: the loop oscillates")
     assert [one["verdict"] for one in found["cycles"]] == ["oscillates"] * 2
     assert main(["simulate", *heavy, "--starts", "2"]) == 1
-    assert json.loads(capsys.readouterr().out)["reason"].startswith("start 1 of 2: ")
+    assert json.loads(capsys.readouterr().out)["reason"].startswith("start 2 of 2: ")
     assert main(["simulate", *SHORT, "--strokes", "2", "--law", "smc", "--learn"]) == 0
 
 
