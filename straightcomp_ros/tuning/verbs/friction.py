@@ -9,10 +9,15 @@ guide says little about mass and viscous friction; --excitation writes a map who
                                                                             (or run it on the machine)
   straightcomp friction BAG -o plant.yaml
   straightcomp simulate --stage plant.yaml
+
+The next command that it prints has the --stage, --params-file, --law and --set of this one. An estimate has the plant
+alone: with a stage file of your own put its values into that.
 """
 
 import argparse
 import math
+import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -27,6 +32,7 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
+from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.survey import write_survey
@@ -65,13 +71,14 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
     values = chosen_parameters(options)
     if options.excitation is not None:
-        stroke = node_parameters("cell", values).stage.motion.stroke
+        low, high = reach(node_parameters("cell", values).stage.motion)
         file = output_file(options, "--excitation")
-        write_survey(file, excitation_survey(abs(stroke)), _EXCITATION_COMMENTS)
+        write_survey(file, excitation_survey(high - low, low), _EXCITATION_COMMENTS)
         if not options.json:
-            guides = ("stage.guide.file", "driver.simulated.truth.guide")
-            then = " ".join(f"--set {name}={quote(str(file))}" for name in guides)
-            print_written(file, then=f"straightcomp simulate {then} --bag BAG, or run it on the machine")
+            # After the user's own: the last one counts.
+            guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]
+            command = _simulate(options, options.stage, [*options.set, *guides])
+            print_written(file, then=f"{command} --bag BAG, or run it on the machine")
         return
     output = output_file(options, "--output")
     start = node_parameters("driver", values).stage
@@ -84,7 +91,26 @@ def run(options: argparse.Namespace) -> None:
     else:
         _print(estimate)
         if output is not None:
-            print_written(output, then=f"straightcomp simulate --stage {quote(str(output))}")
+            print_written(output, then=_after_estimate(options, output, estimate))
+
+
+def _simulate(options: argparse.Namespace, stage: object, settings: Iterable[str]) -> str:
+    """The command that simulates the machine of ``options`` with this stage file, if any, and these of --set."""
+    given = {"--params-file": options.params_file, "--stage": stage, "--law": options.law}
+    words = [word for option, value in given.items() if value for word in (option, str(value))]
+    words += [word for setting in settings for word in ("--set", setting)]
+    return shlex.join(["straightcomp", "simulate", *words])
+
+
+def _after_estimate(options: argparse.Namespace, output: Path, estimate: Estimate) -> str:
+    """What to do with the estimate in ``output``, which has the plant alone: the user's stage file has the rest."""
+    estimated = {f"stage.{name}" for name in estimate.parameters}
+    # One would take the place of what was found.
+    settings = [one for one in options.set if one.partition("=")[0] not in estimated]
+    if not options.stage:
+        return _simulate(options, output, settings)
+    where = f"put its values into {quote(options.stage)}, in the place of those there"
+    return f"{where}; then {_simulate(options, options.stage, settings)}"
 
 
 def _figures(estimate: Estimate) -> dict[str, Any]:

@@ -6,6 +6,8 @@ import dataclasses
 import io
 import json
 import math
+import re
+import shlex
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,8 +25,9 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, by_node, node_parameters
 from straightcomp_ros.parameters.parameter_file import read_parameter_file
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.survey import write_survey
+from straightcomp_ros.straightness.survey import read_survey, write_survey
 from straightcomp_ros.tuning.identification import fit as fitting
 from straightcomp_ros.tuning.identification.estimate import (
     DERIVED,
@@ -36,6 +39,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     parameter_file,
 )
 from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, sliding_start, unknowns
+from straightcomp_ros.tuning.verbs import friction
 
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
 STIFF = {
@@ -328,6 +332,43 @@ def test_after_an_excitation_the_next_command_is_of_a_machine_with_that_guide(tm
     waves = tmp_path / "waves.csv"
     assert main(["friction", "--excitation", str(waves)]) == 0
     assert f"--set driver.simulated.truth.guide={waves}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("start", "stroke"), [(0.4, -0.3), (0.2, 0.3)])
+def test_the_command_after_an_excitation_is_of_the_users_stage_and_stays_on_the_map(tmp_path, capsys, start, stroke):
+    own, waves = tmp_path / "my stage.yaml", tmp_path / "waves.csv"
+    own.write_text(
+        f"/**: {{ros__parameters: {{stage.name: mine, stage.motion: {{start: {start}, stroke: {stroke}}}}}}}"
+    )
+    chosen = ["--stage", str(own), "--law", "smc", "--set", "stage.motion.pause=0.2"]
+    assert main(["friction", "--excitation", str(waves), *chosen]) == 0
+    x = read_survey(waves).runs[0].x
+    assert (x[0], x[-1]) == pytest.approx((min(start, start + stroke), max(start, start + stroke)))
+    (then,) = re.findall("next: straightcomp (.*) --bag BAG, or", " ".join(capsys.readouterr().err.split()))
+    words = shlex.split(then)
+    assert set(chosen) < set(words)
+    # The safest law follows the waves badly; what counts is that it stays on the map.
+    main([*words, "--json"])
+    assert json.loads(capsys.readouterr().out)["verdict"] in ("in_order", "inaccurate")
+
+
+@pytest.mark.parametrize("chosen", [(), ("--params-file",), ("--stage",), ("--params-file", "--stage")])
+def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file(tmp_path, capsys, monkeypatch, chosen):
+    found = SimpleNamespace(parameters={"platform.mass": None, "friction.coulomb": None})
+    monkeypatch.setattr(friction, "estimate_from_bag", lambda *_: found)
+    monkeypatch.setattr(friction, "parameter_file", lambda estimate: "# estimated\n")
+    monkeypatch.setattr(friction, "_print", lambda estimate: None)
+    files = {"--params-file": "config/straightcomp.yaml", "--stage": "config/stage_synthetic.yaml"}
+    named = {option: str(share_path(files[option])) for option in chosen}
+    plant = tmp_path / "plant.yaml"
+    settings = ["--set", "stage.platform.mass=3.5", "--set", "stage.motion.stroke=0.3"]
+    words = [word for pair in named.items() for word in pair]
+    assert main(["friction", "BAG", "-o", str(plant), *words, *settings]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    stage = named.get("--stage")
+    assert (f"put its values into {stage}, in the place of those there; then " in said) == bool(stage)
+    params = f"--params-file {named['--params-file']} " if "--params-file" in named else ""
+    assert said.endswith(f"straightcomp simulate {params}--stage {stage or plant} --set stage.motion.stroke=0.3")
 
 
 DESCRIBED, SLID = 0.0, 1.0
