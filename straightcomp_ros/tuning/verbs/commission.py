@@ -152,7 +152,7 @@ def _commission(
             learned = f"--only {_ACCEPTANCE} --learn N lets the controller learn first"
             then = f"--only STEP measures again ({learned}); another --require judges the same measurements"
         elif left := ", ".join(procedure.remaining()):
-            then = f"the same command does the steps that are left: {left}"
+            then = f"the same command{' without --only' * bool(options.only)} does the steps that are left: {left}"
         else:
             then = "all is done; --only STEP repeats a step"
         print_written(folder, then=then)

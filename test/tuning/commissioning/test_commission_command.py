@@ -35,7 +35,9 @@ def test_a_machine_with_a_slow_amplifier_ends_it_with_a_sentence_and_exit_code_1
 def test_a_step_alone_is_done_and_a_later_one_is_refused(tmp_path, capsys):
     folder = str(tmp_path / "done")
     assert main(["commission", STAGE, "-o", folder, "--only", "connection"]) == 0
-    assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(capsys.readouterr().out.split())
+    printed = capsys.readouterr()
+    assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(printed.out.split())
+    assert "next: the same command without --only does the steps that are left: signs_and_scales" in printed.err
     assert main(["commission", STAGE, "-o", folder, "--only", "design"]) == 2
     assert "rests on 'signs_and_scales', which has not passed" in capsys.readouterr().err
 
@@ -71,6 +73,10 @@ def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, 
         procedure.STEPS, "acceptance", lambda work: learned.append(work.learning_strokes) or Outcome(True, "learned")
     )
     capsys.readouterr()
+    monkeypatch.setitem(procedure.STEPS, "design", lambda work: Outcome(False, "no gains"))
+    assert main(asked) == 1
+    assert "next: the same command does the steps that are left: design" in capsys.readouterr().err
+    monkeypatch.setitem(procedure.STEPS, "design", lambda work: Outcome(True, "gains"))
     assert main([*asked, "--learn", "3"]) == 0, capsys.readouterr().err
     assert learned == [3]
 
