@@ -219,14 +219,22 @@ def found_plant(
         frequency = Interval(*(math.exp(x) for x in (log_f, log_f - df, log_f + df)))
         damping_ratio = Interval(*(math.exp(x) for x in (log_z, log_z - dz, log_z + dz)))
         residues = Interval(float(r), float(r - dr), float(r + dr))
-        found.append(FoundMode(frequency, damping_ratio, residues, _described(frequency, stage)))
-    return FoundPlant(gain, tuple(sorted(found)))
+        found.append(FoundMode(frequency, damping_ratio, residues, ""))
+    names = _described([mode.frequency for mode in found], stage)
+    named = (mode._replace(described=name) for mode, name in zip(found, names, strict=True))
+    return FoundPlant(gain, tuple(sorted(named)))
 
 
-def _described(frequency: Interval, stage: StageParameters) -> str:
-    modes = stage.platform.modes
+def _described(found: Sequence[Interval], stage: StageParameters) -> list[str]:
+    """Which described mode each of the ``found`` frequencies is, '' if none: the nearest first, each mode once."""
+    modes, pairs = stage.platform.modes, list[tuple[float, int, str]]()
     for name, mode in (("first", modes.first), ("second", modes.second)):
-        low, high = ((1.0 + side * mode.frequency_error) * mode.frequency for side in (-1.0, 1.0))
-        if mode.frequency and frequency.meets(Interval(mode.frequency, low, high)):
-            return f"stage.platform.modes.{name}, {mode.frequency:g} Hz"
-    return ""
+        if mode.frequency:
+            low, high = ((1.0 + side * mode.frequency_error) * mode.frequency for side in (-1.0, 1.0))
+            text, within = f"stage.platform.modes.{name}, {mode.frequency:g} Hz", Interval(mode.frequency, low, high)
+            pairs += [(abs(f.value - mode.frequency), k, text) for k, f in enumerate(found) if f.meets(within)]
+    names = [""] * len(found)
+    for _, k, text in sorted(pairs):
+        if not names[k] and text not in names:
+            names[k] = text
+    return names

@@ -69,6 +69,13 @@ def test_a_found_mode_is_named_as_described_and_becomes_facts_of_a_description()
     assert stage.platform.modes.second.residue == pytest.approx(-1.0, rel=0.2)
 
 
+def test_of_two_modes_within_the_range_of_a_described_one_the_nearer_is_it_and_the_other_is_in_no_description():
+    near, other = ModeParameters(185.0, 0.02, 0.5, 0.5), ModeParameters(215.0, 0.02, 0.5, -0.5)
+    roughly = ModeParameters(190.0, 0.02, 0.5, 0.5, frequency_error=0.2)
+    modes = found(STAGE.with_modes(near, other), described=STAGE.with_modes(roughly)).modes
+    assert [one.described for one in modes] == ["stage.platform.modes.first, 190 Hz", ""]
+
+
 def test_where_friction_outweighs_the_mass_no_mode_is_looked_for_and_one_that_lies_there_is_a_part_of_the_gain():
     # 800 N·s/m outweigh 5 kg below 25 Hz.
     low, high = ModeParameters(8.0, 0.1, 0.5, 0.5), ModeParameters(300.0, 0.01, 0.4, -0.4)
