@@ -13,15 +13,15 @@ class Middleware(NamedTuple):
     """What differs between middlewares; an unknown one gets no profile, and its reception times are not used.
 
     Attributes:
-        variables: environment variables that name a profile; if the user has set one, ours is not used.
+        variable: environment variable that names a profile; if the user has set it, ours is not used.
         loopback: our profile for nodes on this computer only; empty for none.
         network: our profile for any other discovery range; empty for none.
-        uri: prefix of a profile's path in the variables.
+        uri: prefix of a profile's path in the variable.
         loopback_range: discovery range required with ``loopback``.
         stamps_arrival: the reception time is a message's time of arrival, not of its take.
     """
 
-    variables: tuple[str, ...] = ()
+    variable: str = ""
     loopback: str = ""
     network: str = ""
     uri: str = ""
@@ -30,15 +30,15 @@ class Middleware(NamedTuple):
 
 
 _FAST_DDS = Middleware(
-    # Old name and new name.
-    variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
+    # Jazzy's Fast DDS does not know the name that replaces it in version 3.
+    variable="FASTRTPS_DEFAULT_PROFILES_FILE",
     loopback="config/fastdds_loopback.xml",
     network="config/fastdds.xml",
     # With LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says.
     loopback_range="SYSTEM_DEFAULT",
     stamps_arrival=True,
 )
-_CYCLONE_DDS = Middleware(variables=("CYCLONEDDS_URI",), loopback="config/cyclonedds_loopback.xml", uri="file://")
+_CYCLONE_DDS = Middleware(variable="CYCLONEDDS_URI", loopback="config/cyclonedds_loopback.xml", uri="file://")
 MIDDLEWARES = {
     "rmw_fastrtps_cpp": _FAST_DDS,
     "rmw_fastrtps_dynamic_cpp": _FAST_DDS,
@@ -56,28 +56,27 @@ def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[s
     chosen = middleware(identifier)
     on_loopback = environment.get(RANGE_VARIABLE) == "LOCALHOST"
     profile = chosen.loopback if on_loopback else chosen.network
-    if not profile or any(name in environment for name in chosen.variables):
+    if not profile or chosen.variable in environment:
         return {}
-    variables = dict.fromkeys(chosen.variables, f"{chosen.uri}{share_path(profile)}")
+    variables = {chosen.variable: f"{chosen.uri}{share_path(profile)}"}
     return {**variables, RANGE_VARIABLE: chosen.loopback_range} if on_loopback else variables
 
 
 def missing_profile(identifier: str, environment: Mapping[str, str]) -> str:
-    """The variable in which the user names a profile of Fast DDS that is not there, with its value; empty if none does.
+    """The variable in which the user names a profile of Fast DDS that is not there, with its value; else empty.
 
     Fast DDS then starts with its defaults, which use shared memory.
     """
     chosen = middleware(identifier)
+    file = environment.get(chosen.variable)
     # Cyclone DDS's variable may hold the profile itself, or several files.
-    given = {name: environment[name] for name in chosen.variables if name in environment and not chosen.uri}
-    return next((f"{name}={file}" for name, file in given.items() if not Path(file).is_file()), "")
+    return f"{chosen.variable}={file}" if file is not None and not chosen.uri and not Path(file).is_file() else ""
 
 
 def description(identifier: str, environment: Mapping[str, str]) -> str:
     """One line for a log: the middleware's name, its profile, and what differs from Fast DDS."""
     chosen, ours = middleware(identifier), profile_variables(identifier, environment)
-    names = [name for name in chosen.variables if name in environment]
-    profile = next(iter((*names, *ours.values())), "its own default")
+    profile = chosen.variable if chosen.variable in environment else next(iter(ours.values()), "its own default")
     if missing := missing_profile(identifier, environment):
         profile = f"its own default, since there is no file {missing}"
     unknown = "; it does not say when a message arrived: latencies end when it was sent"
