@@ -151,6 +151,11 @@ def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, 
     file.write_bytes(b"damaged")
     with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):
         added(store, months, again=True)
+    stage = file.parent.parent.name.removeprefix("stage=")
+    with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):
+        Store(str(store)).strokes(stage)
+    with pytest.raises(HistoryError, match=r"strokes\.parquet"):
+        Store(str(store)).query("FROM bags")
     file.unlink()
     added(store, months, again=True)
     assert files_of(store) == alone[1]

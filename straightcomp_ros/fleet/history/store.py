@@ -19,7 +19,9 @@ import os
 import re
 import shutil
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -126,7 +128,7 @@ class Store:
 
     def strokes(self, stage: str) -> pyarrow.Table:
         """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``. Raises HistoryError for a stage
-        that the store does not have."""
+        that the store does not have, or a damaged file."""
         import pyarrow
 
         folder = f"{self.root}/{STROKES}/stage={quote(stored_name(stage), safe='')}"
@@ -135,8 +137,11 @@ class Store:
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
         files = [file for file in self.files.find(folder) if file.endswith(".parquet")]
         # On another storage most of the time is the way there.
+        tables = list[pyarrow.Table]()
         with ThreadPoolExecutor() as threads:
-            tables = [rows_in(StrokeRow, data) for data in threads.map(self.files.cat_file, files)]
+            for file, data in zip(files, threads.map(self.files.cat_file, files), strict=True):
+                with self._whole(file):
+                    tables.append(rows_in(StrokeRow, data))
         return pyarrow.concat_tables([schema_of(StrokeRow).empty_table(), *tables]).sort_by(_ORDER)
 
     def query(self, sql: str, force: bool = False) -> pyarrow.Table:
@@ -158,14 +163,14 @@ class Store:
             database.execute("SET TimeZone = 'UTC'")
             if not self.local:
                 database.register_filesystem(self.files)
-            if not self._add_table(database, BAGS, BagRow, ()):
-                make = f"straightcomp history add BAG -o {self.url}"
-                raise HistoryError(f"store {self.url}: no bag was added there; make it: {make}")
-            self._add_table(database, STROKES, StrokeRow, PARTITIONS)
-            database.execute(_VIEWS)
-            # A setting could name a file to write, as that of profiling does.
-            database.execute("SET lock_configuration = true")
             try:
+                if not self._add_table(database, BAGS, BagRow, ()):
+                    make = f"straightcomp history add BAG -o {self.url}"
+                    raise HistoryError(f"store {self.url}: no bag was added there; make it: {make}")
+                self._add_table(database, STROKES, StrokeRow, PARTITIONS)
+                database.execute(_VIEWS)
+                # A setting could name a file to write, as that of profiling does.
+                database.execute("SET lock_configuration = true")
                 for statement in database.extract_statements(sql):
                     if statement.type != duckdb.StatementType.SELECT:
                         self._keep_files(statement.query, force)
@@ -239,8 +244,6 @@ class Store:
 
     def _add_to_month(self, month: Path, checksum: str, data: bytes) -> None:
         """Put the strokes of a bag, a Parquet file, in place of those that the month has of it."""
-        from pyarrow import ArrowException
-
         Path(self.root).mkdir(parents=True, exist_ok=True)
         with locked(Path(self.root, _LOCK)):
             own = month / f"{checksum}.parquet"
@@ -248,12 +251,20 @@ class Store:
                 self._write(str(own), data)
                 return
             file = month / _MONTH
-            try:
+            with self._whole(file):
                 content = _with_bag(file, checksum, data)
-            except ArrowException as error:
-                remedy = "remove it, and add the bags of this month again with --again"
-                raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
             self._write(str(file), content)
+
+    @contextmanager
+    def _whole(self, file: str | Path) -> Iterator[None]:
+        """Raises HistoryError if what reads a month's ``file`` meanwhile finds it damaged."""
+        from pyarrow import ArrowException
+
+        try:
+            yield
+        except ArrowException as error:
+            remedy = "remove it, and add the bags of this month again with --again"
+            raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
 
 
 def _written(statement: str) -> str | None:
