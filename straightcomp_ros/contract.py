@@ -100,7 +100,8 @@ STAGE_TRAJECTORY = "stage_trajectory"
 STAGE_STATE = "stage_state"
 """diagnostic_msgs/DiagnosticStatus, latched, from the driver at each change: the condition of the stage's motion as
 name (rest, moving, stopping, held); values `override`, `behind_ns` (how far the motion is behind its trajectory), `cut`
-(whether it had another pace than 1 since it began) and `number` (motions begun)."""
+(whether it had another pace than 1 since it began), `number` (motions begun) and `ended` (whether the last one was
+ended on its way)."""
 DIAGNOSTICS = "/diagnostics"
 """diagnostic_msgs/DiagnosticArray, 1 Hz, from each node in any namespace; a status is named ``namespace/node``."""
 UNCONNECTED = "unconnected"

@@ -73,8 +73,8 @@ class StageMovements:
 
     def __init__(self, motion: MotionParameters, as_one: bool) -> None:
         self._motion, self.as_one, self._goals = motion, as_one, goals(motion)
-        self._begin_ns = self._duration_ns = self._before = 0
-        self._goal = self._begun_by = self._latest = 0.0
+        self._begin_ns = self._duration_ns = self._stands_ns = self._before = 0
+        self._goal = self._begun_by = 0.0
         self._own: int | None = None
         self.begin(0)
 
@@ -111,8 +111,7 @@ class StageMovements:
             waypoints = [Waypoint(0, seen.x, 0.0), Waypoint(round(rest * _NS), seen.x, 0.0)]
             waypoints += move(waypoints[-1], goal, motion.speed, motion.acceleration, motion.jerk)
         self._duration_ns, self._goal, _ = waypoints[-1]
-        self._begun_by = now + _ARRIVE_WITHIN_S
-        self._begin_ns, self._latest = seen.stamp_ns, self._begun_by + self._duration_ns / _NS
+        self._begin_ns, self._stands_ns, self._begun_by = seen.stamp_ns, 0, now + _ARRIVE_WITHIN_S
         # Numbers of the motion before, and of this one once the driver has begun it.
         self._before, self._own, self._under_way = seen.motion, None, True
         return waypoints
@@ -127,8 +126,8 @@ class StageMovements:
     def arrived(self, seen: Observation, now: float) -> bool:
         """Whether no movement is running; counts one that has just ended. One that is held is running.
 
-        WorkFailed: the driver has not begun the movement within 5 s, or has begun another one; it was ended before its
-        time, or the stage stands elsewhere 5 s after its end.
+        WorkFailed: the driver has not begun the movement within 5 s, or has begun another one; it was ended on its way;
+        or it is over, and the samples of 5 s show the stage elsewhere.
         """
         if not self._under_way:
             return True
@@ -140,19 +139,21 @@ class StageMovements:
             return False
         if seen.motion != self._own:
             self._fail("another client has begun a motion of the stage")
-        over = self.progress(seen) > _ARRIVED_SHARE
-        if seen.behind_ns or seen.stage in ("stopping", "held"):
-            self._latest = max(self._latest, now + _ARRIVE_WITHIN_S)
-        elif over and abs(seen.x - self._goal) < _ARRIVED_M and (seen.still or self.as_one):
+        if seen.ended:
+            self._fail(f"another client has ended the motion of the stage, which stands at {seen.x:.6f} m")
+        delayed = seen.behind_ns or seen.stage in ("stopping", "held")
+        over = not delayed and self.progress(seen) > _ARRIVED_SHARE
+        if over and abs(seen.x - self._goal) < _ARRIVED_M and (seen.still or self.as_one):
             self.forget()
             self._number += 1
             self.strokes_done = self.strokes if self.as_one else self._number // len(self._goals)
-        elif seen.stage == "rest":
-            # The end of a motion can be seen before its last samples.
-            self._latest = min(self._latest, now + _RECEIVED_S)
-        if self._under_way and seen.still and now > self._latest and (seen.stage == "rest" or not self.as_one):
-            why = "" if over else ": its motion was ended"
-            self._fail(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m{why}")
+        elif seen.stage == "rest" and seen.still:
+            # In time of the samples: on a busy computer the last ones come long after the report of the end.
+            self._stands_ns = self._stands_ns or seen.stamp_ns
+            if seen.stamp_ns > self._stands_ns + _ARRIVE_WITHIN_S * _NS:
+                self._fail(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m")
+        else:
+            self._stands_ns = 0
         return not self._under_way
 
     def _fail(self, reason: str) -> NoReturn:

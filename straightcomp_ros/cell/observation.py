@@ -34,6 +34,7 @@ class Observation:
     y: float = math.nan  # of the platform
     unreferenced: str = ""  # why x is not counted from its reference; empty if it is
     motion: int = 0  # number of the stage's motion, as the driver counts those that it begins
+    ended: bool = False  # whether that was ended on its way
     stage: str = "rest"  # of its motion as the driver reports it: rest, moving, stopping, held; empty while it does not
     override: float = 1.0  # fraction of the speed of the stage's motions
     behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest

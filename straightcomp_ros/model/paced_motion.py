@@ -50,13 +50,14 @@ class PacedMotion:
         pace: as asked for last; ``end`` is done, and ``hold`` with it, once the stage stands.
         cut: whether the present motion is cut short.
         number: motions begun.
+        ended: whether the last one was ended on its way.
     """
 
     def __init__(self, motion: MotionParameters, x: float = 0.0) -> None:
         self._acceleration = motion.acceleration
         self._build = motion.acceleration / motion.jerk if motion.jerk else _BUILD_S
         self._set(Pace())
-        self.cut, self.number = False, 0
+        self.cut, self.ended, self.number = False, False, 0
         self._at_ns = self._start_ns = 0
         self._u, self._rate = 1.0, 0.0
         self._rest(x)
@@ -102,7 +103,7 @@ class PacedMotion:
         if not moving:
             self._u, self._rate = self._target, 0.0
         # A start in the past is one: the stage is on its way by now.
-        self._trajectory, self._start_ns, self.number = trajectory, start_ns, self.number + 1
+        self._trajectory, self._start_ns, self.number, self.ended = trajectory, start_ns, self.number + 1, False
         self._path_ns = float(self._at_ns - start_ns)
         self._limit = max(self._acceleration, trajectory.largest_acceleration)
         self._set(self.pace._replace(end=False))
@@ -130,6 +131,7 @@ class PacedMotion:
                 self._path_ns += self._step(step_ns * 1e-9) * step_ns
                 self._at_ns += step_ns
         if self._u == 0.0 and self.pace.end:
+            self.ended = True
             self._rest(self._trajectory.position(self._path_ns))
             self._set(Pace(self.pace.override))
             self._u = self._target

@@ -314,6 +314,7 @@ class GraphClient:
             amplifier_on=fresh and self.safety.amplifier_on,
             unreferenced=reports.get(_DRIVER, {}).get(UNREFERENCED, ""),
             motion=self.stage.number,
+            ended=self.stage.ended,
             stage=self.stage.condition if reporting else "",
             override=self.stage.override,
             behind_ns=self.stage.behind_ns,

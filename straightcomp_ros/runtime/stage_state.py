@@ -17,12 +17,13 @@ class StageState(NamedTuple):
     behind_ns: int = 0
     cut: bool = False
     number: int = 0
+    ended: bool = False
 
     @classmethod
     def of_motion(cls, motion: PacedMotion, period_ns: int) -> StageState:
         """The state of ``motion`` now; at rest if it ends within ``period_ns``, in which lockstep takes no sample."""
         condition, behind_ns = (motion.condition, motion.behind_ns) if motion.lasts(period_ns) else ("rest", 0)
-        return cls(condition, motion.pace.override, behind_ns, motion.cut, motion.number)
+        return cls(condition, motion.pace.override, behind_ns, motion.cut, motion.number, motion.ended)
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> StageState:
@@ -35,6 +36,7 @@ class StageState(NamedTuple):
                 int(values["behind_ns"]),
                 values["cut"] == "true",
                 int(values["number"]),
+                values["ended"] == "true",
             )
         except (KeyError, ValueError):
             return cls()

@@ -92,13 +92,15 @@ def test_a_motion_that_is_ended_stands_where_it_came_to_rest_and_the_next_begins
     parameters = MotionParameters(stroke=0.3)
     motion = begun(parameters)
     x = positions(motion, {3200: Pace(0.5, end=True)})
-    assert motion.condition == "rest" and 0.05 < x[-1] < 0.1 and not motion.cut
+    assert motion.condition == "rest" and 0.05 < x[-1] < 0.1 and motion.ended and not motion.cut
     now_ns = x.size * T_NS
     with pytest.raises(ValueError, match="stands at"):
         motion.begin(Trajectory(forward_and_back(parameters)), now_ns)
     here = motion.position(now_ns)
     motion.begin(Trajectory(jog(parameters, here, -1e-4)), now_ns)
     assert motion.pace == Pace(0.5) and motion.position(now_ns + 10**9) == pytest.approx(here - 1e-4, abs=1e-12)
+    motion.ask(Pace(end=True))
+    assert motion.over and not motion.ended
 
 
 @pytest.mark.parametrize("seed", range(6))
