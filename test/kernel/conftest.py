@@ -25,6 +25,8 @@ SHARED_IN_GUEST = "/run/shared"
 PROGRAMS = ("linux.uml", "insmod", "ip", "tc", "cansend", "cangen", "candump", "canplayer")
 REMEDY = "apt-get install user-mode-linux kmod iproute2 can-utils"
 LONGEST_S = 900
+NO_REGISTERS = "ptrace set fp regs failed"
+"""What a guest says whose kernel knows fewer registers than the processor has, as of one with AMX and Linux 6.1."""
 _PATH = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/sbin"])
 
 in_guest = GUEST in os.environ
@@ -58,8 +60,11 @@ def pytest_runtest_protocol(item):
         report = config.hook.pytest_report_from_serializable(config=config, data={**data, "$report_type": "TestReport"})
         config.hook.pytest_runtest_logreport(report=report)
     if not own:
-        lost = f"the guest ended without a report of this test; it said:\n{output}"
-        report = pytest.TestReport(item.nodeid, item.location, {}, "failed", lost, "call")
+        outcome, lost = "failed", f"the guest ended without a report of this test; it said:\n{output}"
+        if not reports and NO_REGISTERS in output:
+            words = f"Skipped: NOT TESTED: SocketCAN in a real kernel; no guest on this processor: {NO_REGISTERS}"
+            outcome, lost = "skipped", (str(item.path), item.location[1], words)
+        report = pytest.TestReport(item.nodeid, item.location, {}, outcome, lost, "call")
         config.hook.pytest_runtest_logreport(report=report)
     config.hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
