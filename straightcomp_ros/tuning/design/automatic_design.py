@@ -113,10 +113,11 @@ class Design:
         kept, *medians = (one.percentiles("pp")["p50"] for one in (self.verification, *self.others))
         if medians and kept > NOTED * min(medians):
             faster = self.others[medians.index(min(medians))]
+            counts = ", ".join(f"{word.replace('_', ' ')}: {count}" for word, count in faster.verdicts.items())
             found.append(
                 f"uncertainty: {kept * 1e6:.2g} µm p-p at the median of the uncertain machines. Faster gains leave "
-                f"{min(medians) * 1e6:.2g} µm, but {faster.verdict.reason}. Facts that are known better "
-                "('stage.uncertainty.*') help."
+                f"{min(medians) * 1e6:.2g} µm, but of {faster.trials} machines not all are in order ({counts}). Facts "
+                "that are known better ('stage.uncertainty.*') help."
             )
         return found
 

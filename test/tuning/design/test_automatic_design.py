@@ -11,7 +11,6 @@ import yaml
 from tiers import nightly
 
 from scripts.stage_files import STAGES, stage_scenario
-from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS, make_law
@@ -88,7 +87,9 @@ def test_what_costs_a_part_of_the_error_that_no_gains_can_help_is_said(cause, wh
 def warnings(budget, kept=0.2e-6, others=()):
     """Of a design, with the median errors in m of its verification and of its other searches."""
     summaries = [
-        SimpleNamespace(percentiles=lambda figure, pp=pp: {"p50": pp}, verdict=Verdict("at_stop", f"worst at {pp}"))
+        SimpleNamespace(
+            percentiles=lambda figure, pp=pp: {"p50": pp}, trials=200, verdicts={"at_stop": round(pp * 1e8)}
+        )
         for pp in (kept, *others)
     ]
     design = {"budget": budget, "verification": summaries[0], "others": summaries[1:]}
@@ -97,7 +98,8 @@ def warnings(budget, kept=0.2e-6, others=()):
 
 def test_what_it_costs_that_every_uncertain_machine_is_in_order_is_said():
     (said,) = warnings([], 1.4e-6, (0.9e-6, 0.35e-6))
-    assert "1.4 µm" in said and "0.35 µm, but worst at 3.5e-07" in said and "stage.uncertainty" in said
+    assert "1.4 µm" in said and "0.35 µm, but of 200 machines" in said and "at stop: 35)" in said
+    assert "stage.uncertainty" in said
     assert warnings([], 0.4e-6, (0.3e-6,)) == []
 
 
