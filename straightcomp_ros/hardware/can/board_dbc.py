@@ -119,6 +119,8 @@ class Wire:
         self._places: dict[str, str] = {}
         """By message the group of parameters that describes its protection."""
         self._taken: dict[int, str] = {}
+        self._users: dict[tuple[str, str], str] = {}
+        """By message and signal the parameter that names it."""
         self._signals = signals = self._signals_of_roles()
         self._names = names = {role: self._message(role).name for role in signals}
         self._pages = {role: selectors(self._message(role), signal) for role, signal in signals.items()}
@@ -244,6 +246,10 @@ class Wire:
             raise RefusedParameter(parameter, f"{place} counts from {limits(signal)[0]}; allowed: from 0")
         if in_every_frame and selectors(message, signal):
             raise RefusedParameter(parameter, f"{place} is multiplexed; allowed: a signal that is in every frame")
+        # A frame is packed signal by signal: of two meanings one would not be sent.
+        other = self._users.setdefault((message.name, name), parameter)
+        if other != parameter:
+            raise RefusedParameter(parameter, f"{place} is that of '{other}' too; allowed: a signal of its own")
         return signal
 
     def _check_messages(self) -> None:
@@ -280,8 +286,6 @@ class Wire:
             if len(set(given)) < len(given):
                 text = f"{self._place(role)} has one value for two meanings: {given}; allowed: different ones"
                 raise RefusedParameter(f"wire.{role}", text)
-        if self._place("x") == self._place("y"):
-            raise RefusedParameter("wire.y.signal", f"{self._place('y')} is that of x too; allowed: another one")
         if self.meaning.amplifier.fault_value < 0:
             together = self._names.get("fault") == self._names["amplifier"]
             if not together or self._pages["fault"] != self._pages["amplifier"]:

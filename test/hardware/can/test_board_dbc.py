@@ -96,8 +96,11 @@ foreign | wire.x.message | wire/x/message=DSP_MESA | 'DSP_MESA' is not a message
 foreign | wire.y.signal | wire/y/signal=POSY | 'POSY' is not a signal of message 'DSP_MEAS' of .*'POS_Y'
 foreign | wire.x.signal | wire/x/signal= | '' is not allowed; the driver needs this signal
 foreign | wire.y.signal | wire/y/message=DSP_STATUS wire/y/signal=SUPPLY | not in all frames
-foreign | wire.current.signal | wire/current/signal=POS_X | of message 'DSP_MEAS' is in 'mm'; allowed: A, mA
-foreign | wire.y.signal | wire/y/signal=POS_X | of message 'DSP_MEAS' is that of x too
+foreign | wire.current.unit | wire/current/unit=mm | of message 'DSP_MEAS' is in 'mm'; allowed: A, mA
+foreign | wire.y.signal | wire/y/signal=POS_X | of message 'DSP_MEAS' is that of 'wire.x.signal' too
+foreign | wire.reset.signal | wire/reset/signal=SET_ENABLE | 'wire.enable.signal'
+foreign | wire.protection.command.alive | wire/protection/command/alive=SET_ECHO | 'wire.echo.signal'
+foreign | wire.protection.command.crc | wire/protection/command/crc=SET_ECHO | 'wire.echo.signal'
 foreign | wire.amplifier | wire/amplifier/on_value=3 | 'AMP_STATE' of message 'DSP_STATUS' has one value for two
 foreign | wire.x.factor | wire/x/factor=0.0 | 0.0 is not allowed
 foreign | wire.enable.message | wire/enable/message=DSP_STATUS wire/enable/signal=SUPPLY | message of the board already
@@ -117,7 +120,7 @@ foreign | wire.x.message | fd=false | 'DSP_MEAS' of .* is a message of CAN FD.*'
 foreign | wire.x.message | dbc= | 'DSP_MEAS' is not allowed without a file in 'can.dbc'
 foreign | wire.echo.signal | SAMPLE wire/protection/sample/alive= | needs a count of the samples
 split | wire.reset.signal | wire/reset/message=DSP_Y | not a signal of message 'DSP_Y'
-split | wire.reset.message | wire/reset/message=DSP_Y wire/reset/signal=Y_OK | 'DSP_Y' is a message of the board already
+split | wire.reset.message | wire/reset/message=DSP_Y wire/reset/signal=Y_CNT | 'DSP_Y' is a message of the board
 split | wire.protection.good | wire/protection/good/alive=Y_CNT | is given, but the signals are in
 split | wire.protection.enable.alive | wire/protection/enable/alive=SW | 'SW' is not a signal of
 """
