@@ -42,7 +42,9 @@ _WHOLE = {
 }
 """How the statements that no semicolon ends are when they are whole. The list of NS_ ends where another begins."""
 _BEGIN = r"[ \t]*\b(VERSION|FILTER|[A-Z]+(?:_[A-Z]+)*_)\b(?![ \t]*\r?$)"
-_TEXT = r'"(?:\\"|[^"])*"'
+_LAST = rf"\s*;\s*(?:^{_BEGIN}|\Z)"
+"""Behind a quote that closes a text, also behind a backslash: the path of a folder may end in one."""
+_TEXT = rf'"(?!{_LAST})(?:\\"(?!{_LAST})|[^"])*"'
 _STATEMENT = re.compile(rf'(?:^|(?<=;)){_BEGIN}(?:{_TEXT}|//[^\n]*|[^"\n/;]+|/|\n(?!{_BEGIN}))*;?', re.MULTILINE)
 _MESSAGE = re.compile(r"BO_\s+(\d+)\s+(\w+)")
 _DEFINITION = re.compile(r'BA_DEF_(?:DEF_)?\s+(?:BO_\s+|SG_\s+)?"([^"]*)"')
@@ -344,14 +346,22 @@ def _statements(text: str, path: Path) -> Iterator[tuple[str, str]]:
     cantools reads a file as a whole or not at all, and real ones have faults in messages that are of no interest here.
 
     Raises:
-        DbcError: the file ends within a statement, so that others may be missing.
+        DbcError: the file ends within a statement, or a quote has no other one, so that statements may be missing.
     """
+
+    def refuse_lone_quote(between: str) -> None:
+        if '"' in re.sub(rf"{_TEXT}|//.*", "", between, flags=re.MULTILINE):
+            line, what = text.count("\n", 0, text.index('"', end)) + 1, keyword or "what comes first"
+            raise DbcError(
+                f"'{path}', line {line}: a quote without its other one in {what}; allowed: two for each text"
+            )
+
     keyword, last, end = "", "", 0
     for found in _STATEMENT.finditer(text):
+        refuse_lone_quote(text[end : found.start()])
         keyword, last, end = found[1], found[0].strip(), found.end()
         yield keyword, last
-    if '"' in re.sub(_TEXT, "", text[end:]):
-        raise DbcError(f"'{path}' is cut off: it ends within a text of {keyword or 'its first line'}")
+    refuse_lone_quote(text[end:])
     # A last table of values without its semicolon is seen in real files.
     closed = last.endswith(";") or (keyword == "VAL_" and last.endswith('"') and text.endswith("\n"))
     if keyword and not (re.match(_WHOLE[keyword], last) if keyword in _WHOLE else closed):

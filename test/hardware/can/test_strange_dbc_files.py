@@ -435,3 +435,20 @@ def test_stage_check_names_the_fault_of_a_file_in_one_sentence(board, tmp_path, 
     )
     assert main(["stage", "check", str(tmp_path / "cut.yaml")]) == 2
     assert "cut off" in capsys.readouterr().err
+
+
+def commented(comment, other="another"):
+    lines = f'CM_ BO_ 288 "{comment}";\nCM_ BO_ 289 "{other}";\nVAL_ 288 CODE 3 "SUPPLY" ;\n'
+    return with_code("4@1+ (1,0) [0|15]") + lines
+
+
+@pytest.mark.parametrize("comment", ["of C:\\boards\\", 'a \\"fast\\" one', 'a "fast" one; and\nBO_ more', "// one"])
+def test_a_comment_takes_nothing_with_it(board, comment):
+    assert board(commented(comment), coded(0)).make_wire().fault_words(3) == "SUPPLY"
+
+
+@pytest.mark.parametrize("comments", [('19" rack',), ('19" rack', '21" rack'), ('19"; rack',)])
+def test_a_quote_within_a_comment_is_named_by_its_line(board, comments):
+    text = commented(*comments)
+    with pytest.raises(RefusedParameter, match=f"line {text[: text.index('CM_ BO_')].count(chr(10)) + 1}:"):
+        board(text, coded(0))
