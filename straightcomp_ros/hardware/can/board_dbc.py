@@ -277,8 +277,8 @@ class Wire:
             named, (least, largest) = getattr(self.meaning, role), limits(self._signals[role])
             for name in (name for name in vars(named) if name.endswith("_value")):
                 raw = getattr(named, name)
-                # -1 says of the amplifier's states that they have no value of their own.
-                if not least <= raw <= largest and not (role == "amplifier" and raw == -1 and name != "on_value"):
+                # -1 says of the amplifier's states but "on" that they have no value of their own.
+                if not least <= raw <= largest and not (role == "amplifier" and raw == -1):
                     text = f"{raw} does not fit signal {self._place(role)}; allowed: {least} to {largest}"
                     raise RefusedParameter(f"wire.{role}.{name}", text)
         for role in (role for role in ("amplifier", *_SWITCHES) if role in self._signals):

@@ -16,8 +16,8 @@ SHIPPED_DBC = "config/straightcomp.dbc"
 _LOG_ENDINGS = (".log", ".blf")
 
 
-def _value(default: int, meaning: str) -> int:
-    raw: int = parameter(default, f"raw value that says {meaning}", "[-1, 4294967295]")
+def _value(default: int, meaning: str, least: int = -1) -> int:
+    raw: int = parameter(default, f"raw value that says {meaning}", f"[{least}, 4294967295]")
     return raw
 
 
@@ -44,7 +44,7 @@ class AmplifierParameters(SignalParameters):
     """The signal with the amplifier's state."""
 
     off_value: int = _value(1, "off; -1: any other")
-    on_value: int = _value(2, "on")
+    on_value: int = _value(2, "on", 0)
     fault_value: int = _value(3, "fault; -1: the signal of 'fault' alone says so")
 
 

@@ -146,6 +146,14 @@ EDITED = [
     (FOREIGN_FILE, '[-2|2] "A" DSP', '[-0.5|0.6] "A" DSP', {}, LIMIT),
     (FOREIGN_FILE, "DSP_MEAS: 16", "DSP_MEAS: 17", {}, r"message 'DSP_MEAS' of .* has 17 bytes; allowed: 0, 1, 2"),
     (FOREIGN_FILE, "POS_Y : 1;", "POS_Y : 2;", {}, r"'POS_Y' .* has 32 bits, byte order @0, SIG_VALTYPE_ 2; allowed"),
+    # -1 says that a state has no value of its own, also where the signal holds it.
+    (
+        FOREIGN_FILE,
+        "3@0+ (1,0) [0|3]",
+        "3@0- (1,0) [0|0]",
+        {"wire/amplifier/on_value": -1},
+        "amplifier.on_value'.*>= 0",
+    ),
     (FOREIGN_FILE, " 801 ", " 1960 ", {"node": 127}, NODE),
     (SPLIT_FILE, "35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", UNPROTECTED_Y, COUNTS),
 ]
