@@ -69,9 +69,7 @@ def run(options: argparse.Namespace) -> int:
     driver = node_parameters("driver", chosen_parameters(options))
     can, guide, how = driver.can, driver.guide(), {"frames": options.frames, "seed": options.seed}
     # Both kinds of bus of the package's own DBC file, or the one of another.
-    boards = {"classic": replace(can, fd=False), "fd": replace(can, fd=True)}
-    if can.dbc:
-        boards = {Path(can.dbc).stem: can}
+    boards = {Path(can.dbc).stem: can} if can.dbc else {"classic": replace(can, fd=False), "fd": replace(can, fd=True)}
     costs, loops, wrong = dict[str, dict[str, float]](), dict[str, dict[str, Any]](), 0
     counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
     together = {kind: _CUT if kind == "cut" else _TOGETHER for kind in KINDS}

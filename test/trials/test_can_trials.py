@@ -1,14 +1,16 @@
 """A bad bus: its faults are found; with the emulated board and with the firmware core the closed loop runs on or stands
 in the latched safe state, and never takes a wrong sample."""
 
+import json
 from dataclasses import replace
 
 import pytest
-from can_boards import FOREIGN, GUIDE, SPLIT
+from can_boards import FOREIGN, FOREIGN_FILE, GUIDE, SPLIT
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import KINDS
 from straightcomp_ros.hardware.interface import State
+from trials.__main__ import run
 from trials.can import ServoTrial
 
 BUSES = pytest.mark.parametrize(
@@ -52,3 +54,8 @@ def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(with
     words = {"too many frames failed their checks", "the board reports: command check"}
     assert words & set(trial.latched) and trial.on < 0.8
     assert trial.unflagged_wrong == trial.unsafe == 0
+
+
+def test_the_rig_injects_into_the_frames_of_the_stages_own_board(capsys):
+    assert run(["can", "--stage", str(FOREIGN_FILE), "--frames", "1000"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["closed_loop"]) == [FOREIGN_FILE.stem]
