@@ -3,6 +3,7 @@
 import copy
 import gzip
 import itertools
+import os
 import re
 import struct
 import tempfile
@@ -32,6 +33,9 @@ _SEND_TIMEOUT_S = 1.0
 _NO_FRAME = "its first frame cannot be read; allowed: a whole log of the kind that its ending says"
 _SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
 """A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
+_UNREADABLE = (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError)
+_LINES = (".log", ".asc", ".trc", ".csv")
+"""Endings of logs with a line for each frame."""
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", ".log", "a log of candump"),
     (rb"[ ;\t]*(date\s|base\s+(hex|dec)\b)", ".asc", "an ASC log of Vector"),
@@ -153,11 +157,14 @@ class RecordedBus:
         number = 0
         try:
             with self._reader() as reader:
-                for message in reader:
+                cut = _is_cut(self._file)
+                for message in _all_but_the_last(reader) if cut and self._file.suffix.lower() in _LINES else reader:
                     number += 1
                     if self._channel in (None, str(message.channel)):
                         yield message
-        except (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError):
+        except _UNREADABLE:
+            cut = True
+        if cut:
             self.damage = f"damaged after frame {number}" if number else _NO_FRAME
 
     def _reader(self) -> Any:
@@ -170,6 +177,40 @@ class RecordedBus:
             raise HardwareError("MDF needs asammdf; install it by pip, or export the log as .blf or .asc") from error
         except (OSError, ValueError, BLFParseError, struct.error) as error:
             raise HardwareError(getattr(error, "strerror", None) or str(error)) from error
+
+
+def _is_cut(file: Path) -> bool:
+    """Whether the end of a log is missing: that of its last line, of which a reader makes a shorter frame, or that of a
+    BLF file by its head or its last container, of which a reader says nothing."""
+    with file.open("rb") as opened:
+        size = opened.seek(0, os.SEEK_END)
+        if file.suffix.lower() in _LINES:
+            opened.seek(max(0, size - 1))
+            return opened.read() not in (b"", b"\n", b"\r")
+        if file.suffix.lower() != ".blf":
+            return False
+        opened.seek(0)
+        place, end = struct.unpack("<4xL8xQ", opened.read(24))  # of a file that was never finished the end is not known
+        opened.seek(place)
+        while (head := opened.read(12)).startswith(b"LOBJ") and len(head) == 12:
+            length = int.from_bytes(head[8:], "little")
+            end, place = max(end, place + length), place + max(12, length) + length % 4
+            opened.seek(place)
+        return bool(size < end)
+
+
+def _all_but_the_last(frames: Iterable[can.Message]) -> Iterator[can.Message]:
+    """The frames without that of a line whose end is missing, if it can be read at all."""
+    last = None
+    try:
+        for frame in frames:
+            if last is not None:
+                yield last
+            last = frame
+    except _UNREADABLE:
+        if last is not None:
+            yield last
+        raise
 
 
 def _refuse_another_kind(suffix: str, head: bytes) -> None:

@@ -235,3 +235,23 @@ def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, capsys
         assert f'"sent": {frames}' in printed.out
         # A silence of a second is said, and kept.
         assert ("a silence of 1.2 s after frame 4" in " ".join(printed.err.split())) == (channel == "can1")
+
+
+@pytest.mark.parametrize("ending", [".log", ".blf", ".asc", ".csv"])
+def test_a_log_that_is_cut_off_anywhere_has_whole_frames_only_and_is_reported(tmp_path, ending):
+    file = tmp_path / f"bus{ending}"
+    with can.BLFWriter(file, max_container_size=600) if ending == ".blf" else can.Logger(file) as logger:
+        for number in range(60):
+            logger(message(number))
+
+    def read():
+        recorded = RecordedBus(file)
+        return [bytes(frame.data) for frame in recorded], recorded.damage
+
+    (sent, damage), content = read(), file.read_bytes()
+    assert len(sent) == 60 and not damage
+    for end in range(len(content) * 3 // 4, len(content) - 1, 11):
+        file.write_bytes(content[:end])
+        found, damage = read()
+        assert len(found) > 30 and found == sent[: len(found)]
+        assert damage or content[end - 1] == ord("\n")
