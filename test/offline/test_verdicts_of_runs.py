@@ -379,6 +379,7 @@ def test_a_demonstration_that_lost_the_platform_for_want_of_a_cpu_runs_again_in_
     for cause, more, code, tried in (
         ("the driver got no CPU for 11 ms", [], 0, [False, True]),
         ("the driver got no CPU for 11 ms", ["--strict"], 1, [False]),
+        ("the driver got no CPU for 11 ms", ["--hardware", "can"], 1, [False]),
         ("", [], 1, [False]),
     ):
         runs.clear()
