@@ -336,7 +336,7 @@ class CellSequence:
             obstacle = self.seen.obstacle or self.machine.obstacle
             if not obstacle and self.seen.unreferenced:
                 obstacle = f"x is not referenced: {self.seen.unreferenced}"
-                if self._due():
+                if self.seen.stamp_ns and self._due():  # without a sample there may be no machine
                     self.machine.request("driver/home")
             if self.seen.occupied:
                 raise WorkFailed(self.seen.occupied)

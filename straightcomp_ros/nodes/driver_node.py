@@ -95,6 +95,7 @@ class DriverComponent:
         self._lockstep: Lockstep | None = None
         self._stage_limits = stage_limits(parameters)
         self._refused = ThrottledWarning(node, "a motion of the stage is refused")
+        self._unreachable, self._link_problem = ThrottledWarning(node, "the machine cannot be reached"), ""
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
         node.offer(SetBool, "~/hold", self._on_hold, HardwareError)
         node.offer(Trigger, "~/end_motion", self._on_end_motion, HardwareError)
@@ -268,6 +269,10 @@ class DriverComponent:
     def _watch_slowly(self) -> None:
         """Check what need not be checked in each cycle."""
         self._clock_watch.follow()
+        problem = self._hardware.link_problem if self._node.active else ""
+        if problem and problem != self._link_problem:
+            self._unreachable.log(problem)
+        self._link_problem = problem
         if self._safety.condition is State.ON:
             self._sample_watch.hold()
         if self._lockstep and self._newest is not None:

@@ -216,7 +216,14 @@ def test_trouble_while_executing_aborts_with_the_reason(trouble, recoveries, wor
 def test_a_machine_without_a_reference_of_x_is_homed_before_it_is_idle():
     bench = Bench()
     bench.see(unreferenced="it was switched off")
-    bench.idle()
+    bench.see(nodes={"driver": "active"}, stamp_ns=0)
+    bench.sequence.command(Command.RESET)
+    for _ in range(100):
+        # Without a sample there may be no machine.
+        bench.now += TICK_S
+        bench.sequence.tick(bench.seen)
+    assert bench.seen.unreferenced and bench.seen.unreferenced in bench.sequence.message
+    bench.until(State.IDLE)
     assert bench.seen.unreferenced == ""
 
 

@@ -38,8 +38,10 @@ def test_a_driver_without_samples_names_the_machine_and_its_link_and_with_sample
 
     no_samples = "no samples come from the machine; CAN straightcomp_hub"
     assert refusal().startswith(no_samples) and refusal().endswith("is not open yet")
-    # Nor has such a board said that it has no reference.
+    # Such a board has not said either whether x has a reference.
     driver._newest = Sample(now_ns(), 0.0, 0.0, math.nan)
+    assert "no reference" not in refusal() and "is not open yet" in refusal()
+    driver._hardware._receiver.referenced = False
     assert refusal() == "x is not referenced: the board reports no reference"
     driver._hardware._receiver.referenced = True
     driver._newest = Sample(now_ns(), 0.0, 0.0, math.nan)
@@ -47,3 +49,12 @@ def test_a_driver_without_samples_names_the_machine_and_its_link_and_with_sample
     driver._newest = Sample(now_ns() - 1_100_000_000, 0.0, 0.0, math.nan)
     driver._hardware._link.problem = ""
     assert refusal() == "no samples come from the machine"
+
+
+def test_a_driver_that_does_not_reach_its_machine_says_why_once(driver, monkeypatch):
+    logged = []
+    monkeypatch.setattr(driver._unreachable, "log", logged.append)
+    for problem in ("no such device", "no such device", "", "", "bus-off"):
+        driver._hardware._link.problem = problem
+        driver._watch_slowly()
+    assert logged == ["no such device", "bus-off"]

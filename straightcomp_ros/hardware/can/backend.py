@@ -164,11 +164,16 @@ class CanHardware(Hardware):
     def unreferenced(self) -> str:
         receiver = self._receiver
         if "referenced" in self._wire.homes and not receiver.referenced:
-            return "the board reports no reference"
+            # None: it has not said anything.
+            return self._no_word if receiver.referenced is None else "the board reports no reference"
         if receiver.ambiguous:
             turn_mm = self._wire.sample.x_modulus * 1e3
             return f"x repeats itself every {turn_mm:g} mm, and more than one such turn is on the travel"
         return ""
+
+    @property
+    def _no_word(self) -> str:
+        return ": ".join(filter(None, ("nothing has come from the board yet", self._link.problem)))
 
     @property
     def link_problem(self) -> str:
@@ -276,7 +281,7 @@ class CanHardware(Hardware):
         receiver = self._receiver
         heartbeat = self._wire.heartbeat
         if (heartbeat and not receiver.heartbeat_ns) or not receiver.status_ns or not receiver.newest_ns:
-            return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
+            return self._no_word
         operational = self._wire.meaning.heartbeat.operational_value
         if heartbeat and receiver.node_state != operational:
             return f"the board's heartbeat says state {receiver.node_state}, not {operational} (operational)"
