@@ -85,6 +85,12 @@ def add_streams(bag: BagWriter, namespace: str = "") -> None:
         bag.add(Topic(f"{namespace}/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort")))
 
 
+def described(bag: Path, **information: object) -> Path:
+    """The folder of a bag, whose metadata.yaml says this."""
+    (bag / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": information}))
+    return bag
+
+
 def information(bag: Path) -> dict[str, Any]:
     """What metadata.yaml says of a bag."""
     return yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]

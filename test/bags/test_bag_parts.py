@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from recording import record
+from recording import described, record
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import SqliteInput, found_files
@@ -72,7 +72,7 @@ def touched(folder: Path, *names: str, listed: Sequence[str] = (), key: str = "r
         (folder / name).write_bytes(b"x")
     if listed:
         entries = [{"path": name} for name in listed] if key == "files" else list(listed)
-        (folder / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {key: entries}}))
+        described(folder, **{key: entries})
     return folder
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording import LAYOUTS, START_NS
-from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import BagError
@@ -23,7 +22,7 @@ ENCODER_ONLY = {"encoder": ENCODER.layout}
 
 def bits(values) -> list[int]:
     """NaN is not equal to itself; its bits are."""
-    return np.ascontiguousarray(values, np.float64).view(np.uint64).tolist()
+    return np.array(values, np.float64).view(np.uint64).tolist()
 
 
 def joint_state_bytes(names, position=(), effort=(), frame_id="", stamp_ns=START_NS) -> bytes:
@@ -61,27 +60,21 @@ def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(record, c
     streams = read_streams(bag.directory, LAYOUTS)
     assert list(streams) == list(LAYOUTS)
     assert not without_layouts
-    for array in [getattr(one, name) for one in streams.values() for name in ("log_time", "stamp")]:
-        assert array.dtype == np.int64
-    for array in [array for one in streams.values() for array in one.columns.values()]:
-        assert array.dtype == np.float64 and array.flags.writeable and array.flags.c_contiguous
-    with Reader(bag.directory) as reader:
-        for stream in STREAMS:
-            own = [message for message in bag.messages if message.topic == f"/{stream.topic}"]
-            expected = [
-                read_by_names(stream.layout, STORE.deserialize_cdr(message.data, stream.layout.type_name))
-                for message in own
-            ]
-            found = streams[stream.topic]
-            assert len(found) == 300
-            assert found.log_time.tolist() == [message.log_time for message in own]
-            raw = read_messages(bag.directory, stream.topic)
-            assert (raw.publish_time, raw.data) == ([one.publish_time for one in own], [one.data for one in own])
-            assert found.stamp.tolist() == [stamp for stamp, _ in expected]
-            assert tuple(found.columns) == stream.layout.columns
-            for index, name in enumerate(stream.layout.columns):
-                assert bits(found.columns[name]) == bits([numbers[index] for _, numbers in expected])
-        assert reader.message_count == len(bag.messages)
+    for stream in STREAMS:
+        own = [message for message in bag.messages if message.topic == f"/{stream.topic}"]
+        expected = [
+            read_by_names(stream.layout, STORE.deserialize_cdr(message.data, stream.layout.type_name))
+            for message in own
+        ]
+        found, raw = streams[stream.topic], read_messages(bag.directory, stream.topic)
+        assert len(found) == 300 and found.log_time.dtype == found.stamp.dtype == np.int64
+        assert found.log_time.tolist() == [message.log_time for message in own]
+        assert (raw.publish_time, raw.data) == ([one.publish_time for one in own], [one.data for one in own])
+        assert found.stamp.tolist() == [stamp for stamp, _ in expected]
+        assert tuple(found.columns) == stream.layout.columns
+        for index, array in enumerate(found.columns.values()):
+            assert array.dtype == np.float64 and array.flags.writeable and array.flags.c_contiguous
+            assert array.view(np.uint64).tolist() == bits([numbers[index] for _, numbers in expected])
 
 
 def test_any_stamp_comes_back_and_a_publish_time_before_the_epoch_is_recorded_as_0(tmp_path):
@@ -91,30 +84,26 @@ def test_any_stamp_comes_back_and_a_publish_time_before_the_epoch_is_recorded_as
     assert read_messages(tmp_path / "bag", "encoder").publish_time == [0] * len(stamps)
 
 
-def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_layouts):
-    contents = [
-        ENCODER.layout.pack(START_NS, 1, 2, 3, 4),
-        joint_state_bytes(["platform_y", "stage_x"], [2, 1], [4, 3]),
-        joint_state_bytes(["stage_x", "platform_y"], [1, 2], [3, 4], frame_id="table"),
-        joint_state_bytes(["other", "stage_x", "platform_y"], [0, 1, 2], [0, 3, 4]),
-        ENCODER.layout.pack(START_NS, 1, 2, 3, 4),
-    ]
-    encoder_bag(tmp_path / "bag", *contents)
-    encoder = read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"]
-    assert np.array(list(encoder.columns.values())).tolist() == [[number] * 5 for number in (1.0, 2.0, 3.0, 4.0)]
-    assert encoder.stamp.tolist() == [START_NS] * 5
-    assert len(without_layouts) == 3
+LITTLE = ENCODER.layout.pack(START_NS, 1, 2, 3, 4)
+BIG = STORE.serialize_cdr(STORE.deserialize_cdr(LITTLE, JOINT_STATE), JOINT_STATE, little_endian=False)
 
 
-def test_a_message_in_big_endian_is_read_and_so_is_one_with_bytes_behind_it(tmp_path, without_layouts):
-    little = ENCODER.layout.pack(START_NS, 1, 2, 3, 4)
-    message = STORE.deserialize_cdr(little, JOINT_STATE)
-    big = bytes(STORE.serialize_cdr(message, JOINT_STATE, little_endian=False))
-    encoder_bag(tmp_path / "bag", little, big, little + bytes(3))
+@pytest.mark.parametrize(
+    ("content", "by_names"),
+    [
+        pytest.param(joint_state_bytes(["platform_y", "stage_x"], [2, 1], [4, 3]), True, id="another order"),
+        pytest.param(joint_state_bytes(["stage_x", "platform_y"], [1, 2], [3, 4], "table"), True, id="another frame"),
+        pytest.param(joint_state_bytes(["a", "stage_x", "platform_y"], [0, 1, 2], [0, 3, 4]), True, id="more joints"),
+        pytest.param(bytes(BIG), True, id="big endian"),
+        pytest.param(LITTLE + bytes(3), False, id="bytes behind it"),
+    ],
+)
+def test_a_message_of_another_layout_is_read_by_its_names(tmp_path, without_layouts, content, by_names):
+    encoder_bag(tmp_path / "bag", LITTLE, content, LITTLE)
     encoder = read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"]
-    assert encoder.columns["x"].tolist() == [1.0] * 3
+    assert np.array(list(encoder.columns.values())).tolist() == [[number] * 3 for number in (1.0, 2.0, 3.0, 4.0)]
     assert encoder.stamp.tolist() == [START_NS] * 3
-    assert len(without_layouts) == 1  # a message with bytes behind it has the layout
+    assert len(without_layouts) == by_names
 
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.topic)

@@ -1,13 +1,12 @@
 """A recovered bag holds what was sound in the original, to the byte, and nothing else."""
 
-import json
 import random
 import time
 from pathlib import Path
 
 import pytest
 from mcap.opcode import Opcode
-from recording import MAGIC, START_NS, add_streams, mcap_of, records
+from recording import MAGIC, START_NS, add_streams, described, mcap_of, records
 from rewritten_bag import SMC
 from rosbags.rosbag2 import Reader
 from tiers import nightly
@@ -17,7 +16,6 @@ from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER
 
 
@@ -118,18 +116,14 @@ def split_run(folder: Path, parts: int) -> list[Path]:
 
 @pytest.mark.parametrize("lost", [0, 1, 3])
 @pytest.mark.parametrize("content", [b"", b"no magic", *nightly([None])])
-def test_a_file_that_cannot_be_read_costs_its_own_messages_and_the_copy_is_no_whole_run(
-    tmp_path, lost, content, capsys
-):
+def test_a_file_that_cannot_be_read_costs_its_own_messages_and_the_copy_is_no_whole_run(tmp_path, lost, content, verb):
     files = split_run(tmp_path / "run", 4)
-    names = {"rosbag2_bagfile_information": {"relative_file_paths": [file.name for file in files]}}
-    (tmp_path / "run" / "metadata.yaml").write_text(json.dumps(names))
+    described(tmp_path / "run", relative_file_paths=[file.name for file in files])
     files[lost].unlink() if content is None else files[lost].write_bytes(content)
     result = recover(tmp_path / "run", tmp_path / "new")
     assert (result.lost, result.lost_files, result.whole) == (None, [files[lost].name], False)
     assert result.saved.total() >= 0.7 * len(contents(SMC))
-    assert main(["evaluate", str(tmp_path / "new"), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["verdict"] == "interrupted"
+    assert verb("evaluate", tmp_path / "new", "--json").json["verdict"] == "interrupted"
 
 
 def test_where_the_copying_ends_no_half_copy_is_left(tmp_path):
@@ -155,25 +149,18 @@ def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
     assert sizes[0] == sizes[1] < sizes[2]
 
 
-def test_the_command_prints_what_was_saved_and_lost(record, tmp_path, capsys):
+def test_the_command_prints_what_was_saved_and_lost(record, verb):
     bag = record()
-    assert main(["recover", str(bag.directory), "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+    figures = verb("recover", bag.directory, "--json").json
     assert figures["saved_messages"] == len(bag.messages) and figures["lost_messages"] == 0
-    assert Path(figures["output"]) == bag.directory.with_name("run_recovered")
-    assert main(["recover", str(bag.directory)]) == 1
-    assert "is there already; name another folder with -o" in capsys.readouterr().err
+    assert figures["output"] == str(bag.directory.with_name("run_recovered"))
+    found = verb("recover", bag.directory)
+    assert found.code == 1 and figures["output"] in found.err and "-o" in found.err
 
 
-def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, capsys):
-    path = tmp_path / "run.mcap"
-    reasons = {
-        b"SQLite format 3\0": "is not an MCAP file",
-        MAGIC: "no message could be",
-        mcap_of(): "no message could be",
-    }
-    for content, reason in reasons.items():
-        path.write_bytes(content)
-        assert main(["recover", str(path), "-o", str(tmp_path / str(len(content)))]) == 1 + (content[:3] == b"SQL")
-        said = capsys.readouterr().err
-        assert reason in said and "nothing was wrong" not in said
+@pytest.mark.parametrize(("content", "code"), [(b"SQLite format 3\0", 2), (MAGIC, 1), (mcap_of(), 1)])
+def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, content, code, verb):
+    (tmp_path / "run.mcap").write_bytes(content)
+    found = verb("recover", tmp_path / "run.mcap", "-o", tmp_path / "new")
+    assert found.code == code and ("is not an MCAP file" if code == 2 else "no message could be") in found.err
+    assert "nothing was wrong" not in found.err

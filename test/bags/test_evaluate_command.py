@@ -5,9 +5,9 @@ import json
 import random
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from rewritten_bag import SMC
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters
@@ -25,16 +25,10 @@ def bag(tmp_path_factory):
     return folder / "run"
 
 
-def figures(capsys, *arguments) -> dict:
-    assert main(["evaluate", *map(str, arguments), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_change(bag, capsys):
-    assert main(["simulate", "--json", *OPTIONS]) == 0
-    simulated = json.loads(capsys.readouterr().out)
+def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_change(bag, verb):
+    simulated = verb("simulate", "--json", *OPTIONS).json
     assert json.loads(bag.with_name("figures.json").read_text()) == simulated
-    evaluated = figures(capsys, bag)
+    evaluated = verb("evaluate", bag, "--json").json
     for name in simulated.keys() & evaluated.keys() - {"law", "samples"}:
         assert evaluated[name] == pytest.approx(simulated[name], abs=1e-6), name
     assert evaluated["law"] == simulated["law"] == ControlParameters().law
@@ -43,19 +37,17 @@ def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_ch
     assert evaluated["latency_p50_us"] == pytest.approx(5e5 * simulated["delay_samples"] / 1e3)
 
 
-def test_a_topic_under_another_name_is_found_by_remap(bag, capsys):
-    assert figures(capsys, bag, "--remap", "encoder:=/encoder")["lost_samples"] == 0
-    assert main(["evaluate", str(bag), "--remap", "encoder:=/machine/axes"]) == 1
-    assert "has no topic '/machine/axes' for 'encoder'; it has /command" in capsys.readouterr().err
-    assert main(["evaluate", str(bag), "--remap", "encoder=/axes"]) == 2
+def test_a_topic_under_another_name_is_found_by_remap(bag, verb):
+    assert verb("evaluate", bag, "--json", "--remap", "encoder:=/encoder").json["lost_samples"] == 0
+    found = verb("evaluate", bag, "--remap", "encoder:=/machine/axes")
+    assert found.code == 1 and "'/machine/axes'" in found.err and "it has /command" in found.err
 
 
-def test_two_bags_are_put_side_by_side_and_it_is_said_if_one_of_them_is_uncompensated(bag, capsys):
-    found = figures(capsys, bag, "--compare", bag)
+def test_two_bags_are_put_side_by_side_and_it_is_said_if_one_of_them_is_uncompensated(bag, verb):
+    found = verb("evaluate", bag, "--json", "--compare", bag).json
     assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
-    bags = Path(__file__).resolve().parents[2] / "bags"
-    assert main(["evaluate", str(bags / "smc"), "--compare", str(bags / "uncompensated")]) == 0
-    assert "uncompensated is uncompensated: its error is that of a platform at rest" in capsys.readouterr().err
+    found = verb("evaluate", SMC, "--compare", SMC.with_name("uncompensated"))
+    assert found.code == 0 and "uncompensated is uncompensated" in found.err
 
 
 def test_nothing_heavy_is_imported():
@@ -68,7 +60,7 @@ def test_nothing_heavy_is_imported():
     assert done.stdout.strip() == "[]" and "does not exist" in done.stderr
 
 
-def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
+def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, verb):
     content = (bag / "run_0.mcap").read_bytes()
     source = random.Random(2)
     path = tmp_path / "bad.mcap"
@@ -80,10 +72,9 @@ def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
         noise.append(bytes(changed))
     for bad in noise:
         path.write_bytes(bad)
-        code = main(["evaluate", str(path), "--json"])
-        found = capsys.readouterr()
-        if code:
-            assert code in (1, 2) and "evaluate: " in found.err
-            assert not found.out or json.loads(found.out)["verdict"] in ("interrupted", "clock_jumped")
+        found = verb("evaluate", path, "--json")
+        if found.code:
+            assert found.code in (1, 2) and "evaluate: " in found.err
+            assert not found.out or found.json["verdict"] in ("interrupted", "clock_jumped")
         else:
-            assert found.err.count("was not finished") == 1 or json.loads(found.out)["lost_samples"] == 0
+            assert found.err.count("was not finished") == 1 or found.json["lost_samples"] == 0

@@ -68,23 +68,6 @@ def test_a_pause_within_a_snapshot_is_an_interruption_and_no_message():
     assert (intake.snapshot(), list(intake.queue)) == (1, [BREAK, message(60)])
 
 
-@pytest.mark.parametrize("snapshot", [0.0, 1.0])
-def test_a_bag_counts_no_interruption_as_loss(tmp_path, snapshot):
-    options = RecorderParameters(str(tmp_path / "run"), snapshot=snapshot)
-    recorder = Recorder(options, ["/encoder"], lambda bag, at_end: True)
-    announced(recorder)
-    recorder.start()
-    for number in (0, 1, 2):
-        recorder.intake.add(*sample(number))
-    recorder.intake.interrupt()
-    for number in (1000, 1001, 1003):
-        recorder.intake.add(*sample(number))
-    recorder.intake.snapshot()
-    recorder.stop()
-    assert read_metadata(tmp_path / "run")["losses"] == {"/encoder": "1"}
-    assert len(read_streams(tmp_path / "run", LAYOUTS)["encoder"]) == 6
-
-
 def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, monkeypatch):
     def git(*words):
         identity = ("-c", "user.name=a", "-c", "user.email=a@b")
