@@ -1,6 +1,5 @@
 """Bags as other writers make them: every verb reads them with the values of the plain bag, or refuses them by name."""
 
-import json
 import shutil
 import sqlite3
 import struct
@@ -15,7 +14,8 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from recording import LAYOUTS, mcap_of, messages, records
+from recording import LAYOUTS, described, mcap_of, messages, records
+from rewritten_bag import SMC
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as SqliteWriter
 from rosbags.typesys import Stores, get_typestore
@@ -26,13 +26,12 @@ from straightcomp_ros.bags import reader as columns
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.offline.audit import audit
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-SAMPLE = next((Path(__file__).resolve().parents[2] / "bags" / "smc").glob("*.mcap"))
+SAMPLE = next(SMC.glob("*.mcap"))
 CYCLES = 800
 
 
@@ -48,18 +47,33 @@ class One(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def sample() -> list[One]:
-    """The first samples of the sample bag, in its order."""
-    found: list[One] = []
-    counts = dict.fromkeys(LAYOUTS, 0)
+def whole_run() -> list[One]:
+    """The messages of the sample bag in the order of recording."""
     with SAMPLE.open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
-            topic = channel.topic.lstrip("/")
-            if topic in counts and counts[topic] < CYCLES:
-                counts[topic] += 1
-                times = message.log_time, message.publish_time
-                found.append(One(channel.topic, schema.name, schema.data, message.data, *times))
+        return [
+            One(channel.topic, schema.name, schema.data, message.data, message.log_time, message.publish_time)
+            for schema, channel, message in make_reader(file).iter_messages(log_time_order=False)
+        ]
+
+
+@pytest.fixture(scope="module")
+def sample(whole_run) -> list[One]:
+    """The first samples of our streams in it."""
+    found: list[One] = []
+    counts = dict.fromkeys((f"/{topic}" for topic in LAYOUTS), 0)
+    for one in whole_run:
+        if counts.get(one.topic, CYCLES) < CYCLES:
+            counts[one.topic] += 1
+            found.append(one)
     return found
+
+
+@pytest.fixture
+def parameters_file(tmp_path) -> Path:
+    """What the sample bag has of its nodes' parameters."""
+    file = tmp_path / "parameters.yaml"
+    file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
+    return file
 
 
 def written(
@@ -153,23 +167,16 @@ def test_a_topic_of_two_types_is_named_and_what_is_not_copied_counts_as_lost(tmp
         read_messages(tmp_path / "b.mcap", "/x")
 
 
-@pytest.mark.parametrize("compress", [zstandard.compress, lz4.frame.compress])
-def test_messages_that_are_compressed_one_by_one_are_named_by_every_verb(sample, tmp_path, compress, capsys):
+@pytest.mark.parametrize(("name", "compress"), [("zstd", zstandard.compress), ("lz4", lz4.frame.compress)])
+def test_messages_that_are_compressed_one_by_one_are_named_by_every_verb(sample, tmp_path, name, compress, verb):
     bag = written(sample, tmp_path / "b" / "b_0.mcap", data=lambda one: compress(one.data)).parent
-    name = "zstd" if compress is zstandard.compress else "lz4"
-    information = {"compression_format": name, "compression_mode": "MESSAGE", "relative_file_paths": ["b_0.mcap"]}
-    map_options = ("--sensor", "encoder:position[0]", "-o", str(tmp_path / "m.csv"))
+    map_ = ["map", "build", bag, "--sensor", "encoder:position[0]", "-o", tmp_path / "m.csv"]
     for listed in (False, True):
         if listed:
-            (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
-        for words in (
-            ["evaluate", str(bag)],
-            ["replay", str(bag)],
-            ["map", "build", str(bag), *map_options],
-            ["recover", str(bag), "-o", str(tmp_path / "new")],
-        ):
-            assert main(words) != 0
-            assert f"is compressed ({name})" in capsys.readouterr().err
+            described(bag, compression_format=name, compression_mode="MESSAGE", relative_file_paths=["b_0.mcap"])
+        for words in (["evaluate", bag], ["replay", bag], map_, ["recover", bag, "-o", tmp_path / "new"]):
+            found = verb(*words)
+            assert found.code != 0 and f"is compressed ({name})" in found.err
         assert not (tmp_path / "new").exists()
 
 
@@ -238,6 +245,11 @@ def sqlite_bag(path: Path, topics: dict[str, str], rows: list[tuple[str, int, by
     return path
 
 
+def sqlite_of(path: Path, messages: list[One]) -> Path:
+    rows = [(one.topic, one.log_time, one.data) for one in messages]
+    return sqlite_bag(path, {one.topic: one.type_name for one in messages}, rows)
+
+
 def idl_of(name: str, members: str) -> str:
     package, kind = name.split("/msg/")
     return f"{HEAD}IDL: {name}\nmodule {package} {{ module msg {{ struct {kind} {{ {members} }}; }}; }};\n"
@@ -293,24 +305,17 @@ def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text):
 
 
 @pytest.mark.parametrize("missing", [0, 3])
-def test_a_split_sqlite_bag_without_one_of_its_files_is_refused_by_every_verb(sample, tmp_path, missing, capsys):
-    bag = tmp_path / "b"
+def test_a_split_sqlite_bag_without_one_of_its_files_is_refused_by_every_verb(sample, tmp_path, missing, verb):
+    bag, names = tmp_path / "b", [f"b_{number}.db3" for number in range(4)]
     bag.mkdir()
-    types = {one.topic: one.type_name for one in sample}
-    names = [f"b_{number}.db3" for number in range(4)]
     for number, name in enumerate(names):
-        part = sample[number * 1200 : (number + 1) * 1200]
-        sqlite_bag(bag / name, types, [(one.topic, one.log_time, one.data) for one in part])
-    (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}}))
+        sqlite_of(bag / name, sample[number * 1200 : (number + 1) * 1200])
+    described(bag, relative_file_paths=names)
     assert evaluate_bag(bag).received_samples == CYCLES
     (bag / names[missing]).unlink()
-    for verb in (
-        ["evaluate"],
-        ["map", "build", "-o", str(tmp_path / "m.csv")],
-        ["history", "add", "-o", str(tmp_path / "store")],
-    ):
-        assert main([*verb, str(bag)]) != 0
-        assert f"lacks {names[missing]}" in " ".join(capsys.readouterr().err.split())
+    for words in (["evaluate"], ["map", "build", "-o", tmp_path / "m.csv"], ["history", "add", "-o", tmp_path / "s"]):
+        found = verb(*words, bag)
+        assert found.code != 0 and f"lacks {names[missing]}" in " ".join(found.err.split())
 
 
 def test_a_topic_that_an_sqlite_bag_has_twice_is_read_in_the_order_of_time(sample, tmp_path):
@@ -322,49 +327,27 @@ def test_a_topic_that_an_sqlite_bag_has_twice_is_read_in_the_order_of_time(sampl
     assert len(stamps) == CYCLES and (np.diff(stamps) > 0).all()
 
 
-@pytest.fixture(scope="module")
-def whole_run() -> tuple[dict[str, str], list[tuple[str, int, bytes]]]:
-    """Types of the sample bag's topics, and topic, time and data of its messages in the order of recording."""
-    with SAMPLE.open("rb") as file:
-        found = list(make_reader(file).iter_messages(log_time_order=False))
-    types = {channel.topic: schema.name for schema, channel, _ in found}
-    return types, [(channel.topic, message.log_time, message.data) for _, channel, message in found]
-
-
-def described(bag: Path, **information) -> Path:
-    """The folder of ``bag``, whose metadata.yaml says this."""
-    (bag.parent / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
-    return bag.parent
-
-
-def test_an_sqlite_bag_of_a_recorder_that_was_killed_in_motion_is_interrupted(whole_run, tmp_path, capsys):
-    types, rows = whole_run
-    bag = sqlite_bag(tmp_path / "b_0.db3", types, [row for row in rows if row[1] < rows[0][1] + 10**9])
-    verdicts = []
-    for _ in range(2):
-        main(["evaluate", str(tmp_path), "--json"])
-        verdicts.append(json.loads(capsys.readouterr().out)["verdict"])
-        described(bag)
-    assert verdicts == ["interrupted", "in_order"]
+def test_an_sqlite_bag_of_a_recorder_that_was_killed_in_motion_is_interrupted(whole_run, tmp_path, verb):
+    sqlite_of(tmp_path / "b_0.db3", [one for one in whole_run if one.log_time < whole_run[0].log_time + 10**9])
+    assert verb("evaluate", tmp_path, "--json").json["verdict"] == "interrupted"
+    assert verb("evaluate", described(tmp_path), "--json").json["verdict"] == "in_order"
 
 
 def test_an_sqlite_bag_with_another_number_of_messages_than_it_says_is_refused(sample, tmp_path):
-    types = {one.topic: one.type_name for one in sample}
-    bag = sqlite_bag(tmp_path / "b_0.db3", types, [(one.topic, one.log_time, one.data) for one in sample])
-    names = {"relative_file_paths": [bag.name]}
-    assert len(read_streams(described(bag, message_count=len(sample), **names), LAYOUTS)["encoder"]) == CYCLES
+    names = {"relative_file_paths": [sqlite_of(tmp_path / "b_0.db3", sample).name]}
+    assert len(read_streams(described(tmp_path, message_count=len(sample), **names), LAYOUTS)["encoder"]) == CYCLES
     with pytest.raises(BagError, match=f"{len(sample)} messages are there, and metadata.yaml says {len(sample) + 5}"):
-        read_streams(described(bag, message_count=len(sample) + 5, **names), LAYOUTS)
+        read_streams(described(tmp_path, message_count=len(sample) + 5, **names), LAYOUTS)
 
 
-def test_the_clock_of_a_recorder_that_is_set_back_leaves_an_sqlite_bag_its_order(whole_run, tmp_path, capsys):
-    types, rows = whole_run
-    set_back = [(topic, time - 300_000_000 * (time > rows[0][1] + 10**9), data) for topic, time, data in rows]
-    bag = described(sqlite_bag(tmp_path / "b_0.db3", types, set_back))
-    file = tmp_path / "parameters.yaml"
-    file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
-    for words in (["evaluate"], ["replay", "--params-file", str(file)]):
-        assert main([words[0], str(bag), *words[1:], "--json"]) == 0, capsys.readouterr()
+def test_the_clock_of_a_recorder_that_is_set_back_leaves_an_sqlite_bag_its_order(
+    whole_run, tmp_path, parameters_file, verb
+):
+    back_from = whole_run[0].log_time + 10**9
+    set_back = [one._replace(log_time=one.log_time - 300_000_000 * (one.log_time > back_from)) for one in whole_run]
+    sqlite_of(tmp_path / "b_0.db3", set_back)
+    for words in (["evaluate"], ["replay", "--params-file", parameters_file]):
+        assert verb(*words, described(tmp_path)).code == 0
 
 
 # Files and recordings
@@ -383,45 +366,37 @@ def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_pat
     for number, name in enumerate(names):
         written(sample[number * step : (number + 1) * step], bag / name, parameters=not number)
     if listed:
-        information = {"relative_file_paths": listed, "compression_mode": ""}
-        (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+        described(bag, relative_file_paths=listed, compression_mode="")
     found = audit(bag)
     assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
     assert [place.location for place in bags_in(str(tmp_path))] == [str(bag)]
 
 
-def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, capsys):
+def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, verb):
     for name in ("a_run.mcap", "z_run.mcap"):
         written(sample, tmp_path / "b" / name)
-    for words in (["evaluate"], ["replay"], ["recover"]):
-        assert main([*words, str(tmp_path / "b")]) != 0
-        said = capsys.readouterr().err
-        assert "a_run.mcap" in said and "z_run.mcap" in said
+    for name in ("evaluate", "replay", "recover"):
+        found = verb(name, tmp_path / "b")
+        assert found.code != 0 and "a_run.mcap" in found.err and "z_run.mcap" in found.err
     assert [Path(place.location).name for place in bags_in(str(tmp_path))] == ["a_run.mcap", "z_run.mcap"]
     for name in ("a_1.mcap", "a_2.mcap"):
         shutil.copy(tmp_path / "b" / "a_run.mcap", tmp_path / "b" / name)
     assert [Path(place.location).name for place in bags_in(str(tmp_path))] == ["b"]
 
 
-def test_the_history_takes_other_names_of_topics(sample, tmp_path, capsys):
+def test_the_history_takes_other_names_of_topics(sample, tmp_path, verb):
     bag = written(sample, tmp_path / "b" / "b_0.mcap", name=lambda topic: f"/machine{topic}s").parent
-    store = str(tmp_path / "store")
     remap = [word for topic in LAYOUTS for word in ("--remap", f"{topic}:=/machine/{topic}s")]
     for options, added in (([], 0), (["--again", *remap], 1)):
-        main(["history", "add", str(bag), "-o", store, "--json", *options])
-        assert json.loads(capsys.readouterr().out)["added"] == added
+        assert verb("history", "add", bag, "-o", tmp_path / "store", "--json", *options).json["added"] == added
 
 
-def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, capsys):
+def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, parameters_file, verb):
     bag = written(sample, tmp_path / "b_0.mcap", parameters=False)
-    file = tmp_path / "parameters.yaml"
-    file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
-    assert main(["replay", str(bag)]) != 0
-    capsys.readouterr()
-    assert main(["replay", str(bag), "--params-file", str(file), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["commands"], found["different"]) == (CYCLES, 0)
-    assert main(["replay", str(SAMPLE), "--params-file", str(file)]) != 0
+    assert verb("replay", bag).code != 0
+    found = verb("replay", bag, "--params-file", parameters_file, "--json")
+    assert (found.code, found.json["commands"], found.json["different"]) == (0, CYCLES, 0)
+    assert verb("replay", SAMPLE, "--params-file", parameters_file).code != 0
 
 
 # Sizes that records declare
@@ -433,11 +408,10 @@ def chunk_of(compression: bytes, data: bytes, size: int) -> tuple[int, bytes]:
 
 
 HUGE = 1 << 60
+UNSIZED = zstandard.ZstdCompressor(write_content_size=False)
 ZEROS = zstandard.compress(bytes(10_000))
 SIZES = {
-    "zstd of an impossible size": chunk_of(
-        b"zstd", zstandard.ZstdCompressor(write_content_size=False).compress(b"x"), HUGE
-    ),
+    "zstd of an impossible size": chunk_of(b"zstd", UNSIZED.compress(b"x"), HUGE),
     "frame of more than its chunk": chunk_of(b"zstd", ZEROS, 3),
     "lz4 of more than its chunk": chunk_of(b"lz4", lz4.frame.compress(bytes(10_000_000)), 3),
     "lz4 of an impossible size": chunk_of(b"lz4", lz4.frame.compress(b"x"), HUGE),
@@ -461,11 +435,10 @@ def test_a_chunk_without_a_byte_is_passed_over_whatever_its_compression(tmp_path
 
 
 @pytest.mark.parametrize("what", SIZES)
-def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, capsys):
+def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, verb):
     path = tmp_path / "b.mcap"
     path.write_bytes(mcap_of(SIZES[what]))
-    assert main(["evaluate", str(path)]) in (1, 2) and main(["recover", str(path)]) == 1
-    assert "Traceback" not in capsys.readouterr().err
+    assert verb("evaluate", path).code in (1, 2) and verb("recover", path).code == 1
     for read in (lambda: read_streams(path, LAYOUTS), lambda: read_attachments(path), lambda: read_metadata(path)):
         try:
             read()
