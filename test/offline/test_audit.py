@@ -1,6 +1,5 @@
 """A recorded run computed again."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from straightcomp_ros.bags.recorded_nodes import note_changes
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
@@ -193,24 +191,23 @@ def test_the_recorded_parameters_give_the_recorded_figures_and_another_law_chang
     assert changed.metrics.uncompensated_pp == pytest.approx(recorded.metrics.uncompensated_pp, rel=1e-3)
 
 
-def test_the_command_audits_and_asks_what_if(bag, tmp_path, capsys):
-    assert main(["replay", str(bag), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["different"] == 0
-    assert main(["replay", str(bag), "--set", "driver.simulated.truth.mass=1.3", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["what_if"]["true_rms_um"] != found["simulated_as_recorded"]["true_rms_um"]
-    assert main(["replay", str(bag), "--set", "controller.control.lwa=smc"]) == 2
-    assert "did you mean 'control.law'" in capsys.readouterr().err
-
-    assert main(["replay", str(rewritten(bag, tmp_path / "new", one_bit_more("command", 7, 0)))]) == 1
-    assert "the first difference is in step 7" in capsys.readouterr().err
+def test_the_command_audits_and_asks_what_if(bag, tmp_path, verb):
+    found = verb("replay", bag, "--json")
+    assert (found.code, found.json["different"]) == (0, 0)
+    found = verb("replay", bag, "--set", "driver.simulated.truth.mass=1.3", "--json")
+    assert found.code == 0
+    assert found.json["what_if"]["true_rms_um"] != found.json["simulated_as_recorded"]["true_rms_um"]
+    found = verb("replay", rewritten(bag, tmp_path / "new", one_bit_more("command", 7, 0)))
+    assert found.code == 1 and "step 7" in found.err
 
 
-def test_a_bag_without_the_controller_s_state_or_parameters_is_refused(bag, tmp_path, capsys):
-    stateless = lambda topic, stamp, numbers: None if topic == "controller_state" else (stamp, numbers)  # noqa: E731
-    new = rewritten(bag, tmp_path / "a", stateless)
-    assert main(["replay", str(new)]) == 1
-    assert "no messages on 'controller_state'" in capsys.readouterr().err
-    unattached = rewritten(bag, tmp_path / "b", unchanged, lambda *_: None)
-    assert main(["replay", str(unattached)]) == 1
-    assert "parameters are not attached" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("change", "edit", "words"),
+    [
+        (lambda topic, *sample: None if topic == "controller_state" else sample, lambda _, data: data, "'controller_s"),
+        (unchanged, lambda *_: None, "parameters are not attached"),
+    ],
+)
+def test_a_bag_without_the_controller_s_state_or_parameters_is_refused(bag, tmp_path, verb, change, edit, words):
+    found = verb("replay", rewritten(bag, tmp_path / "new", change, edit))
+    assert found.code == 1 and words in found.err

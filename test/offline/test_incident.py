@@ -46,7 +46,7 @@ def packed(tmp_path_factory):
     return pack(folder / "bags" / "run", folder / "incident.zip", found, last=1.0)
 
 
-def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(packed, tmp_path, capsys):
+def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(packed, tmp_path, verb):
     with zipfile.ZipFile(packed.file) as archive:
         contents = {name: archive.read(name) for name in archive.namelist()}
     there = {"parameters.yaml", "map.csv", "certificate.html", "diagnostics.json", "doctor.json", "versions.json"}
@@ -54,8 +54,8 @@ def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(
     assert contents[SUMMARY].decode().split("\n")[0] == packed.cause
     assert b"robot:(left out)@cell" in contents["logs/opcua.log"]
     folder = tmp_path / "opened"
-    assert main(["incident", "open", str(packed.file), "-o", str(folder)]) == 0
-    said = capsys.readouterr().out
+    code, said, _ = verb("incident", "open", packed.file, "-o", folder)
+    assert code == 0
     assert said.split("\n")[0] == packed.cause and "doctor there, warn: cores: 2\n" in said
     assert "0 differ in a bit" in said and "on the computer that packed it" not in said
     assert (folder / "run.png").stat().st_size > 10_000

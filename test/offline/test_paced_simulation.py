@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -34,9 +33,3 @@ def test_nothing_is_learned_from_a_motion_that_was_cut_short_and_the_next_one_is
     assert [tables[way].updates for way in (True, False)] == [0, 0]
     learned.run()
     assert [tables[way].updates for way in (True, False)] == [1, 1]
-
-
-def test_without_a_request_a_run_is_the_same_to_the_bit():
-    x = simulation().run(paces={10**6: Pace()}).true_x
-    trajectory = Trajectory(simulation()._trajectory.waypoints)
-    assert x.tolist() == [trajectory.position(k * 500_000) for k in range(x.size)]

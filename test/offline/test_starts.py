@@ -1,12 +1,10 @@
 """Figures over several starts: which starts, and what is reported of them."""
 
-import json
 import re
 
 import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.starts import (
     PITCH,
     Spread,
@@ -52,10 +50,9 @@ def test_what_the_compiled_loop_does_not_model_is_simulated_from_each_start():
     assert next(found) == next(found)
 
 
-def test_simulate_prints_median_and_range_of_the_starts(capsys, tmp_path):
-    short = [f"--set=stage.{name}={value}" for name, value in SHORT["stage"].items()]
-    assert main(["simulate", "--starts", "3", "--json", *short]) == 0
-    printed = json.loads(capsys.readouterr().out)
+def test_simulate_prints_median_and_range_of_the_starts(verb):
+    words = ["simulate", "--starts", "3", *(f"--set=stage.{name}={value}" for name, value in SHORT["stage"].items())]
+    printed = verb(*words, "--json").json
     starts = printed["starts"]
     assert starts["count"] == 3
     assert starts["true_pp_um"]["min"] <= printed["true_pp_um"] <= starts["true_pp_um"]["max"]
@@ -64,12 +61,4 @@ def test_simulate_prints_median_and_range_of_the_starts(capsys, tmp_path):
     assert said and float(said[2]) == pytest.approx(starts["true_pp_um"]["max"], rel=0.01)
     errors = [evaluate(*run).true_pp for run in runs_of_starts(SHORT, 3)]
     assert errors[int(said[1]) - 1] == max(errors)
-    assert main(["simulate", "--starts", "3", *short]) == 0
-    assert " to " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("other", [["--strokes", "2"], ["--learn"], ["--bag", "bag"]])
-def test_starts_are_of_single_cycles(capsys, other):
-    assert main(["simulate", "--starts", "3", *other]) == 2
-    said = capsys.readouterr().err
-    assert "--starts" in said and said.count("\n") == 1
+    assert " to " in verb(*words).out

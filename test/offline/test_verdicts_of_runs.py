@@ -1,6 +1,5 @@
 """Each verdict provoked on the simulated stage and in recordings, and the neighbours that stay in order."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -19,7 +18,6 @@ from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed
 from straightcomp_ros.cli import demo
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.promise import promise_of
 from straightcomp_ros.offline.simulation import Simulation
@@ -65,10 +63,14 @@ WORKING = [
 ]
 
 
+SLOW_JOG = {"stage.motion.stroke": 0.01, "stage.motion.speed": 0.001}
+"""Its reference is slower than the rest speed."""
+
+
 @pytest.mark.parametrize(
     ("law", "changes"),
     [
-        *(("smc_observer", changes) for changes in WORKING),
+        *(("smc_observer", changes) for changes in (*WORKING, SLOW_JOG)),
         *(("linear", changes) for changes in WORKING[:2]),
         *(("smc", changes) for changes in WORKING[:2]),
         *nightly((law, changes) for law in ("linear", "smc") for changes in WORKING[2:]),
@@ -80,11 +82,6 @@ def test_what_works_is_in_order(law, changes):
     if law == "linear" and changes.get("stage.motion.stroke") == 0.005:
         changes = {"stage.motion.stroke": 0.02}
     found = verdict(**{"controller.control.law": law, **changes})
-    assert found.in_order, found
-
-
-def test_a_jog_at_a_millimetre_a_second_is_followed_though_its_reference_is_slower_than_rest_speed():
-    found = verdict(**{"stage.motion.stroke": 0.01, "stage.motion.speed": 0.001})
     assert found.in_order, found
 
 
@@ -126,13 +123,6 @@ def test_a_current_limit_or_a_converter_too_small_to_move_the_platform_saturates
             assert found.verdict == "saturated", found
         found = verdict(**{"controller.control.law": law, "stage.actuator.current_limit": 0.03})
         assert found.in_order, found
-
-
-def test_a_stage_beyond_a_survey_s_run_out_left_the_map(tmp_path):
-    guide = load_map(MapParameters(file=GUIDE))
-    for length, expected in ((0.25, "left_map"), (0.29, "in_order")):
-        file = survey(tmp_path / f"{length}.csv", guide.deviations, length)
-        assert verdict(**{"feedforward.stage.guide.file": file}).verdict == expected
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -190,22 +180,15 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
     assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
 
 
-def test_a_run_without_compensation_is_in_order(tmp_path):
-    flat = survey(tmp_path / "flat.csv", lambda x: 0.011e-6 * x / 1.76)
-    found = verdict(**{"feedforward.stage.guide.file": flat, "stage.motion.stroke": 1.76})
-    assert found.in_order and "uncompensated" in found.reason
-
-
 @pytest.mark.parametrize(
     ("name", "verdict"), [("uncompensated", "in_order"), ("smc", "in_order"), ("cut_off", "interrupted")]
 )
 @pytest.mark.filterwarnings("ignore:.*was not finished")
-def test_the_sample_bags_are_in_order_but_for_the_one_that_is_cut_off_in_motion(name, verdict, capsys):
-    assert main(["evaluate", str(BAGS / name), "--json"]) == (verdict != "in_order")
-    printed = capsys.readouterr()
-    found, warned = json.loads(printed.out), int(verdict == "interrupted")
-    assert found["verdict"] == verdict and found["reason"]
-    assert printed.err.count("was not finished") == len(found["warnings"]) == warned
+def test_the_sample_bags_are_in_order_but_for_the_one_that_is_cut_off_in_motion(name, verdict, verb):
+    ended = verb("evaluate", BAGS / name, "--json")
+    found, warned = ended.json, int(verdict == "interrupted")
+    assert (ended.code, found["verdict"]) == (verdict != "in_order", verdict) and found["reason"]
+    assert ended.err.count("was not finished") == len(found["warnings"]) == warned
 
 
 def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float = 0.0, **driver) -> Path:
@@ -244,14 +227,13 @@ def judged(bag: Path) -> Verdict:
 
 
 def test_a_recording_that_a_stall_spoilt_is_starved_and_one_that_it_did_not_is_in_order(
-    spoilt, harmless, tmp_path, capsys
+    spoilt, harmless, tmp_path, verb
 ):
     assert judged(harmless).in_order and judged(recorded(tmp_path / "quiet")).in_order
     report = tmp_path / "report.html"
-    assert main(["evaluate", str(spoilt), "--json", "--report", str(report)]) == 1
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["verdict"] == "starved" and "not in order: starved" in captured.err
-    assert "Verdict: starved: the servo works, the computer was busy: " in report.read_text(encoding="utf-8")
+    found = verb("evaluate", spoilt, "--json", "--report", report)
+    assert (found.code, found.json["verdict"]) == (1, "starved") and "not in order: starved" in found.err
+    assert "Verdict: starved" in report.read_text(encoding="utf-8")
 
 
 def test_a_run_in_lockstep_is_not_judged_by_the_clock_of_its_recording(tmp_path, monkeypatch):
@@ -263,69 +245,65 @@ def test_a_run_in_lockstep_is_not_judged_by_the_clock_of_its_recording(tmp_path,
         assert (evaluate_bag(bag).partial() is None) == lockstep
 
 
-def test_limits_alone_decide_the_exit_code_of_an_evaluation(spoilt, tmp_path, capsys):
-    limits = tmp_path / "limits.yaml"
+def test_limits_alone_decide_the_exit_code_of_an_evaluation(spoilt, tmp_path, verb):
     for pp, code in ((10, 0), (1, 1)):
-        limits.write_text(f"true_pp_um: {pp}\n")
-        assert main(["evaluate", str(spoilt), "--limits", str(limits), "--json"]) == code
-        printed = capsys.readouterr()
-        assert json.loads(printed.out)["verdict"] == "starved" and ("true_pp_um is" in printed.err) == bool(code)
-    limits.write_text("true_pp: 1\n")
-    assert main(["evaluate", str(spoilt), "--limits", str(limits)]) == 2
+        (tmp_path / "limits.yaml").write_text(f"true_pp_um: {pp}\n")
+        found = verb("evaluate", spoilt, "--limits", tmp_path / "limits.yaml", "--json")
+        assert (found.code, found.json["verdict"]) == (code, "starved") and ("true_pp_um is" in found.err) == bool(code)
 
 
-def test_an_attached_survey_that_is_too_short_shows_in_the_recording(tmp_path):
-    guide = load_map(MapParameters(file=GUIDE))
-    file = survey(tmp_path / "short.csv", guide.deviations, 0.25)
-    options = [*SHORT, "--set", f"feedforward.stage.guide.file={file}", "--bag", str(tmp_path / "bag"), "--json"]
-    assert main(["simulate", *options]) == 1
-    assert judged(tmp_path / "bag").verdict == "left_map"
+@pytest.mark.parametrize(("length", "expected"), [(0.25, "left_map"), (0.29, "in_order")])
+def test_a_stage_beyond_a_survey_s_run_out_left_the_map_in_the_simulation_and_in_its_recording(
+    tmp_path, verb, length, expected
+):
+    file = survey(tmp_path / "short.csv", load_map(MapParameters(file=GUIDE)).deviations, length)
+    words = ["--set", f"feedforward.stage.guide.file={file}", "--bag", tmp_path / "bag"]
+    assert verb("simulate", *SHORT, *words, "--json").json["verdict"] == judged(tmp_path / "bag").verdict == expected
 
 
-def test_simulate_marks_the_figures_of_a_run_that_is_not_in_order_and_fails(capsys):
-    heavy = [*SHORT, "--set", "driver.simulated.truth.mass=4"]
-    assert main(["simulate", *heavy]) == 1
-    captured = capsys.readouterr()
-    assert captured.out.count(" ! ") == 5 and "Verdict: oscillates: the loop oscillates at" in captured.out
-    assert captured.err == "straightcomp simulate: not in order: oscillates\n"
-    assert main(["simulate", *SHORT]) == 0
-    captured = capsys.readouterr()
-    assert " ! " not in captured.out and "Verdict: in order: error" in captured.out and captured.err == ""
+HEAVY = [*SHORT, "--set", "driver.simulated.truth.mass=4"]
 
 
-def test_simulate_prints_the_verdict_on_cycles_and_starts_in_json(capsys):
-    heavy = [*SHORT, "--set", "driver.simulated.truth.mass=4", "--json"]
-    assert main(["simulate", *heavy, "--strokes", "2"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert found["verdict"] == "oscillates" and found["reason"].startswith("cycle 2 of 2: the loop oscillates")
+def test_simulate_marks_the_figures_of_a_run_that_is_not_in_order_and_fails(verb):
+    code, printed, said = verb("simulate", *HEAVY)
+    assert printed.count(" ! ") == 5 and "Verdict: oscillates" in printed
+    assert (code, said) == (1, "straightcomp simulate: not in order: oscillates\n")
+    code, printed, said = verb("simulate", *SHORT)
+    assert " ! " not in printed and "Verdict: in order" in printed and (code, said) == (0, "")
+
+
+def test_simulate_prints_the_verdict_on_cycles_and_starts_in_json(verb):
+    code, found = (ended := verb("simulate", *HEAVY, "--json", "--strokes", "2")).code, ended.json
+    assert (code, found["verdict"]) == (1, "oscillates") and found["reason"].startswith("cycle 2 of 2: ")
     assert [one["verdict"] for one in found["cycles"]] == ["oscillates"] * 2
-    assert main(["simulate", *heavy, "--starts", "2"]) == 1
-    assert json.loads(capsys.readouterr().out)["reason"].startswith("start 2 of 2: ")
-    assert main(["simulate", *SHORT, "--strokes", "2", "--law", "smc", "--learn"]) == 0
+    ended = verb("simulate", *HEAVY, "--json", "--starts", "2")
+    assert ended.code == 1 and ended.json["reason"].startswith("start 2 of 2: ")
+    assert verb("simulate", *SHORT, "--json", "--strokes", "2", "--law", "smc", "--learn").code == 0
 
 
-def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(capsys):
-    bag = str(BAGS / "smc")
-    assert main(["replay", bag, "--set", "driver.simulated.truth.mass=4", "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
+def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(verb):
+    ended = verb("replay", BAGS / "smc", "--set", "driver.simulated.truth.mass=4", "--json")
+    found = ended.json
     assert found["recorded"]["verdict"] == found["simulated_as_recorded"]["verdict"] == "in_order"
-    assert found["what_if"]["verdict"] == found["verdict"] == "oscillates"
-    assert main(["replay", bag, "--law", "linear"]) == 0
-    assert capsys.readouterr().out.count("in order: error") == 3
+    assert ended.code == 1 and found["what_if"]["verdict"] == found["verdict"] == "oscillates"
+    ended = verb("replay", BAGS / "smc", "--law", "linear")
+    assert ended.code == 0 and ended.out.count("in order: error") == 3
+
+
+def demonstration(bag, timing=None, verdict=None, killed=()):
+    map_, found = load_map(MapParameters()), evaluate_bag(bag)
+    figures = evaluate(found.record, map_)
+    return Demonstration(bag, found, map_, figures, math.nan, timing or {}, verdict or judged(bag), list(killed))
 
 
 @pytest.fixture
-def demonstrated(tmp_path, capsys, monkeypatch):
+def demonstrated(tmp_path, verb, monkeypatch):
     """``demonstrated(bag, *words, timing=, verdict=, killed=)``: exit code, standard output and error of a
     demonstration that recorded this bag."""
 
-    def run(bag, *words, timing=None, verdict=None, killed=()):
-        map_, found = load_map(MapParameters()), evaluate_bag(bag)
-        figures = evaluate(found.record, map_)
-        result = Demonstration(bag, found, map_, figures, math.nan, timing or {}, verdict or judged(bag), list(killed))
-        monkeypatch.setattr(demo, "demonstrate", lambda *_, **__: result)
-        code = main(["demo", "-o", str(tmp_path / "out"), *words])
-        return code, *capsys.readouterr()
+    def run(bag, *words, **options):
+        monkeypatch.setattr(demo, "demonstrate", lambda *_, **__: demonstration(bag, **options))
+        return verb("demo", "-o", tmp_path / "out", *words)
 
     return run
 
@@ -336,14 +314,14 @@ def test_a_demonstration_prints_its_domain_and_fails_if_a_node_had_to_be_killed(
     assert code == 1 and re.search(r"ROS_DOMAIN_ID=\d+ straightcomp view", said) and said.endswith(f"{killed}\n")
 
 
-def test_an_interrupted_demonstration_says_where_its_recording_is(tmp_path, capsys, monkeypatch):
+def test_an_interrupted_demonstration_says_where_its_recording_is(tmp_path, verb, monkeypatch):
     def demonstrate(values, place, *_, **__):
         (place / "bag").mkdir()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(demo, "demonstrate", demonstrate)
-    assert main(["demo", "-o", str(tmp_path)]) == 130
-    assert f"interrupted; what it had made is in {tmp_path / 'unfinished'}" in capsys.readouterr().err
+    found = verb("demo", "-o", tmp_path)
+    assert found.code == 130 and str(tmp_path / "unfinished") in found.err
     assert (tmp_path / "unfinished" / "bag").is_dir()
 
 
@@ -363,10 +341,9 @@ def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_
 
 
 def test_a_demonstration_that_lost_the_platform_for_want_of_a_cpu_runs_again_in_lockstep(
-    harmless, tmp_path, capsys, monkeypatch
+    harmless, tmp_path, verb, monkeypatch
 ):
-    map_, found, runs, causes = load_map(MapParameters()), evaluate_bag(harmless), [], []
-    result = Demonstration(harmless, found, map_, evaluate(found.record, map_), math.nan, {}, judged(harmless))
+    result, runs, causes = demonstration(harmless), [], []
 
     def demonstrate(values, *_, **__):
         runs.append(bool(values["driver"].get("lockstep")))
@@ -375,7 +352,6 @@ def test_a_demonstration_that_lost_the_platform_for_want_of_a_cpu_runs_again_in_
         return result
 
     monkeypatch.setattr(demo, "demonstrate", demonstrate)
-    words = ["demo", "-o", str(tmp_path / "out")]
     for cause, more, code, tried in (
         ("the driver got no CPU for 11 ms", [], 0, [False, True]),
         ("the driver got no CPU for 11 ms", ["--strict"], 1, [False]),
@@ -384,5 +360,5 @@ def test_a_demonstration_that_lost_the_platform_for_want_of_a_cpu_runs_again_in_
     ):
         runs.clear()
         causes.append(cause)
-        assert main([*words, *more]) == code and runs == tried
-        assert ("once more in lockstep" in capsys.readouterr().err) == (code == 0)
+        found = verb("demo", "-o", tmp_path / "out", *more)
+        assert (found.code, runs) == (code, tried) and ("once more in lockstep" in found.err) == (code == 0)
