@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis import map_page, pictures
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.interruption import encoder_run
@@ -94,3 +95,12 @@ def make_record(
         )
 
     return make
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The figures that would be saved."""
+    figures: list[Any] = []
+    for module in (map_page, pictures):
+        monkeypatch.setattr(module, "save_whole", lambda figure, path: figures.append(figure))
+    return figures

@@ -60,9 +60,7 @@ def test_the_run_begins_when_the_amplifier_is_switched_on_and_has_every_stream(t
     assert found.amplifier_on.all() and len(found.stamps) == 30 and found.parameters == {}
     assert found.latency == pytest.approx(1e-4 * np.arange(1, COUNT, 2))
     assert found.lateness == pytest.approx(1e-5 * np.arange(COUNT))
-    assert percentile_us(found.latency, 100) == pytest.approx(3900.0) and percentile_us(
-        found.latency, 0
-    ) == pytest.approx(100.0)
+    assert [percentile_us(found.latency, percent) for percent in (0, 100)] == pytest.approx([100.0, 3900.0])
 
 
 def test_without_truth_delays_or_an_amplifier_that_is_on_the_bag_is_a_run_all_the_same(tmp_path):

@@ -119,13 +119,6 @@ def test_a_slip_makes_good_at_least_its_part_of_the_stick_beyond_the_reference_s
     assert stick_slips(time[:600], time[:600], y[:600], r[:600]) == []
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    figures = []
-    monkeypatch.setattr(plot, "save_whole", lambda figure, path: figures.append(figure))
-    return figures
-
-
 def lines(axes):
     return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in axes.get_lines()]
 

@@ -1,7 +1,5 @@
 """A run that lost its law, its amplifier or its clock in motion is never in order."""
 
-import json
-
 import numpy as np
 import pytest
 from rewritten_bag import SMC, rewritten
@@ -9,7 +7,6 @@ from tiers import nightly
 
 from straightcomp_ros.analysis.interruption import stalls_of
 from straightcomp_ros.analysis.record import motion_of
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.fleet.history.adding import evaluate_bag
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
@@ -19,10 +16,19 @@ LAW = (REFERENCE.topic, COMMAND.topic, "controller_state")
 FORWARD = 1.0  # s, in mid-motion of the first stroke
 
 
-def judged(bag, capsys, *options):
-    code = main(["evaluate", str(bag), "--json", *options])
-    found = capsys.readouterr()
-    return code, json.loads(found.out) if found.out else found.err
+@pytest.fixture
+def judged(verb, tmp_path):
+    """``judged(bag)``: exit code, and figures or else standard error; with a limit of the true error in µm or not."""
+
+    def run(bag, limit=None):
+        options = []
+        if limit is not None:
+            (tmp_path / "limits.yaml").write_text(f"true_pp_um: {limit}\n")
+            options = ["--limits", tmp_path / "limits.yaml"]
+        found = verb("evaluate", bag, "--json", *options)
+        return found.code, found.json if found.out else found.err
+
+    return run
 
 
 def off(topic, stamp, numbers):
@@ -35,20 +41,18 @@ def off(topic, stamp, numbers):
 
 
 @pytest.mark.parametrize(("at", "amplifier"), [(FORWARD, None), *nightly([(0.5, off), (3.0, off)])])
-def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, capsys, at, amplifier):
+def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, judged, at, amplifier):
     def change(topic, stamp, numbers):
         if stamp < at * S:
             return stamp, numbers
         return None if topic in LAW else amplifier(topic, stamp, numbers) if amplifier else (stamp, numbers)
 
     bag = rewritten(SMC, tmp_path / "b", change)
-    code, found = judged(bag, capsys)
+    code, found = judged(bag)
     assert (code, found["verdict"]) == (1, "interrupted")
     assert found["lost_commands"] > 1000 and found["lost_references"] == found["lost_commands"]
     assert found["amplifier_off_in_motion"] == (amplifier is off)
-    limits = tmp_path / "limits.yaml"
-    limits.write_text("true_pp_um: 5\n")
-    assert judged(bag, capsys, "--limits", str(limits))[0] == 1
+    assert judged(bag, limit=5)[0] == 1
     rows = rows_of(evaluate_bag(bag), {})
     assert rows[-1].verdict == "interrupted" and {row.verdict for row in rows[:-1]} <= {"in_order"}
 
@@ -102,8 +106,8 @@ DAY = 86400.0
         (ends(0.99, 1.0), "in_order"),
     ],
 )
-def test_what_breaks_a_motion_is_named(tmp_path, capsys, change, verdict):
-    code, found = judged(rewritten(SMC, tmp_path / "b", change), capsys)
+def test_what_breaks_a_motion_is_named(tmp_path, judged, change, verdict):
+    code, found = judged(rewritten(SMC, tmp_path / "b", change))
     assert code == (verdict != "in_order")
     assert verdict in (found["verdict"] if isinstance(found, dict) else found.replace(" ", "_"))
     assert code or found["lost_commands"] == 0
@@ -119,47 +123,45 @@ def bulge(topic, stamp, numbers):
 @pytest.mark.parametrize("missing", [REFERENCE.topic, COMMAND.topic, *nightly([TRUTH.topic])])
 @pytest.mark.parametrize(("change", "verdict"), [(bulge, "starved"), (lambda _, *sample: sample, "in_order")])
 @pytest.mark.parametrize("mapped", [True, *nightly([False])])
-def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, capsys, missing, change, verdict, mapped):
+def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, judged, missing, change, verdict, mapped):
     change = without(missing, 0.9, 1.2, change)
     bag = rewritten(SMC, tmp_path / "b", change, lambda name, data: data if mapped or "yaml" in name else None)
-    assert judged(bag, capsys)[1]["verdict"] == verdict
-    limits = tmp_path / "limits.yaml"
-    limits.write_text("true_pp_um: 5\n")
-    assert judged(bag, capsys, "--limits", str(limits))[0] == (verdict != "in_order")
+    assert judged(bag)[1]["verdict"] == verdict
+    assert judged(bag, limit=5)[0] == (verdict != "in_order")
     assert {row.verdict for row in rows_of(evaluate_bag(bag), {})} == {verdict, "in_order"}
 
 
-def test_the_stream_that_ends_before_the_motion_is_named(tmp_path, capsys):
-    found = judged(rewritten(SMC, tmp_path / "b", without(TRUTH.topic, 1.0, 9.0)), capsys)[1]
+def test_the_stream_that_ends_before_the_motion_is_named(tmp_path, judged):
+    found = judged(rewritten(SMC, tmp_path / "b", without(TRUTH.topic, 1.0, 9.0)))[1]
     assert found["verdict"] == "interrupted"
     assert TRUTH.topic in found["reason"] and REFERENCE.topic not in found["reason"]
 
 
-def test_a_pause_of_the_recording_at_rest_is_no_jump_no_loss_and_no_stall(tmp_path, capsys):
+def test_a_pause_of_the_recording_at_rest_is_no_jump_no_loss_and_no_stall(tmp_path, judged):
     night = 8 * 3600
-    code, found = judged(rewritten(SMC, tmp_path / "b", jump_from(2.25, night, True)), capsys)
+    code, found = judged(rewritten(SMC, tmp_path / "b", jump_from(2.25, night, True)))
     assert (code, found["verdict"], found["lost_samples"]) == (0, "in_order", 0)
-    whole = judged(SMC, capsys)[1]
+    whole = judged(SMC)[1]
     assert found["true_pp_um"] == pytest.approx(whole["true_pp_um"], rel=0.05)
     assert found["warnings"]
 
 
 @pytest.mark.parametrize(("since", "until"), [(0.7, 1.9), *nightly([(1.5, 3.0), (2.2, 3.5)])])
-def test_a_gap_of_the_recording_in_motion_is_a_loss_however_long_it_is(tmp_path, capsys, since, until):
+def test_a_gap_of_the_recording_in_motion_is_a_loss_however_long_it_is(tmp_path, judged, since, until):
     bag = rewritten(SMC, tmp_path / "b", when(lambda _, stamp: since * S <= stamp < until * S, lambda *_: None))
-    code, found = judged(bag, capsys)
+    code, found = judged(bag)
     assert (code, found["verdict"], found["lost_samples"]) == (1, "interrupted", round((until - since) / T))
     assert found["longest_gap_s"] == pytest.approx(until - since, abs=2 * T) and found["gaps"] == 1
     assert "interrupted" in {row.verdict for row in rows_of(evaluate_bag(bag), {})}
 
 
-def test_an_order_of_recording_that_is_not_that_of_the_stamps_is_no_jump(tmp_path, capsys):
+def test_an_order_of_recording_that_is_not_that_of_the_stamps_is_no_jump(tmp_path, judged):
     def late(topic, stamp, numbers):
         return stamp, numbers, stamp + (30_000_000 if topic == ENCODER.topic and stamp % (100 * S // 1000) == 0 else 0)
 
     # A rewritten bag has the order of recording.
     bag = rewritten(rewritten(SMC, tmp_path / "a", late), tmp_path / "b", lambda _, stamp, numbers: (stamp, numbers))
-    assert judged(bag, capsys)[1]["verdict"] == "in_order"
+    assert judged(bag)[1]["verdict"] == "in_order"
 
 
 def test_strokes_on_both_sides_of_a_jump_of_x_are_found_and_a_jump_is_no_stroke():
@@ -170,13 +172,13 @@ def test_strokes_on_both_sides_of_a_jump_of_x_are_found_and_a_jump_is_no_stroke(
         motion_of(time, np.where(time < 1.0, 0.0, 0.1))
 
 
-def test_a_recording_that_is_cut_off_at_rest_with_the_amplifier_on_is_interrupted(tmp_path, capsys):
+def test_a_recording_that_is_cut_off_at_rest_with_the_amplifier_on_is_interrupted(tmp_path, judged):
     bag = rewritten(SMC, tmp_path / "b", ends(2.25, 2.25))
-    assert judged(bag, capsys)[1]["verdict"] == "in_order"
+    assert judged(bag)[1]["verdict"] == "in_order"
     (file,) = bag.glob("*.mcap")
     # Without the summary: the logger was killed.
     file.write_bytes(file.read_bytes()[:-200])
-    assert judged(bag, capsys)[1]["verdict"] == "interrupted"
+    assert judged(bag)[1]["verdict"] == "interrupted"
 
 
 PERIOD_NS, T = 500_000, 5e-4

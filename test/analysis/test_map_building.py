@@ -21,8 +21,8 @@ def test_level_takes_the_slope_of_the_straight_edge_out():
     )
 
 
-def noisy(count=5, points=40):
-    return np.random.default_rng(3).normal(0.0, 3e-8, (count, points))
+def noisy(count=5):
+    return np.random.default_rng(3).normal(0.0, 3e-8, (count, 40))
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,6 @@ X = np.linspace(0.0, 0.4, 41)
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    figures = []
-    monkeypatch.setattr(map_page, "save_whole", lambda figure, path: figures.append(figure))
-    return figures
-
-
 def run(name, way, shift):
     return Run(name, way, X, 5e-6 * np.sin(10.0 * X) + shift)
 
@@ -35,11 +28,8 @@ def facts(figure):
 
 
 def test_the_panels_show_runs_means_and_bands_and_what_is_left_of_the_mean(drawn):
-    built = build(
-        Survey((run("1", "forward", 1e-7), run("2", "forward", -1e-7), run("1", "backward", 3e-7))),
-        Path(__file__),
-        CHOICES,
-    )
+    runs = (run("1", "forward", 1e-7), run("2", "forward", -1e-7), run("1", "backward", 3e-7))
+    built = build(Survey(runs), Path(__file__), CHOICES)
     map_page.plot_map(built, Path("map.png"))
     upper, lower, lowest = drawn[0].axes
     shown = [np.asarray(line.get_ydata()) for line in upper.get_lines()]

@@ -65,11 +65,8 @@ def test_a_loop_that_changes_its_frequency_oscillates_irregularly():
     assert found.amplitude == pytest.approx(1e-4, rel=0.1)
     assert 5.0 < found.frequency < 35.0
     # What it asks for, the loop may amplify, as above.
-    assert (
-        irregular_oscillation(error, error / 2.7, T).amplitude
-        == 0.0
-        < irregular_oscillation(error, error / 3.3, T).amplitude
-    )
+    less, more = (irregular_oscillation(error, error / share, T).amplitude for share in (2.7, 3.3))
+    assert less == 0.0 < more
     # A platform that stands still does not.
     assert irregular_oscillation(guide, guide, T).amplitude == 0.0
     assert irregular_oscillation(np.where(TIME < 2.0, 0.0, 1e-4), guide, T).amplitude == 0.0
