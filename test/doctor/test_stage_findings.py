@@ -1,11 +1,9 @@
 """A board's DBC file and the description of its stage: what does not fit is found."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor.stage_findings import stage_findings
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -20,7 +18,7 @@ FOREIGN = str(share_path("config/board_motorola.yaml"))
 
 
 @pytest.fixture
-def check(capsys, tmp_path):
+def check(verb, tmp_path):
     """``check(path, node={parameter: value})``: findings of the wire, or of ``named``, in a stage file with other
     parameters."""
 
@@ -30,8 +28,8 @@ def check(capsys, tmp_path):
             values[node] |= changed
         file = tmp_path / "stage.yaml"
         file.write_text(as_parameter_file(values))
-        main(["stage", "check", str(file), "--json"])
-        return [one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"].startswith(named)]
+        found = verb("stage", "check", file, "--json").json["checks"]
+        return [one for one in found if one["name"].startswith(named)]
 
     return run
 
@@ -39,9 +37,7 @@ def check(capsys, tmp_path):
 def test_the_packages_own_frames_fit_its_own_stage(check):
     assert check(OWN) == []
     found = check(OWN, **OWN_BUS)
-    assert {one["state"] for one in found} == {"ok"} and found[0]["detail"].startswith(
-        "config/straightcomp.dbc: EncoderFd"
-    )
+    assert {one["state"] for one in found} == {"ok"} and "config/straightcomp.dbc" in found[0]["detail"]
 
 
 @pytest.mark.parametrize(
@@ -52,12 +48,7 @@ def test_the_packages_own_frames_fit_its_own_stage(check):
         ({"stage": {"encoder.x_resolution": 1e-8}}, "wire x", "warn", "in steps of 1.22e-07 m; the stage needs"),
         ({"stage": {"rate": 4500}}, "wire bus", "fail", "busy by 1"),
         ({"stage": {"rate": 3600}}, "wire bus", "warn", "busy by 8"),
-        (
-            {**OWN_BUS, "stage": {"encoder.y_resolution": 1e-9}},
-            "wire y",
-            "warn",
-            "in steps of 1e-07 m; the stage needs",
-        ),
+        ({**OWN_BUS, "stage": {"encoder.y_resolution": 1e-9}}, "wire y", "warn", "in steps of 1e-07 m"),
     ],
 )
 def test_a_range_a_resolution_and_a_bus_that_do_not_do_are_found(check, changes, name, state, words):
@@ -93,31 +84,28 @@ def test_what_x_is_counted_from_is_agreed_only_where_both_say_it(check, tmp_path
     assert finding["state"] == state and words in finding["detail"]
 
 
+def stiff(static, **others):
+    return {"friction.bristle_stiffness": 1e8, "friction.static": static, **others}
+
+
+CERTAIN = {"uncertainty.friction": 1.3}
+
+
 @pytest.mark.parametrize(
     ("facts", "dither", "state", "words"),
     [
         ({}, 1.7, "ok", "the bristles bend by 645 nm"),
         ({"friction.coulomb": 0.0, "friction.static": 0.0}, 1.7, "ok", "no dry friction"),
-        (
-            {"friction.bristle_stiffness": 1e8, "friction.static": 0.5, "uncertainty.friction": 1.3},
-            1.7,
-            "ok",
-            "a dither of 23.1 mA keeps it sliding",
-        ),
-        ({"friction.bristle_stiffness": 1e8, "friction.static": 0.645}, 1.7, "warn", "may be 3 times"),
-        (
-            {"friction.bristle_stiffness": 1e8, "friction.static": 1.0, "uncertainty.friction": 1.3},
-            1.7,
-            "warn",
-            "a dither of 23.1 mA",
-        ),
-        ({"friction.bristle_stiffness": 1e8, "friction.static": 0.5}, 0.0, "fail", "the platform will hunt"),
+        (stiff(0.5, **CERTAIN), 1.7, "ok", "a dither of 23.1 mA keeps it sliding"),
+        (stiff(0.645), 1.7, "warn", "may be 3 times"),
+        (stiff(1.0, **CERTAIN), 1.7, "warn", "a dither of 23.1 mA"),
+        (stiff(0.5), 0.0, "fail", "the platform will hunt"),
     ],
 )
 def test_stiction_that_the_encoder_does_not_see_is_found_with_what_helps(check, facts, dither, state, words):
     (found,) = check(OWN, named="stiction", stage=facts, controller={"control.smc_observer.dither": dither})
     assert found["state"] == state and words in found["detail"]
-    assert state == "ok" or "Less static friction" in found["remedy"]
+    assert state == "ok" or "friction" in found["remedy"]
 
 
 def test_protection_that_is_missing_is_found(check):

@@ -1,7 +1,5 @@
 """`straightcomp stage`: a description is written, checked, shown with what follows from it, and run by `simulate`."""
 
-import json
-
 import numpy as np
 import pytest
 import yaml
@@ -11,6 +9,7 @@ from straightcomp_ros.parameters.declaration import declarations, from_mapping
 from straightcomp_ros.parameters.parameter_file import read_stage_file
 from straightcomp_ros.stage.description import StageParameters
 
+NO_FRICTION = {"friction.coulomb": 0.0, "friction.static": 0.0}
 SHORT = ["--set", "motion.speed=0.1", "--set", "motion.acceleration=0.5"]
 
 
@@ -35,14 +34,12 @@ def survey(tmp_path):
 
 
 @pytest.fixture
-def printed(capsys):
+def printed(verb):
     """Exit code, figures and standard error of a verb with ``--json``."""
 
     def run(*words):
-        capsys.readouterr()
-        code = main([*map(str, words), "--json"])
-        found = capsys.readouterr()
-        return code, json.loads(found.out), found.err
+        found = verb(*words, "--json")
+        return found.code, found.json, found.err
 
     return run
 
@@ -129,21 +126,11 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
         ("force", "warn", {"actuator.current_limit": 1.5}, "limit 1.5 A"),
         ("force", "fail", {"drive.dac_range": 0.1}, "converter 0.01 A"),
         ("force", "warn", {"drive.dac_range": 0.3}, "Little is left"),
-        (
-            "units",
-            "warn",
-            {"platform.mass": 6000.0},
-            "0.0067 m/s² by the magnets (usual: 0.3 to 299; stage.platform.mass",
-        ),
+        ("units", "warn", {"platform.mass": 6000.0}, "(usual: 0.3 to 299; stage.platform.mass"),
         ("units", "warn", {"encoder.y_resolution": 1e-4}, "stage.encoder.y_resolution 0.0001"),
         ("correction", "fail", {"encoder.y_resolution": 1e-4}, "leaves 110 µm p-p at best"),
         ("quanta", "warn", {"encoder.y_resolution": 1e-8}, "21.8 nm against the bristles"),
-        (
-            "quanta",
-            "ok",
-            {"encoder.y_resolution": 1e-8, "friction.coulomb": 0.0, "friction.static": 0.0},
-            "nm within the dead time",
-        ),
+        ("quanta", "ok", {"encoder.y_resolution": 1e-8, **NO_FRICTION}, "nm within the dead time"),
         ("bus", "warn", {"rate": 8000}, "at 8000 Hz"),
     ],
 )
@@ -158,27 +145,27 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, printed, na
 
 
 @pytest.mark.parametrize(
-    ("facts", "gains", "verb"),
+    ("facts", "gains", "advised"),
     [
         ("", "", "simulate"),
         ("    stage.platform.mass: 4.0\n", "", "design"),
         ("    stage.platform.mass: 4.0\n", "    control.smc_observer.bandwidth: 300.0\n", "simulate"),
     ],
 )
-def test_a_stage_without_gains_of_its_own_is_sent_to_the_design(tmp_path, capsys, facts, gains, verb):
+def test_a_stage_without_gains_of_its_own_is_sent_to_the_design(tmp_path, verb, facts, gains, advised):
     file = tmp_path / "stage.yaml"
     shipped = "    stage.name: mine\n"
     file.write_text(f"/**:\n  ros__parameters:\n{shipped}{facts}controller:\n  ros__parameters:\n{gains or shipped}")
-    assert main(["stage", "check", str(file)]) == 0
-    assert f"next: straightcomp {verb} " in capsys.readouterr().err
+    found = verb("stage", "check", file)
+    assert found.code == 0 and f"next: straightcomp {advised} " in found.err
 
 
-def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path, capsys):
+def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path, verb):
     file = tmp_path / "stage.yaml"
     file.write_text("/**:\n  ros__parameters: {stage.rate: 2000}\n/**/driver:\n  ros__parameters: {stage.rate: 1000}\n")
-    for words in (("stage", "check", str(file)), ("simulate", "--stage", str(file))):
-        assert main(list(words)) == 2
-        assert "'stage.rate': 2000 Hz; allowed: 1000 Hz" in capsys.readouterr().err
+    for words in (("stage", "check"), ("simulate", "--stage")):
+        found = verb(*words, file)
+        assert found.code == 2 and "'stage.rate': 2000 Hz; allowed: 1000 Hz" in found.err
 
 
 def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, printed):
@@ -197,7 +184,7 @@ def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, survey, printed):
     assert check["state"] == "warn" and "unit of the survey" in check["remedy"]
 
 
-def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, printed, capsys):
+def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, printed, verb):
     assert new(tmp_path / "one") == 0
     code, found, _ = printed("stage", "show", tmp_path / "one" / "stage.yaml")
     # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/evidence/plant.md.
@@ -206,8 +193,7 @@ def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, printed, 
     assert found["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
     assert found["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
     assert found["correction_um"] == pytest.approx(11.2, abs=0.1)
-    assert main(["stage", "show", str(tmp_path / "one" / "stage.yaml")]) == 0
-    assert "dead time" in capsys.readouterr().out
+    assert "dead time" in verb("stage", "show", tmp_path / "one" / "stage.yaml").out
 
 
 @pytest.mark.parametrize("back", [False, True])
