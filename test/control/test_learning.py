@@ -1,6 +1,5 @@
 """Learning from stroke to stroke: the table over x, its file, and strokes of machines that the law does not know."""
 
-import json
 import math
 import re
 import shutil
@@ -10,7 +9,6 @@ import pytest
 from scipy.interpolate import BSpline
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.control import learning as learning_module
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.learning import (
@@ -37,14 +35,14 @@ def table():
     return LearnedTable(SPACING, MARGIN)
 
 
-def restored(coefficients, first=-3, speed=0.2):
-    found = table()
-    count = len(coefficients)
-    found.restore(first, coefficients, np.full(count, 1e-14), np.full(count, 4e-14), np.full(count, speed))
+def restored(coefficients):
+    """A table that was learned at 0.2 m/s, whose first node is number -3."""
+    found, count = table(), len(coefficients)
+    found.restore(-3, coefficients, np.full(count, 1e-14), np.full(count, 4e-14), np.full(count, 0.2))
     return found
 
 
-def one_pass(found, error, wanted=0.0, x=None, speed=0.2, gain=1.0, limit=1e-6, asked=None):
+def one_pass(found, error, wanted=0.0, x=None, speed=0.2, asked=None):
     """A pass over 0 to 50 mm, ten samples a node, with a constant error; what is wanted is constant, too."""
     x = np.linspace(0.0, 0.05, 501) if x is None else x
 
@@ -53,7 +51,7 @@ def one_pass(found, error, wanted=0.0, x=None, speed=0.2, gain=1.0, limit=1e-6, 
             asked.append(part)
         return np.full(x.size, wanted)
 
-    found.learn(x, np.full(x.size, error), np.ones(x.size), answer, np.full(x.size, speed), gain, limit)
+    found.learn(x, np.full(x.size, error), np.ones(x.size), answer, np.full(x.size, speed), 1.0, 1e-6)
 
 
 def inside(found, at=(0.01, 0.02, 0.03, 0.04)):
@@ -75,7 +73,7 @@ def test_the_correction_is_the_uniform_cubic_spline_of_its_coefficients_and_noth
 
 
 def test_the_weight_falls_evenly_from_one_to_zero_with_the_distance_from_the_learned_speed():
-    found = restored(np.full(12, 1e-6), speed=0.2)
+    found = restored(np.full(12, 1e-6))
     for away, weight in ((0.0, 1.0), (0.1, 1.0), (0.15, 0.75), (0.2, 0.5), (0.25, 0.25), (0.3, 0.0), (0.9, 0.0)):
         for sign in (-1.0, 1.0):
             assert found.at(0.0, 0.2 * (1.0 + sign * away))[0] == pytest.approx(weight, abs=1e-12)
@@ -231,7 +229,7 @@ def test_a_damaged_file_is_refused_with_the_place_and_what_is_allowed(file, chan
             read_tables(no_text, "smc", tables())
 
 
-def test_a_file_that_cannot_be_written_is_refused_before_and_keeps_what_was_learned_after(file, tmp_path, capsys):
+def test_a_file_that_cannot_be_written_is_refused_before_and_keeps_what_was_learned_after(file, tmp_path, verb):
     folder = tmp_path / "away"
     folder.mkdir()
     path = folder / "learned.csv"
@@ -240,52 +238,42 @@ def test_a_file_that_cannot_be_written_is_refused_before_and_keeps_what_was_lear
     learner.check_file()
     written = path.read_text()
     shutil.rmtree(folder)
-    words = re.escape(f"parameter 'learning.file': '{path}' cannot be written: No such file or directory")
+    words = re.escape(f"'learning.file': '{path}'")
     with pytest.raises(ParameterError, match=words):
         learner.check_file()
-    with pytest.raises(OSError, match=f"{words}; what was learned is not saved"):
+    with pytest.raises(OSError, match=words):
         learner.save()
     folder.mkdir()
     learner.save()
     assert path.read_text() == written
     learning().check_file()
-    # Offline the option is refused before the run, and a file of the parameters when it is over.
-    assert main(["simulate", "--learned", "/proc/x.csv", *SHORT]) == 2
-    assert "--learned /proc/x.csv: cannot be written: No such file" in capsys.readouterr().err
+    # Offline too.
     learn = ("--learn", "--set=controller.learning.file=/proc/x.csv", "--law", "linear")
-    assert main(["simulate", *learn, *SHORT]) == 1
-    assert "parameter 'learning.file': '/proc/x.csv' cannot be written" in " ".join(capsys.readouterr().err.split())
+    found = verb("simulate", *learn, *SHORT)
+    assert found.code == 1 and "'learning.file': '/proc/x.csv'" in found.err
 
 
 SHORT = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.2", "pause=0.1")]
 
 
-def test_the_command_runs_strokes_keeps_what_it_learned_and_goes_on_from_there(tmp_path, capsys):
+def test_the_command_runs_strokes_keeps_what_it_learned_and_goes_on_from_there(tmp_path, verb):
     path = tmp_path / "learned.csv"
-    command = ["simulate", "--law", "linear", "--learned", str(path), "--json", *SHORT]
-    assert main([*command, "--strokes", "4"]) == 0
-    first = json.loads(capsys.readouterr().out)
+    command = ["simulate", "--law", "linear", "--learned", path, "--json", *SHORT]
+    first = verb(*command, "--strokes", "4").json
     assert [set(cycle) for cycle in first["cycles"]] == [{"true_pp_um", "true_rms_um", "verdict", "reason"}] * 4
     assert first["cycles"][-1]["true_rms_um"] == first["true_rms_um"] < 0.75 * first["cycles"][0]["true_rms_um"]
-    assert main(command) == 0
-    second = json.loads(capsys.readouterr().out)
+    second = verb(*command).json
     assert "cycles" not in second
     assert second["true_rms_um"] < 0.75 * first["cycles"][0]["true_rms_um"]
     # Runs of one cycle each learn as well.
     path.unlink()
-    alone = []
-    for _ in range(3):
-        assert main(command) == 0
-        alone.append(json.loads(capsys.readouterr().out)["true_rms_um"])
+    alone = [verb(*command).json["true_rms_um"] for _ in range(3)]
     assert alone[0] == first["cycles"][0]["true_rms_um"] and alone[2] < alone[1] < 0.9 * alone[0]
-    assert main([*command, "--strokes", "0"]) == 2
-    assert main(["simulate", "--law", "smc", "--learned", str(path), *SHORT]) == 2
-    assert "learned with law 'linear'" in capsys.readouterr().err
+    refused = verb("simulate", "--law", "smc", "--learned", path, *SHORT)
+    assert refused.code == 2 and "law 'linear'" in refused.err
 
 
 STAGE = StageParameters()
-
-
 RATE, PERIOD_NS = 2000, 500_000
 STROKE = MotionParameters(stroke=0.06, settle=0.2, pause=0.1)
 

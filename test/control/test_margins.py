@@ -95,12 +95,8 @@ def test_a_law_that_switches_has_no_linearisation():
 def test_a_law_with_a_dither_is_linear_on_any_stage_with_stiction(bristles):
     for bandwidth in range(300, 1000, 25):
         friction = {"friction.bristle_stiffness": bristles, "friction.coulomb": 0.7, "friction.static": 0.72}
-        drive = {"drive.delay": 0.8, "drive.bandwidth": float(bandwidth)}
-        linearised(
-            make_law(
-                ControlParameters(), from_mapping(StageParameters, {**friction, **drive, "actuator.air_gap": 1.66e-3})
-            )
-        )
+        drive = {"drive.delay": 0.8, "drive.bandwidth": float(bandwidth), "actuator.air_gap": 1.66e-3}
+        linearised(make_law(ControlParameters(), from_mapping(StageParameters, friction | drive)))
 
 
 def test_knowing_the_delay_makes_the_observer_tolerate_it():

@@ -25,9 +25,9 @@ T = 5e-4
 DESIGN, STAGE = SlidingDesign(), StageParameters()
 
 
-def limited(current, rate=STAGE.rate):
+def limited(current):
     """The stage with another limit of the current in A."""
-    return dataclasses.replace(STAGE, rate=rate, actuator=ActuatorParameters(current_limit=current))
+    return dataclasses.replace(STAGE, actuator=ActuatorParameters(current_limit=current))
 
 
 def by_equation_9(x, r, rho, boundary_layer):
@@ -40,10 +40,9 @@ def by_equation_9(x, r, rho, boundary_layer):
 
 @given(st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5))
 def test_a_step_is_equation_9(y0, y1, r):
+    design = SlidingDesign(velocity_bandwidth=1e5, feedforward=False)
     for law, rho in (("linear", 0.0), ("smc", DESIGN.rho)):
-        servo = make_law(
-            ControlParameters(law=law, smc=SlidingDesign(velocity_bandwidth=1e5, feedforward=False)), limited(100.0)
-        )
+        servo = make_law(ControlParameters(law=law, smc=design), limited(100.0))
         servo.reset(y0)
         servo.step(y0, r, 0.0, 0.0)
         answer = servo.step(y1, r, 0.0, 0.0)
@@ -83,11 +82,11 @@ def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it()
             assert after.integral == pytest.approx(wound.integral + (0.0 if held else sign * error * T), rel=1e-12)
 
 
-def stage_with(travel=25e-6, friction=0.645):
-    return from_mapping(StageParameters, {"guide.travel": travel, "friction.static": friction})
+def stage_with(travel):
+    return from_mapping(StageParameters, {"guide.travel": travel, "friction.static": 0.645})
 
 
-NARROW = stage_with()
+NARROW = stage_with(travel=25e-6)
 
 
 def test_the_poles_are_those_of_the_paper():
