@@ -127,9 +127,11 @@ def test_bristles_never_deflect_beyond_break_away_and_two_half_steps_are_a_whole
     assert friction.bristle_after(LUGRE, half, velocity, duration / 2) == pytest.approx(whole, rel=1e-9, abs=1e-18)
 
 
-def test_static_friction_below_coulomb_friction_is_refused():
+def test_static_friction_is_no_less_than_coulomb_friction_and_none_without_it():
     with pytest.raises(ParameterError, match=r"static.*0\.5.*>= 0\.6"):
         friction.LuGreParameters(coulomb=0.6, static=0.5)
+    with pytest.raises(ParameterError, match=r"static.*allowed: 0 N"):
+        friction.LuGreParameters(coulomb=0.0)
 
 
 @pytest.mark.parametrize(
@@ -347,8 +349,3 @@ def test_without_dry_friction_only_the_viscous_part_acts(kind):
     contact = Contact({**kind, "friction.coulomb": 0.0, "friction.static": 0.0})
     for velocity in (1e-5, 3e-4, -2e-5, 0.0):
         assert contact.move(velocity) == pytest.approx(10.0 * velocity)
-
-
-def test_static_friction_without_coulomb_friction_is_refused():
-    with pytest.raises(ParameterError, match=r"static.*without Coulomb friction; allowed: 0 N"):
-        from_mapping(StageParameters, {"friction.coulomb": 0.0})

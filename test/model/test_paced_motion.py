@@ -49,8 +49,7 @@ def test_a_motion_that_nobody_slows_down_is_its_trajectory_to_the_bit():
 @pytest.mark.parametrize("seed", range(8))
 def test_whatever_is_asked_the_stage_keeps_its_limits_stands_in_time_and_arrives(seed):
     draw = random.Random(seed)
-    speed, acceleration = draw.choice([0.01, 0.3, 1.0]), draw.choice([0.2, 2.0])
-    build = 0.01
+    speed, acceleration, build = draw.choice([0.01, 0.3, 1.0]), draw.choice([0.2, 2.0]), 0.01
     parameters = MotionParameters(
         stroke=draw.choice([1e-4, 0.002, -0.05, 0.3]),
         speed=speed,

@@ -82,15 +82,6 @@ def test_the_integration_is_of_second_order():
     assert (coarse - exact) / (fine - exact) == pytest.approx(4.0, rel=0.1)
 
 
-def test_the_holding_current_is_an_equilibrium():
-    y = 1e-5
-    current = control_current(FREE.actuator.constants(), y, 0.0)
-    after = run(FREE, State(y=y, control=current, bias=1.0), current, 0.02)
-    assert abs(after.y - y) < 1e-12
-    # The constant stiffnesses of (3) give the same current to first order.
-    assert current == pytest.approx(-FREE.actuator.position_stiffness / FREE.actuator.current_stiffness * y, rel=1e-3)
-
-
 def test_the_amplifier_is_of_first_order_and_the_forces_are_those_of_the_state():
     tau = 1.0 / (2 * math.pi * STICKY.drive.bandwidth)
     state = run(STICKY, State(y=1e-5, bias=1.0), 0.1, tau)
@@ -136,8 +127,8 @@ COUNTED = PlantParameters(encoder=EncoderParameters(x_resolution=1e-6))
 STEP = COUNTED.drive.current_step
 
 
-def machine(hold=HOLD, bias=COUNTED.actuator.bias_current, y=2e-6):
-    plant = commanded_plant(COUNTED, hold, plant_state(y=y))
+def machine(hold=HOLD, bias=COUNTED.actuator.bias_current):
+    plant = commanded_plant(COUNTED, hold, plant_state(y=2e-6))
     plant.state[BIAS] = bias
     return plant
 
