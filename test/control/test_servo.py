@@ -290,12 +290,11 @@ def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
     assert injection.stopped == "the amplifier was off, or samples were missing"
 
 
-PERIOD = 500_000
 START = 1_700_000_000_000_000_000
 
 
 def at(index):
-    return START + index * PERIOD
+    return START + index * T
 
 
 def quadratic(stamp_ns):
@@ -305,19 +304,19 @@ def quadratic(stamp_ns):
 
 
 def test_the_reference_of_an_earlier_sample_is_used_at_the_sample_s_own_time_and_again_if_it_is_sent_again():
-    pairing = Pairing(8 * PERIOD, wait=True)
+    pairing = Pairing(8 * T, wait=True)
     for k in range(40):
         pairing.add_sample(at(k), (k,))
         pairing.add_reference(at(k), quadratic(at(k)))
         (found,) = pairing.take()
-        assert found == (at(k), (k,), pytest.approx(quadratic(at(k)), rel=1e-12), min(k, 8) * PERIOD)
+        assert found == (at(k), (k,), pytest.approx(quadratic(at(k)), rel=1e-12), min(k, 8) * T)
         pairing.add_sample(at(k), (k,))
         assert list(pairing.take()) == [found]
 
 
 def test_the_numbers_do_not_depend_on_who_was_faster():
     def answered(order):
-        pairing, got = Pairing(4 * PERIOD, wait=True), []
+        pairing, got = Pairing(4 * T, wait=True), []
         for kind, k in order:
             if kind == "sample":
                 pairing.add_sample(at(k), (k,))
@@ -332,7 +331,7 @@ def test_the_numbers_do_not_depend_on_who_was_faster():
 
 
 def test_in_lockstep_a_sample_waits_for_its_reference_and_one_that_is_repeated_changes_nothing():
-    pairing = Pairing(2 * PERIOD, wait=True)
+    pairing = Pairing(2 * T, wait=True)
     for k in range(4):
         pairing.add_sample(at(k), (k,))
     assert not list(pairing.take())
@@ -342,7 +341,7 @@ def test_in_lockstep_a_sample_waits_for_its_reference_and_one_that_is_repeated_c
 
 
 def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
-    pairing = Pairing(2 * PERIOD, wait=False)
+    pairing = Pairing(2 * T, wait=False)
     pairing.add_reference(at(0), quadratic(at(0)))
     answered = []
     for k in range(200):
@@ -356,7 +355,7 @@ def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
 
 @pytest.mark.parametrize("starts", [(10_000, 0), (0, 1000)], ids=["clock set back", "gap"])
 def test_after_a_gap_or_a_clock_that_was_set_back_old_references_are_used_no_more(starts):
-    pairing = Pairing(2 * PERIOD, wait=False)
+    pairing = Pairing(2 * T, wait=False)
     for first in starts:
         for k in range(first, first + 5):
             pairing.add_sample(at(k), (k,))
@@ -368,17 +367,17 @@ def test_after_a_gap_or_a_clock_that_was_set_back_old_references_are_used_no_mor
 
 
 def test_samples_without_a_reference_are_forgotten_in_time_and_counted():
-    pairing = Pairing(2 * PERIOD, wait=False)
+    pairing = Pairing(2 * T, wait=False)
     for k in range(1500):
         pairing.add_sample(at(k), (k,))
     assert not list(pairing.take()) and pairing.unmatched == 500
 
 
 def test_references_run_short_when_a_sample_to_come_has_none_of_its_own():
-    pairing = Pairing(8 * PERIOD, wait=False)
+    pairing = Pairing(8 * T, wait=False)
     assert pairing.short(0)
     for k in range(20):
         pairing.add_sample(at(k), (k,))
     pairing.add_reference(at(12), quadratic(at(12)))
-    assert not pairing.short(PERIOD)
-    assert pairing.short(2 * PERIOD)
+    assert not pairing.short(T)
+    assert pairing.short(2 * T)
