@@ -5,11 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from bag_of_rows import bag_of_rows
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording, current_path, read_recording
-from straightcomp_ros.bags.topics import Topic, TopicQos
-from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
 
@@ -81,16 +80,9 @@ def test_a_current_that_no_amplifier_explains_is_interpolated():
 
 def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0)):
     """A bag of encoder and command at 2 kHz."""
-    with BagWriter(bag) as writer:
-        for stream in streams:
-            writer.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos()))
-        for k, (position, amperes) in enumerate(zip(y.tolist(), current.tolist(), strict=True)):
-            stamp = 1_000_000_000 + 500_000 * k
-            numbers = {ENCODER: (0.0, position, math.nan, amperes), COMMAND: (0.01,)}
-            for stream in streams:
-                if k not in lost:
-                    writer.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers[stream]), stamp, stamp)
-    return bag
+    numbers = {ENCODER: lambda k: (0.0, y[k], math.nan, current[k]), COMMAND: lambda k: (0.01,)}
+    kept = ((stream, k) for k in range(len(y)) if k not in lost for stream in streams)
+    return bag_of_rows(bag, ((stream, 10**9 + 500_000 * k, numbers[stream](k)) for stream, k in kept))
 
 
 MOVING = 1e-5 * np.sin(np.arange(5000) / 100.0)

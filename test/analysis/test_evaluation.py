@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from bag_of_rows import bag_of_rows
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 
 START_NS, PERIOD_NS = 1_700_000_000_000_000_000, 500_000
@@ -29,20 +28,13 @@ def sample(number):
 
 def recorded(path, without=(), left_out=None, drift=0.0, again=(), order=range(COUNT), rate=None):
     """A bag of COUNT samples; ``left_out`` gives for a stream the samples that it lacks."""
-    left_out = left_out or {}
-    with BagWriter(path) as bag:
-        if rate is not None:
-            bag.attach("parameters.yaml", "", f"/driver: {{ros__parameters: {{stage.rate: {rate}}}}}".encode())
-        streams = [stream for stream in sample(0) if stream not in without]
-        for stream in streams:
-            bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
-        for number in [*order, *again]:
-            stamp = START_NS + round(number * PERIOD_NS * (1.0 + drift))
-            for stream in streams:
-                if number not in left_out.get(stream, ()):
-                    data = stream.layout.pack(stamp, *sample(number)[stream])
-                    bag.write(f"/{stream.topic}", data, stamp, stamp)
-    return path
+    rows = (
+        (stream, START_NS + round(number * PERIOD_NS * (1.0 + drift)), numbers)
+        for number in [*order, *again]
+        for stream, numbers in sample(number).items()
+        if stream not in without and number not in (left_out or {}).get(stream, ())
+    )
+    return bag_of_rows(path, rows, "" if rate is None else f"/driver: {{ros__parameters: {{stage.rate: {rate}}}}}")
 
 
 def test_the_run_begins_when_the_amplifier_is_switched_on_and_has_every_stream(tmp_path):

@@ -26,28 +26,9 @@ def test_each_law_each_stream_and_the_simulation_are_timed_and_in_the_table(verb
     assert all(law in printed for law in LAWS) and all(f"unpack '{stream.topic}'" in printed for stream in STREAMS)
 
 
-def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number():
-    ticks = []
-    found = cost(lambda: ticks.append(sum(range(20_000))), 10, 4)
-    assert len(ticks) == 5 and 0 < found["min_us"] <= found["median_us"] <= found["max_us"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["step", "--repeats", "0"], "--repeats 0; allowed: 1 to 10000"),
-        (["graph", "--seconds", "0.1"], "--seconds 0.1; allowed: 2 to 86400"),
-        (["graph", "--soak", "nan"], "--soak nan; allowed: 0.03333 to 1440"),
-        (["graph", "--rate", "5"], "parameter 'stage.rate': 5 Hz is too small"),
-        (["graph", "--against", "logger.sync_interval=-1"], "'sync_interval': -1.0 s is too small"),
-        (["graph", "--against", "sync=1"], "allowed: NODE.NAME=VALUE"),
-        (["graph", "--priority", "99"], "parameter 'realtime.priority': 99 is too large"),
-    ],
-)
-def test_a_refused_option_ends_with_code_2_and_what_is_allowed(verb, arguments, words):
-    pytest.importorskip("rclpy")
-    code, _, said = verb("bench", *arguments)
-    assert code == 2 and words in said
+def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number(monkeypatch):
+    monkeypatch.setattr("timeit.repeat", lambda work, number, repeat: [2e-5, 1e-5, 6e-5])
+    assert cost(lambda: None, 10, 3) == pytest.approx({"min_us": 1.0, "median_us": 2.0, "max_us": 6.0})
 
 
 def test_a_ratio_with_nothing_below_it_is_no_number():

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from bag_of_rows import bag_of_rows
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.bench.graph_bench import (
     Usage,
     Window,
@@ -17,7 +16,6 @@ from straightcomp_ros.bench.graph_bench import (
 )
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
-from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
@@ -42,26 +40,21 @@ def test_the_slope_of_the_memory_is_that_of_the_line_through_the_looks():
     assert math.isnan(growth_mb_per_hour(looks[:1])["a"])
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    """1000 samples; every 10th lacks its command, the controller's state lacks the last of the first 900."""
-    path = tmp_path_factory.mktemp("window") / "bag"
-    with BagWriter(path) as bag:
-        for stream in STREAMS:
-            bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
+def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_count(tmp_path):
+    def rows():
         for k in range(1000):
-            stamp = START + k * PERIOD
             for stream in STREAMS:
+                # Every 10th sample lacks its command, and the last of the window the controller's state.
                 if (stream.topic == "command" and k % 10 == 0) or (stream.topic == "controller_state" and k == 899):
                     continue
-                numbers = [0.0] * len(stream.layout.columns)
-                if stream is DRIVER_STATE:
-                    numbers = [k * 1e-6, 0.0, 0.0, float(k >= 300)]
-                bag.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), stamp, stamp)
-    return path
+                state = [k * 1e-6, 0.0, 0.0, float(k >= 300)]
+                yield (
+                    stream,
+                    START + k * PERIOD,
+                    state if stream is DRIVER_STATE else [0.0] * len(stream.layout.columns),
+                )
 
-
-def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_count(bag):
+    bag = bag_of_rows(tmp_path / "bag", rows())
     found = read_window(bag, 2000, START + 100 * PERIOD, START + 900 * PERIOD)
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
     expected = {"expected_samples": 800, "missing": missing, "complete": False, "amplifier_on": pytest.approx(0.75)}
@@ -82,9 +75,3 @@ def test_at_every_rate_the_stage_moves_all_the_while_and_all_nodes_have_the_prio
     assert duration == pytest.approx(seconds + 2.5)
     assert {values[node]["realtime.priority"] for node in NODE_PARAMETERS} == {priority}
     assert driver.realtime.keep_awake and driver.realtime.exclusive is (priority > 0)
-
-
-@pytest.mark.parametrize(("name", "chosen"), [("realtime.priority", {"priority": 99}), ("stage.rate", {"rate": 1})])
-def test_a_measured_run_is_refused_the_parameters_that_a_node_refuses(name, chosen):
-    with pytest.raises(ParameterError, match=name):
-        bench_parameters(shipped_parameters(), **{"rate": 2000, "seconds": 5.0, "priority": 0, **chosen})

@@ -4,15 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_of_rows import bag_of_rows
 from rewritten_bag import rewritten
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recorded_nodes import note_changes
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import STREAMS
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
@@ -134,40 +133,29 @@ def live(path: Path, seed: int) -> Path:
     controller = node_parameters("controller", values)
     servo = Servo(make_law(controller.control, controller.stage))
     pairing = Pairing(8 * PERIOD_NS, wait=False)
-    with BagWriter(path) as writer:
-        writer.attach(
-            "parameters.yaml", "application/yaml", b"controller:\n  ros__parameters: {control.law: smc_observer}\n"
-        )
-        for stream in STREAMS:
-            writer.add(Topic(f"/{stream.topic}", stream.layout.type_name))
-
-        def record(topic, stamp, *numbers):
-            writer.write(f"/{topic}", LAYOUTS[topic].pack(stamp, *numbers), stamp, stamp)
-
-        late = []
-        for k in range(3000):
-            stamp = 1_700_000_000_000_000_000 + k * PERIOD_NS + (30_000_000 if k > 2000 else 0)
-            on = not 900 <= k < 1000
-            y = 1e-6 * np.sin(k / 300) + 1e-8 * source.integers(-5, 5)
-            numbers = (k * 1e-4, float("nan") if k % 777 == 5 else float(y), float("nan"), 0.01 if on else float("nan"))
-            record("encoder", stamp, *numbers)
-            reference = (1e-6 * np.sin(k / 300), 6.7e-6 * np.cos(k / 300), 0.0)
-            record("reference", stamp, *reference)
-            late.append((stamp, reference))
-            if source.random() < 0.7:
-                for one in late:
-                    pairing.add_reference(*one)
-                late.clear()
-            if source.random() < 0.02:
-                continue  # lost on its way to the controller, not on its way to the logger
-            for _ in range(2 if source.random() < 0.02 else 1):
-                pairing.add_sample(stamp, numbers)
-            for taken, sample, given, age_ns in pairing.take():
-                command = servo.step(taken, sample[1], sample[3], given)
-                if command is not None:
-                    record("command", taken, command.current)
-                    record("controller_state", taken, *command[1:], age_ns * 1e-9)
-    return path
+    rows, late = [], []
+    for k in range(3000):
+        stamp = 1_700_000_000_000_000_000 + k * PERIOD_NS + (30_000_000 if k > 2000 else 0)
+        on = not 900 <= k < 1000
+        y = 1e-6 * np.sin(k / 300) + 1e-8 * source.integers(-5, 5)
+        numbers = (k * 1e-4, float("nan") if k % 777 == 5 else float(y), float("nan"), 0.01 if on else float("nan"))
+        reference = (1e-6 * np.sin(k / 300), 6.7e-6 * np.cos(k / 300), 0.0)
+        rows += [(ENCODER, stamp, numbers), (REFERENCE, stamp, reference)]
+        late.append((stamp, reference))
+        if source.random() < 0.7:
+            for one in late:
+                pairing.add_reference(*one)
+            late.clear()
+        if source.random() < 0.02:
+            continue  # lost on its way to the controller, not on its way to the logger
+        for _ in range(2 if source.random() < 0.02 else 1):
+            pairing.add_sample(stamp, numbers)
+        for taken, sample, given, age_ns in pairing.take():
+            command = servo.step(taken, sample[1], sample[3], given)
+            if command is not None:
+                rows.append((COMMAND, taken, [command.current]))
+                rows.append((CONTROLLER_STATE, taken, [*command[1:], age_ns * 1e-9]))
+    return bag_of_rows(path, rows, "controller:\n  ros__parameters: {control.law: smc_observer}\n")
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
