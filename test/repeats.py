@@ -12,9 +12,8 @@ _LONGEST_REASON = 400
 
 
 def pytest_configure(config):
-    config.addinivalue_line(
-        "markers", "live: runs nodes in real time, alone on the machine, and is repeated when it fails"
-    )
+    meaning = "runs nodes in real time, alone on the machine, and is repeated when it fails"
+    config.addinivalue_line("markers", f"live: {meaning}")
 
 
 @pytest.hookimpl(tryfirst=True)

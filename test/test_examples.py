@@ -29,9 +29,8 @@ def test_the_example_of_a_bag_prints_its_verdict_and_says_by_its_exit_code_wheth
 def test_the_example_of_a_simulation_prints_a_line_for_each_mass(capsys):
     assert loaded("simulate_stage").main() == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in lines] == ["mass 1.0", "mass 1.2"] and all(
-        "in_order" in one for one in lines
-    )
+    assert [line.split(":")[0] for line in lines] == ["mass 1.0", "mass 1.2"]
+    assert all("in_order" in line for line in lines)
 
 
 def test_the_example_of_a_client_can_be_imported_and_no_example_is_longer_than_60_lines():

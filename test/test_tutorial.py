@@ -21,9 +21,7 @@ MADE = {
     "stage check": (),
     "design": (),
     "simulate": ("simulated.png",),
-    "commission": tuple(
-        f"commissioning/{name}" for name in ("certificate.html", "loop.png", "stroke.png", "tuned.yaml")
-    ),
+    "commission": tuple(f"commissioning/{one}" for one in ("certificate.html", "loop.png", "stroke.png", "tuned.yaml")),
     "evaluate": (),
 }
 """Files in the folder `tutorial` by the command that makes them."""

@@ -9,13 +9,8 @@ import yaml
 import straightcomp_ros
 from straightcomp_ros.parameters.share import share_path
 
-GROUPS = {
-    name: group
-    for name, group in yaml.safe_load(share_path("config/diagnostic_aggregator.yaml").read_text(encoding="utf-8"))[
-        "/**"
-    ]["ros__parameters"].items()
-    if name != "path"
-}
+FILE = yaml.safe_load(share_path("config/diagnostic_aggregator.yaml").read_text(encoding="utf-8"))
+GROUPS = {name: group for name, group in FILE["/**"]["ros__parameters"].items() if name != "path"}
 NODES = [Path(straightcomp_ros.__file__).parent / folder for folder in ("nodes", "tuning/graph")]
 
 

@@ -79,7 +79,7 @@ def test_a_verb_that_cannot_be_loaded_leaves_the_others_alone(install, verb, tex
 def test_a_verb_of_two_packages_or_without_its_extra_is_refused_and_the_packages_are_named(install, verb):
     install("metering", "meter", "import not_installed", "[heavy]")
     code, _, said = verb("meter")
-    assert (code, said) == (2, "straightcomp: not_installed is not there; remedy: pip install 'metering[heavy]'\n")
+    assert code == 2 and "not_installed" in said and "pip install 'metering[heavy]'" in said
     install("scales", "weigh", VERB)
     install("other-scales", "weigh", VERB)
     code, _, said = verb("weigh", "platform")

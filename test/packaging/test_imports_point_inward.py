@@ -117,12 +117,8 @@ def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order():
     streams = [stream.topic for stream in contract.STREAMS]
     assert re.findall(r"^\| `(\w+)` \| \w+(?:,[^|]*)? \| [\w, ]+ \| ", PATH_OF_A_SAMPLE, re.MULTILINE) == streams
     drawn = re.findall(r"── (\w+) ──", PATH_OF_A_SAMPLE.split("```")[1])
-    assert drawn == [
-        contract.ENCODER.topic,
-        contract.ENCODER.batch_topic,
-        contract.REFERENCE.batch_topic,
-        contract.COMMAND.topic,
-    ]
+    encoder, reference, command = contract.ENCODER, contract.REFERENCE, contract.COMMAND
+    assert drawn == [encoder.topic, encoder.batch_topic, reference.batch_topic, command.topic]
 
 
 def test_imports_point_downward_or_to_the_same_row():

@@ -6,7 +6,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import pytest
 from rosbags.rosbag2 import Reader
 
 from scripts import make_layouts
@@ -15,25 +14,11 @@ from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 
 ROOT = Path(__file__).resolve().parents[2]
 TOPICS = {f"/{stream.topic}": stream for stream in (*STREAMS, DISPLACEMENT)}
-
-
 FOXGLOVE = json.loads((ROOT / "config" / "foxglove.json").read_text(encoding="utf-8"))
 PLOTJUGGLER = ElementTree.parse(ROOT / "config" / "plotjuggler.xml").getroot()
 PLOTS = [panel for name, panel in FOXGLOVE["configById"].items() if name.startswith("Plot!")]
 PATHS = [panel["xAxisPath"]["value"] for panel in PLOTS if "xAxisPath" in panel]
 PATHS += [path["value"] for panel in PLOTS for path in panel["paths"]]
-
-
-@pytest.fixture(scope="module")
-def messages():
-    """One message of each topic, as others decode it, from the sample bags."""
-    found = {}
-    for name in ("smc", "survey"):
-        with Reader(ROOT / "bags" / name) as reader:
-            for connection in reader.connections:
-                _, _, data = next(reader.messages([connection]))
-                found[connection.topic] = typestore().deserialize_cdr(data, connection.msgtype)
-    return found
 
 
 def followed(message, path):
@@ -48,7 +33,13 @@ def test_the_files_are_those_that_the_script_makes(tmp_path):
         assert (tmp_path / name).read_text() == (ROOT / "config" / name).read_text(), "run scripts/make_layouts.py"
 
 
-def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_column(messages):
+def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_column():
+    messages = {}
+    for name in ("smc", "survey"):
+        with Reader(ROOT / "bags" / name) as reader:
+            for connection in reader.connections:
+                _, _, data = next(reader.messages([connection]))
+                messages[connection.topic] = typestore().deserialize_cdr(data, connection.msgtype)
     assert len(PATHS) > 20
     for path in PATHS:
         topic, rest = re.fullmatch(r"(/\w+)(\..+)", path).groups()

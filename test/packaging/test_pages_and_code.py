@@ -37,9 +37,11 @@ def test_every_topic_of_the_contract_stands_in_the_design():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_parameter_that_is_named_exists(page):
-    groups = {name.partition(".")[0] for name in OF_ANY_NODE if "." in name}
-    for named in re.findall(r"`([a-z_]+(?:\.[a-z_0-9]+)+)[`=: ]", page.read_text(encoding="utf-8")):
+def test_every_parameter_that_is_named_or_that_a_command_sets_exists(page):
+    text, groups = page.read_text(encoding="utf-8"), {name.partition(".")[0] for name in OF_ANY_NODE if "." in name}
+    for node, _, name in (named.partition(".") for named in re.findall(r"--set[ =]([a-z_.0-9]+)=", text)):
+        assert name in PARAMETERS[node], name
+    for named in re.findall(r"`([a-z_]+(?:\.[a-z_0-9]+)+)[`=: ]", text):
         node, _, name = named.partition(".")
         if (node in PARAMETERS and name in PARAMETERS[node]) or node not in groups:
             continue
@@ -79,13 +81,6 @@ def test_every_command_is_one_that_the_program_takes(page, parser, capsys):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_rig_that_is_named_can_be_run(page):
     assert set(re.findall(r"python -m trials ([a-z_]+)", page.read_text(encoding="utf-8"))) <= set(RIGS)
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_parameter_that_a_command_sets_exists(page):
-    for named in re.findall(r"--set[ =]([a-z_.0-9]+)=", page.read_text(encoding="utf-8")):
-        node, _, name = named.partition(".")
-        assert name in PARAMETERS[node], named
 
 
 SCALES = {"ms": 1e-3, "µs": 1e-6, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "mA": 1e-3, "%": 1e-2}

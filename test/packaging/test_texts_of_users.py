@@ -11,7 +11,6 @@ from rich.table import Table
 
 from straightcomp_ros.analysis.html_page import blocks, line_figure
 from straightcomp_ros.analysis.pictures import as_text
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.cli.output import console, notes, printable, styled
 from straightcomp_ros.cli.results import doubtful, titled_table
 
@@ -40,16 +39,13 @@ def test_a_text_is_printed_as_it_is(name, of, monkeypatch):
 
 
 @pytest.mark.parametrize("control", ["\x1b[2J", "\x1b]0;x\x07", "\r", "\x08", "\x9b2J", "\u202e", "\x7f"])
-def test_no_text_controls_the_terminal(control, monkeypatch, capsys):
-    table = titled_table(f"a{control}b", f"a{control}b", rows=[(f"a{control}b",), (doubtful(f"a{control}b"),)])
-    shown = printed(monkeypatch, f"a{control}b", styled(f"a{control}b"), table)
-    assert control not in shown and printable(f"a{control}b") in shown
-    for words in (["evaluate", f"a{control}b"], ["simulate", "--plot", f"a{control}b/run.png"]):
-        assert main(words) in (1, 2)
-        assert control not in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main([f"a{control}b"])
-    assert control not in capsys.readouterr().err
+def test_no_text_controls_the_terminal(control, monkeypatch, verb):
+    name = f"a{control}b"
+    shown = printed(monkeypatch, name, styled(name), titled_table(name, name, rows=[(name,), (doubtful(name),)]))
+    assert control not in shown and printable(name) in shown
+    for words in (["evaluate", name], ["simulate", "--plot", f"{name}/run.png"], [name]):
+        found = verb(*words)
+        assert found.code in (1, 2) and control not in found.err
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
