@@ -8,8 +8,8 @@ import pytest
 from straightcomp_ros.cell.launcher import Graph
 
 
-def wait_for_line(graph: Graph, node: str, text: str, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
+def wait_for_line(graph: Graph, node: str, text: str) -> None:
+    end = time.monotonic() + 120.0
     while time.monotonic() < end:
         if text in graph.log(node).read_text():
             return

@@ -1,7 +1,9 @@
 """Messages of all streams with numbers of any bit pattern, and a bag that has them."""
 
 import random
+import sqlite3
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,9 +46,8 @@ def any_float64(source: random.Random) -> float:
     return struct.unpack("<d", source.randbytes(8))[0]
 
 
-def messages(count: int, seed: int = 0) -> list[Written]:
-    source = random.Random(seed)
-    written = []
+def messages(count: int) -> list[Written]:
+    source, written = random.Random(0), []
     for cycle in range(count):
         stamp = START_NS + 500_000 * cycle
         for stream in STREAMS:
@@ -80,9 +81,41 @@ def mcap_of(*content: tuple[int, bytes]) -> bytes:
     return MAGIC + b"".join(record(*one) for one in parts) + MAGIC
 
 
-def add_streams(bag: BagWriter, namespace: str = "") -> None:
+def add_streams(bag: BagWriter) -> None:
     for stream in STREAMS:
-        bag.add(Topic(f"{namespace}/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort")))
+        bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort")))
+
+
+def recorded(folder: Path, count: int, **options: Any) -> Recording:
+    """``count`` cycles of all streams in a new bag."""
+    written = messages(count)
+    with BagWriter(folder, **options) as bag:
+        add_streams(bag)
+        bag.attach("parameters.yaml", "application/yaml", b"rate: 2000\n")
+        bag.add_metadata("survey", {"guide": "synthetic", "points": "177"})
+        write(bag, written)
+    return Recording(folder, written)
+
+
+def sqlite_bag(
+    path: Path, topics: dict[str, str], rows: list[tuple[str, int, bytes]], definitions: Sequence[Any] = ()
+) -> Path:
+    """A file of SQLite as rosbag2 makes them; a topic whose name ends with + is there twice."""
+    with sqlite3.connect(path) as connection:
+        run = connection.execute
+        run("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles)")
+        run("CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        ids = {name: number for number, name in enumerate(topics, 1)}
+        for name, number in ids.items():
+            run("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, name.rstrip("+"), topics[name]))
+        for name, time_ns, data in rows:
+            run("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", (ids[name], time_ns, data))
+        if definitions:
+            run("CREATE TABLE message_definitions (id, topic_type, encoding, encoded_message_definition, hash)")
+            for one in definitions:
+                run("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, '')", one)
+    connection.close()
+    return path
 
 
 def described(bag: Path, **information: object) -> Path:

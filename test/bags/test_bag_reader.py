@@ -25,9 +25,9 @@ def bits(values) -> list[int]:
     return np.array(values, np.float64).view(np.uint64).tolist()
 
 
-def joint_state_bytes(names, position=(), effort=(), frame_id="", stamp_ns=START_NS) -> bytes:
+def joint_state_bytes(names, position=(), effort=(), frame_id="") -> bytes:
     """A JointState as rosbags serialises it."""
-    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(START_NS, 1_000_000_000))
     header = STORE.types["std_msgs/msg/Header"](time, frame_id)
     arrays = (np.array(values, np.float64) for values in (position, (), effort))
     return bytes(STORE.serialize_cdr(STORE.types[JOINT_STATE](header, list(names), *arrays), JOINT_STATE))

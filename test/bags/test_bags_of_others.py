@@ -1,7 +1,6 @@
 """Bags as other writers make them: every verb reads them with the values of the plain bag, or refuses them by name."""
 
 import shutil
-import sqlite3
 import struct
 import zlib
 from pathlib import Path
@@ -14,7 +13,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from recording import LAYOUTS, described, mcap_of, messages, records
+from recording import LAYOUTS, described, mcap_of, messages, records, sqlite_bag
 from rewritten_bag import SMC
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as SqliteWriter
@@ -227,24 +226,6 @@ def custom_messages() -> tuple[str, list[bytes]]:
     return text, [pack(b"\0\1\0\0", 10 + n, 0, b"\1\0\0\0", 0.0, n + 0.5, 0.0) for n in range(3)]
 
 
-def sqlite_bag(path: Path, topics: dict[str, str], rows: list[tuple[str, int, bytes]], definitions=()) -> Path:
-    with sqlite3.connect(path) as connection:
-        run = connection.execute
-        run("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles)")
-        run("CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
-        ids = {name: number for number, name in enumerate(topics, 1)}
-        for name, number in ids.items():
-            run("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, name.rstrip("+"), topics[name]))
-        for name, time_ns, data in rows:
-            run("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", (ids[name], time_ns, data))
-        if definitions:
-            run("CREATE TABLE message_definitions (id, topic_type, encoding, encoded_message_definition, hash)")
-            for one in definitions:
-                run("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, '')", one)
-    connection.close()
-    return path
-
-
 def sqlite_of(path: Path, messages: list[One]) -> Path:
     rows = [(one.topic, one.log_time, one.data) for one in messages]
     return sqlite_bag(path, {one.topic: one.type_name for one in messages}, rows)
@@ -275,17 +256,14 @@ def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encod
 
 HUMBLE_RANGE = "std_msgs/Header header\nuint8 radiation_type\nfloat32 field_of_view\nfloat32 min_range\n"
 HUMBLE_RANGE += "float32 max_range\nfloat32 range\n"
+HUMBLE_BYTES = struct.pack("<4sIIIsB2x4f", b"\0\1\0\0", 10, 0, 1, b"", 0, 0, 0, 0, 0.5)
 
 
 @pytest.mark.parametrize(
     ("type_name", "text", "message"),
     [
         # Humble's has no variance at the end.
-        (
-            "sensor_msgs/msg/Range",
-            HUMBLE_RANGE,
-            struct.pack("<4sIIIsB2x4f", b"\0\1\0\0", 10, 0, 1, b"", 0, 0, 0, 0, 0.5),
-        ),
+        ("sensor_msgs/msg/Range", HUMBLE_RANGE, HUMBLE_BYTES),
         # A header of one's own has no stamp.
         ("acme_msgs/msg/Probe", "uint8 header\nfloat32 range\n", struct.pack("<4sB3xf", b"\0\1\0\0", 1, 0.5)),
     ],

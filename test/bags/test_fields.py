@@ -48,6 +48,10 @@ def point(number, head):
     return T["geometry_msgs/msg/PointStamped"](head, T["geometry_msgs/msg/Point"](1.0, 2.0 * number, 3.0))
 
 
+def plain(number, head):
+    return T["std_msgs/msg/Float64"](2.0 * number)
+
+
 def joints(number, head):
     names = ["a", "stage_x", "b"]
     return T["sensor_msgs/msg/JointState"](head, names, np.arange(3.0) + number, np.empty(0), np.array([7.0]))
@@ -57,12 +61,7 @@ def joints(number, head):
     ("type_name", "make", "field", "late_ns"),
     [
         ("geometry_msgs/msg/PointStamped", point, Field("probe", "point.y"), 0),
-        (
-            "std_msgs/msg/Float64",
-            lambda number, _: T["std_msgs/msg/Float64"](2.0 * number),
-            Field("/probe", "data"),
-            5e8,
-        ),
+        ("std_msgs/msg/Float64", plain, Field("/probe", "data"), 5e8),
     ],
 )
 def test_a_message_has_the_stamp_of_its_header_or_else_the_time_of_sending(tmp_path, type_name, make, field, late_ns):

@@ -147,11 +147,8 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
     assert metadata["logger"] == {"received": "99", "written": "59", "dropped": "0"}
     assert metadata["origin"]["package"] == "straightcomp_ros" and metadata["origin"]["version"]
     assert re.fullmatch(r"unknown|[0-9a-f]{7,40}(-dirty)?", metadata["origin"]["revision"])
-    counts = {
-        t["topic_metadata"]["name"]: t["message_count"]
-        for t in information(tmp_path / "run_2")["topics_with_message_count"]
-    }
-    assert counts == {"/encoder": 1, "/late": 1}
+    topics = information(tmp_path / "run_2")["topics_with_message_count"]
+    assert {one["topic_metadata"]["name"]: one["message_count"] for one in topics} == {"/encoder": 1, "/late": 1}
     assert described[-1] is True
 
 
