@@ -3,7 +3,7 @@
 The column's name ends with the unit: x in m, mm, um or in (inch), deviation in m, mm, um, nm, in or uin. The names and
 separators of instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or
 tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. Each run may have a
-column of its own: ``Run 1 forward [µm]``. Other columns are ignored.
+column of its own: ``Run 1 forward [µm]``, ``Run 1- [µm]``. Other columns are ignored.
 """
 
 import csv
@@ -119,12 +119,18 @@ class Table(NamedTuple):
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
 _NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
-_OWN_UNIT = re.compile(rf"(.*?)(?:[\s_.:-]+|[\s_]*[\[(/,]\s*)({'|'.join(PER_METRE)})\s*[\])]?")
+_OWN_UNIT = re.compile(rf"(.*?(?:(?<=\d)-(?=[\s_]))?)(?:[\s_.:-]+|[\s_]*[\[(/,]\s*)({'|'.join(PER_METRE)})\s*[\])]?")
 _NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METRE} - {'in'})}|per)\s*$")
 """What before a unit makes another one of it: the opened bracket of ``(0.1 µm)``, the slope of ``µm/m``."""
 _RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
 """What the column of one run may be called, with its number, its direction or both."""
 DIRECTIONS: dict[str, Direction] = {"forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
+_SIGNS = {"+": " forward", "-": " backward"}
+"""What a sign after the number of a run means, as in ``Run 1-``."""
+_COMPUTED = {*["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "sigma", "σ", "ø"]}
+"""What names a figure of runs among the columns of runs."""
+_RUN = re.compile(r"(\w+) \(((?:forward |backward )?)run\)")
+"""What :func:`_of_run` makes of a run's column."""
 TIME_COLUMN = "time_s"
 """Of a recording over time."""
 RUN_COLUMN = "column of the run"
@@ -191,6 +197,8 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
+    if runs:
+        _check_left_out(header_line, header, deviation)
     rows = _rows(path, lines[first:], delimiter, header)
     numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
@@ -296,26 +304,46 @@ def _name_and_unit(name: str) -> tuple[str, str]:
     return (parts[1], parts[2]) if parts and not _NO_LENGTH.search(parts[1]) else ("", "")
 
 
-def _of_run(name: str) -> str:
-    """``deviation_um (forward run)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
+def _parts_of_run(name: str) -> tuple[str, list[str], list[str]] | None:
+    """The unit of the column of a run, its directions, and its further parts but the words for a run; None for a name
+    that has neither a direction nor such a word, or no unit."""
     words, unit = _name_and_unit(name)
+    words = re.sub(r"(?<=\d)[+-]$", lambda sign: _SIGNS[sign[0]], words)
     # A difference of runs, a mean or a deviation of them says so by a second number, a sign or a word.
     parts = re.findall(r"\d+|[^\W\d_]+|[^\s\w.#-]", words)
-    ways = [DIRECTIONS[part] for part in parts if part in DIRECTIONS]
-    named = [part for part in parts if part in _RUN_WORDS]
+    if not unit or not {*DIRECTIONS, *_RUN_WORDS}.intersection(parts):
+        return None
     others = [part for part in parts if part not in {*DIRECTIONS, *_RUN_WORDS, "deviation", "straightness"}]
-    if not unit or not (ways or named) or len(ways) > 1 or len(others) > 1 or any(not one.isdigit() for one in others):
+    return unit, [DIRECTIONS[part] for part in parts if part in DIRECTIONS], others
+
+
+def _of_run(name: str) -> str:
+    """``deviation_um (forward run)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
+    unit, ways, others = _parts_of_run(name) or ("", [], [])
+    if not unit or len(ways) > 1 or len(others) > 1 or any(not one.isdigit() for one in others):
         return ""
     return f"deviation_{unit} ({' '.join([*ways, 'run'])})"
 
 
 def _columns_of_runs(header: Sequence[str]) -> list[int]:
     """Where the runs are that have a column each, if the file is one of these."""
-    found = [at for at, name in enumerate(header) if " " in name and name.partition(" ")[0] in DEVIATION.columns]
-    units = {header[at].partition(" ")[0] for at in found}
-    directed = {header[at].endswith("(run)") for at in found}
+    found = {at: run for at, name in enumerate(header) if (run := _RUN.fullmatch(name))}
+    units = {run[1] for run in found.values()}
+    directed = {bool(run[2]) for run in found.values()}
     other = {"run", "direction", *DEVIATION.columns}.intersection(header)
-    return found if len(units) == len(directed) == 1 and not other else []
+    return [*found] if len(units) == len(directed) == 1 and not other else []
+
+
+def _check_left_out(where: str, header: Sequence[str], unit: str) -> None:
+    """Raise SurveyError for a column beside those of runs that may be another run: it would be missed by nobody."""
+    for name in header:
+        own, ways, others = _parts_of_run(name) or ("", [], [])
+        numbers = [one for one in others if one.isdigit()]
+        if f"deviation_{own}" == unit and max(len(ways), len(numbers)) < 2 and not _COMPUTED.intersection(others):
+            raise SurveyError(
+                f"{where}: column '{name}' may be a run; allowed for a run: its number, and {', '.join(DIRECTIONS)}, + "
+                f"or -, as in 'Run 1 forward [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
+            )
 
 
 def _a_row_for_each(
@@ -342,7 +370,7 @@ def _spelled(name: str) -> str:
 
 def _plain(cell: str) -> str:
     """In lower case, with either micro sign as ``u``, and inches as ``in``."""
-    text = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    text = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u2212", "-")
     return _INCH.sub(lambda found: "uin" if found[1] else "in", text)
 
 

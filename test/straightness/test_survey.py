@@ -3,6 +3,7 @@ on one grid, and their repeatability by its definition."""
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -183,6 +184,8 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path
         ("x_mm,cycle 1 [um],cycle 2 [um]", True, WAYS),
         ("x_mm,Run 1 fwd (\u00b5m),Run 1 backward (\u00b5m)", False, WAYS[:2]),
         ("Position,1 Forward,1 bwd\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
+        ("x_mm,Run 1+ (\u00b5m),Run 1- (\u00b5m)", False, WAYS[:2]),
+        ("Position,1+,1\u2212\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
     ],
 )
 def test_each_run_may_have_a_column_of_its_own(tmp_path, header, back, expected):
@@ -262,12 +265,22 @@ def test_a_list_without_names_is_not_said_to_be_of_one_controller(tmp_path, valu
         "run 1 [um],run 2 backward [um]",  # which way was the first?
         "straightness 1 [um],straightness 2 [um]",  # of two directions, perhaps
         "horizontal [um],vertical [um]",
+        "deviation_um raw,deviation_um std",
+        "run 1+ [um],run 1 - [um]",
     ],
 )
 def test_columns_that_need_not_be_runs_are_refused(tmp_path, names):
     rows = "".join(f"{x},{x % 30},{x % 30}\n" for x in range(0, 240, 10))
     (tmp_path / "survey.csv").write_text(f"x_mm,{names}\n{rows}", encoding="utf-8")
     with pytest.raises(SurveyError, match="no column for deviation"):
+        read_survey(tmp_path / "survey.csv")
+
+
+@pytest.mark.parametrize("beside", ["Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again"])
+def test_a_column_beside_those_of_runs_that_may_be_a_run_is_refused(tmp_path, beside):
+    rows = "".join(f"{x},{x % 30},{x % 30}\n" for x in range(0, 240, 10))
+    (tmp_path / "survey.csv").write_text(f"x_mm,Run 1 (\u00b5m),{beside} (\u00b5m)\n{rows}", encoding="utf-8")
+    with pytest.raises(SurveyError, match=f"line 1: column '{re.escape(beside.lower())} .* may be a run"):
         read_survey(tmp_path / "survey.csv")
 
 
