@@ -23,6 +23,9 @@ BIN_MM = 10
 PARTITIONS = ("stage", "month")
 """Columns that the folders of the store name, so that a file does not repeat them: name of the stage, and month
 YYYY-MM in which the bag's first stroke began, UTC."""
+_SEAL, _UNSEALED = b"blake2b:", b"0" * 32
+"""What stands before the checksum in a file's footer, and in its place while that is computed: Parquet's own checksums
+leave the footer out, and DuckDB does not look at them."""
 _LONGEST_NAME = 240
 """Bytes; file systems allow 255, of which `stage=` or `.html.part` take some."""
 
@@ -161,32 +164,53 @@ def table_of(row: type, rows: Sequence[Any]) -> pyarrow.Table:
 
 def parquet(row: type, rows: Sequence[Any]) -> bytes:
     """Rows of the class ``row`` as a Parquet file."""
+    # Columns are short: what describes them would be three times as long as they are.
+    return sealed(table_of(row, rows), use_dictionary=False, write_statistics=False)
+
+
+def sealed(table: pyarrow.Table, **options: Any) -> bytes:
+    """A table as a Parquet file whose footer has the checksum of the whole file, by which damage is seen."""
     import pyarrow.parquet
 
     file = io.BytesIO()
-    # Columns are short: what describes them would be three times as long as they are.
-    pyarrow.parquet.write_table(
-        table_of(row, rows), file, compression="zstd", use_dictionary=False, store_schema=False, write_statistics=False
-    )
-    return file.getvalue()
+    with pyarrow.parquet.ParquetWriter(file, table.schema, compression="zstd", store_schema=False, **options) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({"checksum": _SEAL + _UNSEALED})
+    head, seal, tail = file.getvalue().rpartition(_SEAL)
+    return b"".join((head, seal, _checksum_of_sealed(head, tail), tail[len(_UNSEALED) :]))
+
+
+def check_seal(data: bytes) -> None:
+    """Raise ValueError for a Parquet file that is not as it was written; earlier versions wrote no checksum."""
+    head, seal, tail = data.rpartition(_SEAL)
+    if seal and not tail.startswith(_checksum_of_sealed(head, tail)):
+        raise ValueError("its content does not have the checksum that it was written with")
+
+
+def _checksum_of_sealed(head: bytes, tail: bytes) -> bytes:
+    return checksum_of((head, _SEAL, _UNSEALED, tail[len(_UNSEALED) :])).encode()
 
 
 def rows_in(row: type, data: bytes) -> pyarrow.Table:
     """The rows of a Parquet file, with the columns of the class ``row``: null where it was written before a column was
-    declared.
+    declared. Raises ValueError for a damaged file.
 
     Read in this thread alone. ``pyarrow.parquet.read_table`` leaves a task to a thread of Arrow's pool, which may let
     go of ``data`` when the interpreter has ended, and aborts the process then (apache/arrow#34314).
     """
     import pyarrow.parquet
 
-    found = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data)).read(use_threads=False)
-    schema, there = schema_of(row), set(found.column_names)
-    columns = [
-        found[field.name].cast(field.type) if field.name in there else pyarrow.nulls(found.num_rows, field.type)
-        for field in schema
-    ]
-    return pyarrow.Table.from_arrays(columns, schema=schema)
+    check_seal(data)
+    try:
+        found = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data)).read(use_threads=False)
+        schema, there = schema_of(row), set(found.column_names)
+        columns = [
+            found[field.name].cast(field.type) if field.name in there else pyarrow.nulls(found.num_rows, field.type)
+            for field in schema
+        ]
+        return pyarrow.Table.from_arrays(columns, schema=schema)
+    except (pyarrow.ArrowException, OSError) as error:  # the bytes are in memory: no file failed
+        raise ValueError(" ".join(str(error).split())) from error
 
 
 def checksum_of(parts: Iterable[bytes]) -> str:

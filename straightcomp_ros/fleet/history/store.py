@@ -19,12 +19,13 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote, unquote
 
 from straightcomp_ros.fleet.history import HistoryError, StorageError
@@ -34,10 +35,12 @@ from straightcomp_ros.fleet.history.rows import (
     PARTITIONS,
     BagRow,
     StrokeRow,
+    check_seal,
     checksum_of,
     parquet,
     rows_in,
     schema_of,
+    sealed,
     stored_name,
 )
 from straightcomp_ros.parameters.output_files import locked, same_or_within, write_whole
@@ -45,6 +48,7 @@ from straightcomp_ros.parameters.output_files import locked, same_or_within, wri
 if TYPE_CHECKING:
     import pyarrow
 
+_Read = TypeVar("_Read")
 STROKES, BAGS = "strokes", "bags"
 _PARTS, _LOCK = ".parts", ".lock"
 _MONTH = "strokes.parquet"
@@ -93,13 +97,11 @@ class Store:
     def row(self, location: str) -> dict[str, Any]:
         """The row of the bag at this place by its columns, those of
         :class:`~straightcomp_ros.fleet.history.rows.BagRow`; empty where there is none, or it is damaged."""
-        from pyarrow import ArrowException
-
         try:
             with reaching(self.url):
                 data = self.files.cat_file(self._bag_file(location))
             return rows_in(BagRow, data).to_pylist()[0]  # type: ignore[no-any-return]
-        except (FileNotFoundError, ArrowException, LookupError):
+        except (FileNotFoundError, ValueError, LookupError):
             return {}
 
     def put(self, row: BagRow, strokes: bytes | None) -> None:
@@ -135,13 +137,7 @@ class Store:
         if not self.files.isdir(folder):
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
-        files = [file for file in self.files.find(folder) if file.endswith(".parquet")]
-        # On another storage most of the time is the way there.
-        tables = list[pyarrow.Table]()
-        with ThreadPoolExecutor() as threads:
-            for file, data in zip(files, threads.map(self.files.cat_file, files), strict=True):
-                with self._whole(file):
-                    tables.append(rows_in(StrokeRow, data))
+        tables = self._each(folder, partial(rows_in, StrokeRow))
         return pyarrow.concat_tables([schema_of(StrokeRow).empty_table(), *tables]).sort_by(_ORDER)
 
     def query(self, sql: str, force: bool = False) -> pyarrow.Table:
@@ -154,7 +150,7 @@ class Store:
         A file that COPY names is replaced with ``force`` only, and one of the store never.
 
         Raises:
-            HistoryError: there is no store, or the query is refused.
+            HistoryError: there is no store, one of its files is damaged, or the query is refused.
         """
         import duckdb
         import pyarrow
@@ -198,10 +194,11 @@ class Store:
         import pyarrow
 
         folder = f"{self.root}/{name}"
+        # DuckDB takes damaged values for values.
+        found = bool(self._each(folder, check_seal))
         if not self.local:
             folder = self.files.unstrip_protocol(folder)
         files = f"{glob.escape(folder)}/**/*.parquet".replace("'", "''")
-        found = bool(database.execute(f"SELECT 1 FROM glob('{files}') LIMIT 1").fetchall())
         schema = pyarrow.schema([*schema_of(row), *((partition, pyarrow.string()) for partition in partitions)])
         database.register(declared := f"declared_{name}" if found else name, schema.empty_table())
         if not found:
@@ -224,6 +221,18 @@ class Store:
                     shutil.rmtree(part) if part.is_dir() else part.unlink()
             except FileNotFoundError:
                 continue  # another process was faster
+
+    def _each(self, folder: str, read: Callable[[bytes], _Read]) -> list[_Read]:
+        """What ``read`` gives of each file below a folder, in threads: on another storage most of the time is the way
+        there. Raises HistoryError for a damaged file."""
+
+        def one(file: str) -> _Read:
+            data = self.files.cat_file(file)
+            with self._whole(file):
+                return read(data)
+
+        with ThreadPoolExecutor() as threads:
+            return list(threads.map(one, (file for file in self.files.find(folder) if file.endswith(".parquet"))))
 
     def _bag_file(self, location: str) -> str:
         return f"{self.root}/{BAGS}/{checksum_of([location.encode('utf-8', 'surrogateescape')])}.parquet"
@@ -257,13 +266,11 @@ class Store:
 
     @contextmanager
     def _whole(self, file: str | Path) -> Iterator[None]:
-        """Raises HistoryError if what reads a month's ``file`` meanwhile finds it damaged."""
-        from pyarrow import ArrowException
-
+        """Raises HistoryError if what reads a ``file`` meanwhile finds it damaged."""
         try:
             yield
-        except ArrowException as error:
-            remedy = "remove it, and add the bags of this month again with --again"
+        except ValueError as error:
+            remedy = "remove it, and add its bags again with --again"
             raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
 
 
@@ -293,13 +300,10 @@ def _with_bag(file: Path, checksum: str, data: bytes) -> bytes:
     """The content of a month's file with the strokes ``data`` of a bag in place of those that it has of it."""
     import pyarrow
     import pyarrow.compute as compute
-    import pyarrow.parquet
 
     strokes = rows_in(StrokeRow, data)
     if file.exists():
         there = rows_in(StrokeRow, file.read_bytes())
         others = there.filter(compute.not_equal(there["checksum"], checksum))
         strokes = pyarrow.concat_tables([others, strokes])
-    out = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(strokes.sort_by(_ORDER), out, compression="zstd", store_schema=False)
-    return out.getvalue().to_pybytes()  # type: ignore[no-any-return]
+    return sealed(strokes.sort_by(_ORDER))
