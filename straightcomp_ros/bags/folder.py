@@ -223,7 +223,8 @@ def _listed(information: Mapping[str, Any]) -> list[str]:
         names = [Path(str(path)).name for path in paths]
     except (LookupError, TypeError):
         return []
-    return [name.removesuffix(((match := STORED.fullmatch(name)) and match["compressed"]) or "") for name in names]
+    unpacked = (name.removesuffix(((match := STORED.fullmatch(name)) and match["compressed"]) or "") for name in names)
+    return list(dict.fromkeys(unpacked))  # a file that is listed twice is one
 
 
 def _check_count(files: Sequence[BagInput]) -> None:

@@ -116,6 +116,10 @@ class StreamColumns:
     def by_stamp(self) -> StreamColumns:
         """In the order of the stamps, the first message of each: lockstep repeats a sample that got no answer."""
         _, rows = np.unique(self.stamp, return_index=True)
+        return self.taken(rows)
+
+    def taken(self, rows: NDArray[np.intp]) -> StreamColumns:
+        """The messages at these places, in this order."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         return StreamColumns(self.log_time[rows], self.stamp[rows], columns)
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import opened
 from straightcomp_ros.bags.reader import StreamColumns, attachments_of, read_streams
@@ -104,6 +106,9 @@ def audit(
         raise BagError(f"bag {bag}: the controller learned while it ran; what it knew before is not in the bag")
     servo = Servo(make_law(parameters.control, parameters.stage))
     state = streams[CONTROLLER_STATE.topic]
+    # A file may have been written in another order; but the recorder's clock may have been set, too.
+    received = state.taken(np.argsort(state.log_time, kind="stable"))
+    state = received if (np.diff(received.stamp) >= 0).all() else state
     samples = _rows(streams[ENCODER.topic], "y", "coil_current")
     references = _rows(streams[REFERENCE.topic], *REFERENCE.layout.columns)
     currents = _rows(streams[COMMAND.topic], *COMMAND.layout.columns)

@@ -89,7 +89,7 @@ ROLLING = [f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range
         (["run_0.db3", "run_2.db3"], [f"run_{n}.db3" for n in range(4)], ..., ["run_1.db3", "run_3.db3"]),
         (["run_1.mcap", "run_2.mcap"], [f"run_{n}.mcap" for n in range(3)], ..., ["run_0.mcap"]),
         (["run_3.mcap", "run_4.mcap"], [], ..., []),  # a bag begins where its first number is
-        (["z.mcap", "a.mcap", "m.mcap"], ["z.mcap", "a.mcap", "m.mcap"], ..., []),
+        (["z.mcap", "a.mcap", "m.mcap"], ["z.mcap", "a.mcap", "m.mcap", "a.mcap"], ..., []),
         (ROLLING, [], ..., []),
         (ROLLING, ROLLING, ..., []),
         (["3_run_2025_12_17-10_00_00.mcap", "5_run_2025_12_17-10_00_00.mcap"], [], ..., ["4_run_*.mcap"]),
