@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from unittest.mock import Mock
 
 import pyarrow.dataset
@@ -281,3 +282,10 @@ def test_a_file_of_which_one_bit_is_another_gives_no_figures(alone, tmp_path):
             with pytest.raises(HistoryError, match="is damaged"):
                 Store(str(store)).strokes("stage_0")
         file.write_bytes(whole)
+
+
+def test_what_a_worker_warns_of_is_said_here_with_the_bag(tmp_path, monkeypatch):
+    rows_of = adding.rows_of
+    monkeypatch.setattr(adding, "rows_of", lambda *run: warnings.warn("odd", stacklevel=1) or rows_of(*run))
+    with pytest.warns(UserWarning, match=f"^{SAMPLES / 'smc'}: odd$"):
+        added(tmp_path, SAMPLES / "smc")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -63,7 +64,9 @@ def add(
         return
     # Other processes take longer to start than one bag takes.
     jobs = jobs if len(first) > 1 else 1
-    for row, strokes in spread(partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
+    for row, strokes, texts in spread(partial(_noted, remap=remap), (), chain(first, new), jobs=jobs, dask=dask):
+        for text in texts:
+            warnings.warn(text if row.location in text else f"{row.location}: {text}", stacklevel=2)
         # Before it is stored: Ctrl-C may end that, and all that is stored is counted.
         tally.strokes += row.strokes
         tally.added += row.reason is None
@@ -78,6 +81,14 @@ def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator
             tally.known += 1
         else:
             yield place
+
+
+def _noted(place: BagPlace, remap: Mapping[str, str] | None) -> tuple[BagRow, bytes | None, list[str]]:
+    """As :func:`evaluated`, and each different warning: a worker's own would not name the bag, and come as Python's."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        row, strokes = evaluated(place, remap)
+    return row, strokes, list(dict.fromkeys(str(one.message) for one in caught))
 
 
 def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[BagRow, bytes | None]:
