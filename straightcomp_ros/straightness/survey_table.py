@@ -3,7 +3,7 @@
 The column's name ends with the unit: x in m, mm, um or in (inch), deviation in m, mm, um, nm, in or uin. The names and
 separators of instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or
 tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. Each run may have a
-column of its own: ``Run 1 forward [µm]``, ``Run 1- [µm]``. Other columns are ignored.
+column of its own: ``Run 1 forward [µm]``, ``Run 1- [µm]``. Other columns are ignored, but one that may be a run too.
 """
 
 import csv
