@@ -23,9 +23,9 @@ BIN_MM = 10
 PARTITIONS = ("stage", "month")
 """Columns that the folders of the store name, so that a file does not repeat them: name of the stage, and month
 YYYY-MM in which the bag's first stroke began, UTC."""
-_SEAL, _UNSEALED = b"blake2b:", b"0" * 32
-"""What stands before the checksum in a file's footer, and in its place while that is computed: Parquet's own checksums
-leave the footer out, and DuckDB does not look at them."""
+_SEAL, _UNSEALED = b"blake2b:", b"0" * 48
+"""What stands before the checksum and the size of the whole in a file's footer, and in their place while they are not
+known: Parquet's own checksums leave the footer out, and DuckDB does not look at them."""
 _LONGEST_NAME = 240
 """Bytes; file systems allow 255, of which `stage=` or `.html.part` take some."""
 
@@ -176,19 +176,22 @@ def sealed(table: pyarrow.Table, **options: Any) -> bytes:
     with pyarrow.parquet.ParquetWriter(file, table.schema, compression="zstd", store_schema=False, **options) as writer:
         writer.write_table(table)
         writer.add_key_value_metadata({"checksum": _SEAL + _UNSEALED})
-    head, seal, tail = file.getvalue().rpartition(_SEAL)
-    return b"".join((head, seal, _checksum_of_sealed(head, tail), tail[len(_UNSEALED) :]))
+    return _with_checksum(file.getvalue())
 
 
 def check_seal(data: bytes) -> None:
-    """Raise ValueError for a Parquet file that is not as it was written; earlier versions wrote no checksum."""
-    head, seal, tail = data.rpartition(_SEAL)
-    if seal and not tail.startswith(_checksum_of_sealed(head, tail)):
+    """Raise ValueError for a Parquet file that is not as it was written. One of another size was written by another
+    program, which copies the mark; earlier versions wrote none."""
+    _, seal, tail = data.rpartition(_SEAL)
+    size = tail[len(_UNSEALED) - 16 : len(_UNSEALED)]
+    if seal and size == b"%016x" % len(data) and data != _with_checksum(data):
         raise ValueError("its content does not have the checksum that it was written with")
 
 
-def _checksum_of_sealed(head: bytes, tail: bytes) -> bytes:
-    return checksum_of((head, _SEAL, _UNSEALED, tail[len(_UNSEALED) :])).encode()
+def _with_checksum(data: bytes) -> bytes:
+    head, seal, tail = data.rpartition(_SEAL)
+    tail = tail[len(_UNSEALED) :]
+    return b"".join((head, seal, checksum_of((head, tail)).encode(), b"%016x" % len(data), tail))
 
 
 def rows_in(row: type, data: bytes) -> pyarrow.Table:
