@@ -1,7 +1,6 @@
 """The OPC UA server, on a thread of its own: clients cannot hold up the node that feeds it."""
 
 import asyncio
-import filecmp
 import logging
 import math
 import os
@@ -14,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta, timezone
 from itertools import compress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +23,9 @@ from asyncua import Server, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from asyncua.crypto.truststore import TrustStore
 from asyncua.server.binary_server_asyncio import OPCUAProtocol
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from straightcomp_ros.cell.packml import Command, Order
@@ -33,6 +36,7 @@ from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.share import PACKAGE
 
+_log = logging.getLogger(__name__)
 _PERIOD_S = 0.1
 _ANSWER_WITHIN_S = 2.0
 _MAP_READ_WITHIN_S = 10.0
@@ -53,6 +57,7 @@ _WAITING = 100
 """Connections beyond those that may stay: room for clients that are logging in, until the next period."""
 _MOST_UNSENT = 4 << 20
 _LONGEST_LINE = 300
+_EXPIRES_SOON_DAYS = 30
 
 
 @dataclass
@@ -214,28 +219,56 @@ def make_room(clients: Sequence[OPCUAProtocol], most: int) -> None:
 
 
 async def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
-    """Certificate (DER) and key (PEM) in ``folder``, made there (self-signed, for a year) if missing or expired."""
+    """Certificate (DER) and key (PEM) in ``folder``. Whichever is missing is made there, and nothing else is written:
+    clients trust the certificate that is there, and an administrator may have issued it."""
     certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
+    host = socket.gethostname()
     before = os.umask(0o077)
     try:
         certificate.parent.mkdir(parents=True, exist_ok=True)
-        usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-        subject = {"organizationName": PACKAGE}
-        # asyncua would write them in place.
-        with TemporaryDirectory() as place:
-            new = {file: Path(place) / file.name for file in (key, certificate)}
-            for file in filter(Path.is_file, new):
-                shutil.copyfile(file, new[file])
-            host = socket.gethostname()
-            await setup_self_signed_certificate(new[key], new[certificate], APPLICATION, host, usage, subject)
-            for file in new:
-                if not (file.is_file() and filecmp.cmp(file, new[file], shallow=False)):
-                    write_whole(file, new[file].read_bytes(), private=True)
-    except (OSError, ValueError) as error:
+        if made := not certificate.exists():
+            usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+            # asyncua would write them in place.
+            with TemporaryDirectory() as place:
+                new = {file: Path(place) / file.name for file in (key, certificate)}
+                if key.exists():
+                    shutil.copyfile(key, new[key])
+                subject = {"organizationName": PACKAGE}
+                await setup_self_signed_certificate(new[key], new[certificate], APPLICATION, host, usage, subject)
+                for file in new:
+                    if not file.exists():
+                        write_whole(file, new[file].read_bytes(), private=True)
+        own = x509.load_der_x509_certificate(certificate.read_bytes())
+        private = load_pem_private_key(key.read_bytes(), None)
+    except (OSError, ValueError, TypeError) as error:
+        # TypeError: the key is protected by a password.
         raise AdmissionError(f"certificates in {folder}: {error}") from error
     finally:
         os.umask(before)
+    if not isinstance(private, RSAPrivateKey) or private.public_key() != own.public_key():
+        raise AdmissionError(f"{key}: is not the RSA key of {certificate}; put the two files of one pair there")
+    first, last, now = own.not_valid_before_utc, own.not_valid_after_utc, datetime.now(timezone.utc)
+    if not first <= now <= last:
+        raise AdmissionError(
+            f"{certificate}: is valid from {first:%F} to {last:%F} only, and it is {now:%F %R} UTC; put one there that "
+            "is valid, or remove it: the gateway then makes one, which the clients must be given"
+        )
+    if made:
+        _log.warning("made %s, valid to %s: give it to the clients", certificate, f"{last:%F}")
+    elif remarks := _remarks(own, host, last - now):
+        _log.warning("%s %s", certificate, ", ".join(remarks))
     return certificate, key
+
+
+def _remarks(certificate: x509.Certificate, host: str, left: timedelta) -> list[str]:
+    """What clients may object to in a certificate, now or soon."""
+    try:
+        others = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        others = x509.SubjectAlternativeName([])
+    names = {str(name.value) for name in others}
+    remarks = [f"does not name {name}: some clients refuse it" for name in (APPLICATION, host) if name not in names]
+    return remarks + ([f"is valid for {left.days} days more only"] if left.days < _EXPIRES_SOON_DAYS else [])
 
 
 async def _trusted_certificates(folder: str | Path) -> TrustStore:

@@ -15,16 +15,23 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.crypto.cert_gen import (
+    dump_private_key_as_pem,
+    generate_private_key,
+    generate_self_signed_app_certificate,
+    setup_self_signed_certificate,
+)
 from asyncua.server.internal_session import InternalSession
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, Order
-from straightcomp_ros.opcua import client
+from straightcomp_ros.opcua import APPLICATION, client, gateway_server
 from straightcomp_ros.opcua.address_space import Snapshot
-from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
+from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, add_user
 from straightcomp_ros.opcua.client import CycleFailed, connected
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
 
@@ -49,7 +56,7 @@ class Gateway:
     """A server whose commands are all accepted, and noted."""
 
     def __init__(self, parameters):
-        self.url = parameters.endpoint
+        self.url, self.users = parameters.endpoint, parameters.users
         self.server = GatewayServer(parameters, ["driver"])
         self.server.show(WELL)
         self.commands = []
@@ -210,6 +217,42 @@ def test_what_the_gateway_refuses_while_it_is_connected_ends_the_block_with_its_
 
     with pytest.raises(CycleFailed, match=f"BadNodeIdUnknown|no gateway.*{namespace}"):
         asyncio.run(asyncio.wait_for(asking(), 60))
+
+
+@pytest.mark.parametrize(
+    "names, days, key, words",
+    [
+        ((APPLICATION, socket.gethostname()), 365, "own", ""),
+        (("urn:another", "another"), 365, "own", f"not name {APPLICATION}.*not name {socket.gethostname()}"),
+        ((APPLICATION, socket.gethostname()), 9, "own", "8 days more"),
+        ((APPLICATION, socket.gethostname()), 0, "own", "valid"),
+        ((APPLICATION, socket.gethostname()), 365, "foreign", "is not the RSA key"),
+        ((APPLICATION, socket.gethostname()), 365, None, "No such file"),
+        (None, 365, "own", "made .*valid to"),
+    ],
+)
+def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(
+    plain, tmp_path, caplog, names, days, key, words
+):
+    own, foreign = generate_private_key(), generate_private_key()
+    before = {}
+    if key:
+        before["key.pem"] = dump_private_key_as_pem(own if key == "own" else foreign)
+    if names:
+        others = [x509.UniformResourceIdentifier(names[0]), x509.DNSName(names[1])]
+        issued = generate_self_signed_app_certificate(own, "a", {}, others, [ExtendedKeyUsageOID.SERVER_AUTH], days)
+        before["certificate.der"] = issued.public_bytes(Encoding.DER)
+    for name, content in before.items():
+        (tmp_path / name).write_bytes(content)
+    # It comes to its port, which is taken, unless it is refused before.
+    taken = int(plain.url.split(":")[2].split("/")[0])
+    files = {"users": str(plain.users), "certificates": str(tmp_path)}
+    works = days and key == "own"
+    with pytest.raises(OSError if works else AdmissionError, match=None if works else words):
+        GatewayServer(OpcuaParameters(port=taken, security="encrypted", **files), ["driver"])
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+    said = [record.getMessage() for record in caplog.records if record.name == gateway_server.__name__]
+    assert re.fullmatch(f".*{words}.*" if works and words else "", "".join(said))
 
 
 @pytest.mark.parametrize("content", [None, b"no certificate"])
