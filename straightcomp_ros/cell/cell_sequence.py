@@ -360,8 +360,10 @@ class CellSequence:
                 # And a motion held, which would go on when the stage is released.
                 self.machine.request("driver/end_motion")
             if self.now - ready_since >= _SETTLE_S:
-                return
+                break
             yield
+        # A client that was killed has left it on.
+        yield from self._switching_off()
 
     def _back_on_the_map(self, refusal: str) -> None:
         self.centred = self.centred and bool(refusal)

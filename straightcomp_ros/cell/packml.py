@@ -79,7 +79,7 @@ DONE: Mapping[State, State] = {
 """The state that follows when a state's work is done. All other states wait for a command."""
 
 FAILED: Mapping[State, State] = {
-    # Resetting has switched nothing on: an amplifier that is on then is another client's.
+    # Resetting has switched nothing on: an amplifier that is on then is another client's, unless it gets to Idle.
     State.RESETTING: State.STOPPED,
     State.STARTING: State.STOPPING,
     **dict.fromkeys(

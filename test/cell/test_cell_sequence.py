@@ -213,9 +213,9 @@ def test_trouble_while_executing_aborts_with_the_reason(trouble, recoveries, wor
     assert bench.requests[-1] == "off" and not bench.seen.amplifier_on
 
 
-def test_a_machine_without_a_reference_of_x_is_homed_before_it_is_idle():
+def test_a_machine_that_is_idle_has_a_reference_of_x_and_its_amplifier_off_however_it_was_left():
     bench = Bench()
-    bench.see(unreferenced="it was switched off")
+    bench.see(unreferenced="it was switched off", amplifier_on=True)
     bench.see(nodes={"driver": "active"}, stamp_ns=0)
     bench.sequence.command(Command.RESET)
     for _ in range(100):
@@ -224,7 +224,7 @@ def test_a_machine_without_a_reference_of_x_is_homed_before_it_is_idle():
         bench.sequence.tick(bench.seen)
     assert bench.seen.unreferenced and bench.seen.unreferenced in bench.sequence.message
     bench.until(State.IDLE)
-    assert bench.seen.unreferenced == ""
+    assert bench.seen.unreferenced == "" and not bench.seen.amplifier_on
 
 
 def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_for_the_start_timeout_only():
