@@ -34,7 +34,10 @@ def _user(options: argparse.Namespace) -> None:
     """Add a user to the gateway's file of users, or give one a new password."""
     role = add_user(options.file, options.name, _password(options.name), options.role)
     notes.print(f"user '{options.name}', {role}")
-    print_written(options.file, then="start the gateway with the parameter opcua.users, this file")
+    print_written(
+        options.file,
+        then="start the gateway with the parameter opcua.users, this file; one that runs with it reads it again",
+    )
 
 
 def _cycle_arguments(parser: argparse.ArgumentParser) -> None:

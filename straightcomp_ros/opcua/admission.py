@@ -5,6 +5,7 @@ The file has one user a line, ``name:role:salt:hash``, the password as a scrypt 
 
 import hashlib
 import hmac
+import logging
 import re
 import secrets
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pathlib import Path
 from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.output_files import locked, write_whole
 
+_log = logging.getLogger(__name__)
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 AUTO, NONE, ENCRYPTED = "auto", "none", "encrypted"
 VIEWER, OPERATOR = "viewer", "operator"
@@ -87,7 +89,9 @@ class Users:
     """The users of one file; an empty path knows no user. AdmissionError: it cannot be read, or a line is no user."""
 
     def __init__(self, path: str | Path = "") -> None:
-        self._entries = _users(Path(path)) if path else {}
+        self._path = Path(path) if path else None
+        self._read_as = self._last = self._seen()
+        self._entries = _users(self._path) if self._path else {}
         # An unknown name takes as long as a wrong password.
         self._unknown = ("", secrets.token_bytes(16), secrets.token_bytes(_SCRYPT["dklen"]))
 
@@ -95,6 +99,28 @@ class Users:
         """Role of the user, or None where name or password are wrong. Takes some 50 ms."""
         role, salt, expected = self._entries.get(name, self._unknown)
         return role if hmac.compare_digest(_hash(password, salt), expected) and role else None
+
+    def revoked(self) -> set[str]:
+        """Read the file again if it has changed; users that it has no more, or with another password or role. One that
+        is refused is logged, and the former users remain. To be called again and again."""
+        before, self._last = self._last, self._seen()
+        # An editor that writes in place leaves the file empty for a moment.
+        if self._path is None or self._last == self._read_as or self._last != before:
+            return set()
+        self._read_as = self._last
+        try:
+            former, self._entries = self._entries, _users(self._path)
+        except AdmissionError as error:
+            _log.warning("%s; the users that were read before remain", error)
+            return set()
+        return {name for name, entry in former.items() if self._entries.get(name) != entry}
+
+    def _seen(self) -> tuple[int, int, int] | None:
+        try:
+            state = self._path.stat() if self._path else None
+        except OSError:
+            return None
+        return state and (state.st_ino, state.st_mtime_ns, state.st_size)
 
 
 def add_user(path: Path, name: str, password: str, role: str | None = None) -> str:

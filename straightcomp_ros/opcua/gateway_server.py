@@ -10,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
@@ -165,7 +165,9 @@ class GatewayServer:
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
             while not self._stopping.is_set():
                 await self._space.write(self._snapshot)
-                make_room(server.bserver.clients if server.bserver else [], self._parameters.max_clients)
+                clients = server.bserver.clients if server.bserver else []
+                end_sessions(clients, self._users.revoked())
+                make_room(clients, self._parameters.max_clients)
                 await asyncio.sleep(_PERIOD_S)
 
     async def _make_server(self) -> Server:
@@ -215,6 +217,15 @@ def make_room(clients: Sequence[OPCUAProtocol], most: int) -> None:
     for client in [*others, *reversed(known)][: max(len(clients) - most, 0)]:
         if client.transport is not None:
             # To close it properly would wait for a client that may not read.
+            client.transport.abort()
+
+
+def end_sessions(clients: Sequence[OPCUAProtocol], users: Collection[str]) -> None:
+    """Close the connections of these users: they log in again, as far as they are still admitted."""
+    for client in clients:
+        session = client.processor.session if client.processor else None
+        if session and session.user.name in users and client.transport is not None:
+            _log.warning("ended a session of user %s, who was removed or changed in the users file", session.user.name)
             client.transport.abort()
 
 

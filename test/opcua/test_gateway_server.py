@@ -219,6 +219,37 @@ def test_what_the_gateway_refuses_while_it_is_connected_ends_the_block_with_its_
         asyncio.run(asyncio.wait_for(asking(), 60))
 
 
+def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_leaves_the_others_in(plain, folder, caplog):
+    users, added = folder / "users", ("eve", "to be gone")
+    others = users.read_text()
+
+    async def goes_on(name, password, then=lambda: None):
+        """Whether a session of the user works, also after ``then()``, for some seconds."""
+        try:
+            async with connected(plain.url, name, password) as cell:
+                await cell.state()
+                then()
+                for _ in range(50):
+                    await asyncio.sleep(0.1)
+                    await cell.state()
+                return True
+        except (OSError, CycleFailed):
+            return False
+
+    async def both():
+        return await asyncio.gather(
+            goes_on("ann", "correct horse"), goes_on(*added, then=lambda: users.write_text(others))
+        )
+
+    add_user(users, *added)
+    time.sleep(2.0)
+    assert asyncio.run(both()) == [True, False] and "ended a session of user eve" in caplog.text
+    assert not asyncio.run(goes_on(*added))
+    users.write_text("ann:god::\n")
+    assert asyncio.run(goes_on("ann", "correct horse")) and "remain" in caplog.text
+    users.write_text(others)
+
+
 @pytest.mark.parametrize(
     "names, days, key, words",
     [
