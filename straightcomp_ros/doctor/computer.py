@@ -111,8 +111,10 @@ def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
 
 
 def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
-    """Whether the graph keeps to this machine, and whether its domain's ports are free."""
-    reach = environment.get(RANGE_VARIABLE, "SUBNET (ROS 2's default)")
+    """Whether nodes find each other and the graph keeps to this machine, and whether its domain's ports are free."""
+    localhost_only = environment.get("ROS_LOCALHOST_ONLY") == "1"
+    reach = environment.get(RANGE_VARIABLE) or "SUBNET (ROS 2's default)"
+    reach = "LOCALHOST (ROS_LOCALHOST_ONLY, which overrides the range)" if localhost_only else reach
     domain = environment.get("ROS_DOMAIN_ID") or "0"
     detail = f"discovery range {reach}, domain {domain}"
     if not domain.isdecimal() or int(domain) > _LAST_DOMAIN:
@@ -121,8 +123,13 @@ def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
     if int(domain) > _LAST_FREE_DOMAIN:
         remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}: the ports of others are given out by Linux itself."
         return Finding("discovery", "warn", detail, remedy)
+    if reach == "OFF":
+        return Finding("discovery", "fail", detail, f"Set {RANGE_VARIABLE}=LOCALHOST: nodes do not find each other.")
     remedy = f"Set {RANGE_VARIABLE}=LOCALHOST unless other machines shall take part in the graph."
-    return judged("discovery", reach in ("LOCALHOST", "OFF"), detail, remedy)
+    if localhost_only:
+        # Our profile goes by the range.
+        remedy = f"Set {RANGE_VARIABLE}=LOCALHOST and unset ROS_LOCALHOST_ONLY: with it Fast DDS uses shared memory."
+    return judged("discovery", reach == "LOCALHOST", detail, remedy)
 
 
 def locked_memory(limit: int | None = None, status: Path = Path("/proc/self/status")) -> Finding:

@@ -147,6 +147,8 @@ def given(check, *arguments, **files):
         (given(computer.distribution, {}), "ok", "none sourced"),
         (given(computer.discovery, LOCAL), "ok", "domain 0"),
         (given(computer.discovery, {}), "warn", "LOCALHOST"),
+        (given(computer.discovery, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}), "fail", "LOCALHOST"),
+        (given(computer.discovery, {**LOCAL, "ROS_LOCALHOST_ONLY": "1"}), "warn", "unset ROS_LOCALHOST_ONLY"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": ""}), "ok", "domain 0"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "102"}), "warn", "0 to 101"),
         (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "232"}), "warn", "0 to 101"),
