@@ -10,6 +10,7 @@ import os
 import sys
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import add_json, check_range
@@ -54,6 +55,7 @@ def _cycle_arguments(parser: argparse.ArgumentParser) -> None:
 def _cycle(options: argparse.Namespace) -> None:
     """Bring the machine up and run strokes through OPC UA alone, as a PLC does."""
     check_range("--strokes", options.strokes, 1)
+    _check_url(options.url)
     if (options.certificates is None) != (options.server_certificate is None):
         raise CommandFailed("--certificates and --server-certificate need each other", exit_code=2)
     try:
@@ -66,6 +68,17 @@ def _cycle(options: argparse.Namespace) -> None:
         error_pp = figures["error_pp_um"]
         shown = "unknown" if error_pp is None else f"{error_pp:.3f} µm p-p"
         print(f"{figures['strokes']} strokes done; error of the last movement: {shown}")
+
+
+def _check_url(url: str) -> None:
+    try:
+        parts = urlsplit(url)
+        # Whether it is a number shows when it is asked for.
+        complete = parts.scheme == "opc.tcp" and parts.hostname and parts.port
+    except ValueError:
+        complete = False
+    if not complete:
+        raise CommandFailed(f"--url '{url}': is no endpoint; allowed: opc.tcp://HOST:PORT/PATH", exit_code=2)
 
 
 async def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:

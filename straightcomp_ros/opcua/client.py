@@ -97,7 +97,9 @@ async def connected(
             raise CycleFailed(f"{url} refuses: {error}") from error
         except (OSError, asyncio.TimeoutError, ValueError) as error:
             if time.monotonic() > deadline:
-                raise CycleFailed(f"{url} does not answer: {error}") from error
+                # A gateway with another certificate cannot read what it is sent, and says nothing.
+                other = f"; or {server_certificate} is not its certificate" if server_certificate else ""
+                raise CycleFailed(f"{url} does not answer: {str(error) or f'it says nothing{other}'}") from error
             await asyncio.sleep(0.5)
     try:
         namespaces = await client.get_namespace_array()

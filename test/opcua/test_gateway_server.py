@@ -281,6 +281,21 @@ def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(tmp_p
     assert re.fullmatch(f".*{words}.*" if works and words else "", "".join(said))
 
 
+def test_a_gateway_with_another_certificate_is_named_with_the_file_that_is_not_its_own(tmp_path, monkeypatch):
+    """It cannot read what it is sent, as one cannot that answers nothing."""
+    asyncio.run(gateway_server._own_certificate(tmp_path))
+    monkeypatch.setattr(client, "_CONNECT_WITHIN_S", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"opc.tcp://127.0.0.1:{silent.getsockname()[1]}/"
+
+        async def connecting():
+            async with connected(url, "ann", "", tmp_path, tmp_path / "certificate.der"):
+                pass
+
+        with pytest.raises(CycleFailed, match=f"says nothing; or {tmp_path}/certificate.der"):
+            asyncio.run(asyncio.wait_for(connecting(), 60))
+
+
 @pytest.mark.parametrize("content", [None, b"no certificate"])
 def test_a_certificate_that_cannot_be_read_ends_the_reference_client_at_once(tmp_path, content):
     if content is not None:
