@@ -101,11 +101,14 @@ async def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _password(user: str) -> str:
-    if PASSWORD in os.environ:
-        return os.environ[PASSWORD]
-    if not sys.stdin.isatty():
+    if PASSWORD not in os.environ and not sys.stdin.isatty():
         raise CommandFailed(f"no password for user '{user}': set {PASSWORD}, or run on a terminal", exit_code=2)
-    return getpass.getpass(f"Password of {user}: ")
+    given = os.environ[PASSWORD] if PASSWORD in os.environ else getpass.getpass(f"Password of {user}: ")
+    try:
+        given.encode()
+    except UnicodeEncodeError as error:
+        raise CommandFailed(f"password of user '{user}': is not in UTF-8, as OPC UA has it", exit_code=2) from error
+    return given
 
 
 TOOLS = {

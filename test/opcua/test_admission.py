@@ -55,8 +55,9 @@ def test_the_verb_writes_the_file(tmp_path, monkeypatch):
     monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "a new password")
     assert main(["opcua", "user", str(tmp_path / "users"), "bob"]) == 0
     assert Users(tmp_path / "users").role("bob", "a new password") == "viewer"
-    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "x")
-    assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 2
+    for refused in ("x", "M\udcfcller12345"):
+        monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", refused)
+        assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 2
 
 
 @pytest.mark.parametrize(
