@@ -226,7 +226,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Another name that DNS leads here is refused: a page under that name would count as ours."""
         if not super().parse_request():
             return False
-        if self.headers.get("Host", "") in (f"{name}:{self.server.server_port}" for name in ("127.0.0.1", "localhost")):
+        # Any port: a browser leaves out 80, and a tunnel has one of its own.
+        if self.headers.get("Host", "").partition(":")[0].lower() in ("127.0.0.1", "localhost"):
             return True
         self.close_connection = True
         self._answer(HTTPStatus.FORBIDDEN, "allowed hosts: 127.0.0.1, localhost")

@@ -63,6 +63,8 @@ def test_the_page_is_for_this_machine_under_its_own_names_and_needs_nothing_from
     text = body.decode()
     for host, answered in (("evil.example", 403), ("localhost", 200)):
         assert ask(server, "GET", "/", Host=f"{host}:{server.server_port}")[0] == answered
+    # As a browser has it for port 80, and behind a tunnel.
+    assert {ask(server, "GET", "/", Host=host)[0] for host in ("127.0.0.1", "LocalHost:9000")} == {200}
     assert server.server_address[0] == "127.0.0.1"
     assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
     assert "http://" not in text and "https://" not in text and "src=" not in text and "@import" not in text
