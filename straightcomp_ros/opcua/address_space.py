@@ -81,7 +81,7 @@ class Value:
     read: Callable[[Snapshot], Any]
     unit: str = ""
     live: bool = False
-    """Without samples it has no value."""
+    """It is nothing to go by while no samples come."""
 
 
 _STATUS = {
@@ -111,8 +111,8 @@ _LIVE = {
     "ErrorPeakToPeak": Value(
         T.Double, "Error over the last movement of the stage", lambda s: s.seen.stroke_error_pp, "m"
     ),
-    "Samples": Value(T.UInt64, "Samples since the controller's start", lambda s: s.seen.samples),
-    "LostSamples": Value(T.UInt64, "That did not come to it", lambda s: s.seen.lost_samples),
+    "Samples": Value(T.UInt64, "Samples since the controller's start", lambda s: s.seen.samples, live=True),
+    "LostSamples": Value(T.UInt64, "That did not come to it", lambda s: s.seen.lost_samples, live=True),
 }
 LIMITS: Mapping[str, tuple[str, str]] = {
     "ControlCurrent": ("A", "Command beyond ± this: fault"),
@@ -194,8 +194,10 @@ class AddressSpace:
             number = value.read(snapshot)
             absent = isinstance(number, float) and not math.isfinite(number)
             status = ua.StatusCodes.Good
-            if absent or (value.live and not snapshot.seen.fresh):
-                status = ua.StatusCodes.BadNoCommunication if value.live else ua.StatusCodes.BadWaitingForInitialData
+            if value.live and not snapshot.seen.fresh:
+                status = ua.StatusCodes.BadNoCommunication
+            elif absent:
+                status = ua.StatusCodes.BadWaitingForInitialData
             if self._written.get(node) == (number, status):
                 continue
             self._written[node] = (number, status)

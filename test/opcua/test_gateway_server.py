@@ -281,6 +281,23 @@ def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(tmp_p
     assert re.fullmatch(f".*{words}.*" if works and words else "", "".join(said))
 
 
+def test_a_live_value_says_whether_no_samples_come_or_it_is_not_known(plain):
+    unknown, silent = "BadWaitingForInitialData", "BadNoCommunication"
+
+    async def qualities():
+        async with connected(plain.url, "ann", "correct horse") as cell:
+            nodes = [cell._node(f"Live.{name}") for name in ("X", "SlidingVariable", "ErrorPeakToPeak", "Samples")]
+            values = [await node.read_data_value(raise_on_bad_status=False) for node in nodes]
+            return [value.StatusCode.name for value in values]
+
+    assert asyncio.run(qualities()) == ["Good", unknown, unknown, "Good"]
+    plain.server.show(replace(WELL, seen=replace(WELL.seen, fresh=False)))
+    time.sleep(2.0)
+    found = asyncio.run(qualities())
+    plain.server.show(WELL)
+    assert found == [silent, silent, unknown, silent]
+
+
 def test_a_gateway_with_another_certificate_is_named_with_the_file_that_is_not_its_own(tmp_path, monkeypatch):
     """It cannot read what it is sent, as one cannot that answers nothing."""
     asyncio.run(gateway_server._own_certificate(tmp_path))
