@@ -90,6 +90,7 @@ async def rights(url):
             "start without strokes": give(made, "Start"),
             "reload map": give(made, "ReloadMap"),
             "center": give(made, "Center", True),
+            "reset of another object": made.get_node(path("Status")).call_method(path("Commands.Reset")),
             "center by a number": give(made, "Center", ua.Variant(1, ua.VariantType.UInt32)),
             "add": made.nodes.objects.add_object(2, "Intruder"),
             "delete": made.delete_nodes([state]),

@@ -97,10 +97,11 @@ def plain(folder):
 def test_only_known_operators_command_and_no_client_writes(plain):
     rights = probed("rights", plain.url)
     methods = ("reset", "start", "reload map", "center", "start without strokes", "center by a number")
+    methods += ("reset of another object",)
     never = dict.fromkeys(("write", "add", "delete"), "BadUserAccessDenied") | {"read": "done"}
     for user in ("viewer", "anonymous"):
         assert rights[user] == never | dict.fromkeys(methods, "BadUserAccessDenied")
-    wrong = dict(zip(methods[4:], ("BadArgumentsMissing", "BadInvalidArgument"), strict=True))
+    wrong = dict(zip(methods[4:], ("BadArgumentsMissing", "BadInvalidArgument", "BadMethodInvalid"), strict=True))
     assert rights["operator"] == never | dict.fromkeys(methods[:4], "done") | wrong
     assert plain.commands == [(Command.RESET, 0), (Command.START, 3), (Order.RELOAD_MAP, 0), (Order.CENTER, True)]
 
