@@ -72,6 +72,8 @@ class PlayerNode(Runnable):
             return
         now_ns = time.monotonic_ns()
         elapsed_ns = now_ns - self._start_ns
+        if not self._next and elapsed_ns >= 0 and self._another_plays():
+            return
         due, messages, publish = self._due_ns, self._messages, self._publisher.publish
         self._see_answers(now_ns)
         end = min(len(due), self._answered + self._ahead)
@@ -85,6 +87,18 @@ class PlayerNode(Runnable):
         elif now_ns > self._end_ns + _AFTERPLAY_S * 1e9 and not self.done.done():
             self.node.get_logger().info(f"played {self._next} samples")
             self.done.set_result(0)
+
+    def _another_plays(self) -> bool:
+        """Whether others publish samples, a machine's driver perhaps, which two sources would trip; ends the player."""
+        topic = self._publisher.topic_name
+        others = self.node.count_publishers(topic) - 1
+        if others > 0 and not self.done.done():
+            self.node.get_logger().error(
+                f"'{topic}' has {others} other publisher(s), as a running machine has; end them, or play in another "
+                "namespace or ROS_DOMAIN_ID"
+            )
+            self.done.set_result(EXIT_FAILURE)
+        return others > 0
 
     def _see_answers(self, now_ns: int) -> None:
         if self._queue is None:

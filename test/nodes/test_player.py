@@ -18,7 +18,8 @@ from straightcomp_ros.offline.graph_replay import replay_through_graph
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.streams import stream_qos
+from straightcomp_ros.runtime.runner import EXIT_FAILURE
+from straightcomp_ros.runtime.streams import stream_publisher, stream_qos
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 TEXTS = {
@@ -63,6 +64,15 @@ def test_the_time_of_the_samples_is_on_the_clock_where_it_is_asked_for(run, sing
     # The clock may be connected after the first samples, and a busy machine may lose some of its messages.
     ticks = read_streams(run, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp[::POSITION_EVERY]
     assert set(times) <= set(ticks.tolist()) and times == sorted(set(times))
+
+
+def test_no_sample_is_played_where_another_node_publishes_samples(run, single):
+    with Participant("machine") as machine:
+        came = []
+        subscribe(machine.node, ENCODER, lambda stamp_ns, _: came.append(stamp_ns))
+        stream_publisher(machine.node, ENCODER)
+        assert single.start("player", {"bag": str(run), "subscribers": 1}).wait(120) == EXIT_FAILURE
+    assert not came and "1 other publisher" in single.last_words("player")
 
 
 def test_a_bag_without_samples_stops_the_player_with_the_reason(tmp_path, single):
