@@ -278,7 +278,8 @@ def _remarks(certificate: x509.Certificate, host: str, left: timedelta) -> list[
     except x509.ExtensionNotFound:
         others = x509.SubjectAlternativeName([])
     names = {str(name.value) for name in others}
-    remarks = [f"does not name {name}: some clients refuse it" for name in (APPLICATION, host) if name not in names]
+    lacking = " and ".join(name for name in (APPLICATION, host) if name not in names)
+    remarks = [f"does not name {lacking}, for which some clients refuse it"] if lacking else []
     return remarks + ([f"is valid for {left.days} days more only"] if left.days < _EXPIRES_SOON_DAYS else [])
 
 
