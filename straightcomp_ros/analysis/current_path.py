@@ -182,7 +182,7 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
     if not rate_found:
         rate, deviation, usual, asked = 2.0 * math.pi * drive.bandwidth, 0.0, 0, converted
     before, after, switch, late, missed = _arrivals(recording.current, asked, rate, period, usual)
-    if float(missed.std()) > _EXPLAINED * float(np.diff(recording.current).std()):
+    if _usual_rms(missed) > _EXPLAINED * float(np.diff(recording.current).std()):
         # Linear from sample to sample, in two steps.
         current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
         before, after = 0.75 * current + 0.25 * following, 0.25 * current + 0.75 * following
@@ -195,6 +195,12 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
         soonest, delay, latest = np.percentile((switch + late * period)[telling], _PERCENTILES).tolist()
     switch_ns = np.round(switch * 1e9).astype(np.int64)
     return CurrentPath(rate, before, after, switch_ns, delay, rate_found, deviation, (soonest, latest))
+
+
+def _usual_rms(missed: Array) -> float:
+    """RMS of ``missed`` (n,) in the usual samples. The first ones follow commands from before the stretch: in a quiet
+    loop a single one of them may outweigh all others."""
+    return float(np.sqrt(np.mean(np.sort(np.abs(missed))[: round(_USUAL * len(missed))] ** 2)))
 
 
 def _regression(current: Array, asked: Array, period: float) -> tuple[float, float, float, int]:
@@ -212,8 +218,7 @@ def _regression(current: Array, asked: Array, period: float) -> tuple[float, flo
     # The youngest command that has acted within the period: of those before it, something is left.
     whole = int(np.argmax(np.cumsum(weights[1:]) > _ACTED * (1.0 - kept)))
     deviation = spread * math.sqrt(float(np.linalg.pinv(terms.T @ terms)[0, 0])) / (kept * period)
-    missed = np.sort(np.abs(current[_LATEST + 1 :] - terms @ weights))[: round(_USUAL * len(terms))]
-    left = float(np.sqrt(np.mean(missed**2)))
+    left = _usual_rms(current[_LATEST + 1 :] - terms @ weights)
     return left / steps, -math.log(kept) / period, deviation, whole
 
 

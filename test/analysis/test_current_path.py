@@ -109,3 +109,12 @@ def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
     assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)
     np.testing.assert_allclose(recording.y, MOVING[1011:])
+
+
+def test_one_command_that_never_came_does_not_cost_the_path_of_a_quiet_current():
+    quiet = recorded(np.full(4000, PERIOD))
+    command = quiet.command.copy()
+    # The first one stands for those before the stretch too.
+    command[0] = 5.0
+    path = current_path(dataclasses.replace(quiet, command=command), DRIVE)
+    assert path.rate_found and path.delay == pytest.approx(PERIOD, abs=1e-7)

@@ -42,8 +42,10 @@ from straightcomp_ros.tuning.identification.unknowns import BLOCK, Unknowns, blo
 
 Array = NDArray[np.float64]
 
-MISSED = (1e-5, 3e-6, 1e-6, 3e-7)
+MISSED = (1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 3e-9)
 """Assumed standard deviations of the process noise in velocity, m/s (and a thousandth of them in m)."""
+_LEAST_MISSED, _LEAST_COUNTS = 3e-7, 1.2e-3
+"""The least of them in m/s and, with an encoder of y so fine that it shows less, in counts per sample's period."""
 _MORE = (1e-4, 3e-5)
 """The same where the search is lost under the first of them, as on a platform whose modes ring in the record."""
 EXPLAINED = 1.03
@@ -225,7 +227,7 @@ class Search:
         """Where one more step of Gauss and Newton would lead from a solution, within the bounds."""
         unknowns, free = self._unknowns, self._free
         weak = np.eye(len(free)) / PRIOR
-        missed = np.concatenate([level.residuals, weak @ (level.vector - unknowns.start)[free]])
+        missed = np.concatenate([level.residuals, weak @ (level.vector[free] - unknowns.start[free])])
         step = np.linalg.lstsq(np.vstack([level.jacobian, weak]), missed, rcond=None)[0]
         return self._whole(np.clip(level.vector[free] - step, unknowns.low[free], unknowns.high[free]))
 
@@ -245,6 +247,12 @@ class Fit:
     rms_error_m: float  # prediction errors in m
 
 
+def levels(resolution: float, period: float) -> list[float]:
+    """The assumptions that are tried, for an encoder of this ``resolution`` in m."""
+    least = min(_LEAST_MISSED, _LEAST_COUNTS * resolution / period)
+    return [*_MORE, *(missed for missed in MISSED if missed >= least)]
+
+
 def fit(
     recording: Recording,
     path: CurrentPath,
@@ -258,6 +266,7 @@ def fit(
         IdentificationError: the prediction loses the path under every assumption.
     """
     search = Search(recording, path, unknowns, resolution)
+    assumed = levels(resolution, recording.period_ns * 1e-9)
     begins = [unknowns.start]
     if (slid := sliding_start(recording, unknowns)) is not None:
         begins.append(slid)
@@ -265,9 +274,9 @@ def fit(
         solutions = sorted((search.solve(begin, most) for begin in begins), key=lambda level: level.surprise)
         if solutions[0].rms <= _LOST:
             break
-    last, neighbours = _followed(search, solutions[0], unknowns.start, progress)
-    if last.missed > MISSED[-1] and len(solutions) > 1:
-        other, neighbours_there = _followed(search, solutions[1], unknowns.start, progress)
+    last, neighbours = _followed(search, solutions[0], assumed, unknowns.start, progress)
+    if last.missed > assumed[-1] and len(solutions) > 1:
+        other, neighbours_there = _followed(search, solutions[1], assumed, unknowns.start, progress)
         if other.missed < last.missed:
             last, neighbours = other, neighbours_there
     progress(1.0)
@@ -283,21 +292,23 @@ def fit(
     return Fit(
         solution=last,
         covariance=block_covariance(last.jacobian, last.residuals, block, float(PRIOR)),
-        pulls=np.array([(last.vector - other)[unknowns.free] for other in (*neighbours, search.onward(last))]),
+        pulls=np.array(
+            [last.vector[unknowns.free] - other[unknowns.free] for other in (*neighbours, search.onward(last))]
+        ),
         rms_error_m=float(np.sqrt(np.mean(errors**2))),
     )
 
 
 def _followed(
-    search: Search, first: Level, described: Array, progress: Callable[[float], None]
+    search: Search, first: Level, assumed: list[float], described: Array, progress: Callable[[float], None]
 ) -> tuple[Level, list[Array]]:
     """The solution with the least process noise that holds, from ``first`` on; and its neighbours: the solution that
     its search began with, and the next one if that hardly failed; the description where neither is known."""
     last, begin = first, first.vector
     before, after = list[Array](), list[Array]()
-    levels = [missed for missed in (*_MORE, *MISSED) if missed < first.missed]
-    for number, missed in enumerate(levels, 1):
-        progress(number / (len(levels) + 1))
+    less = [missed for missed in assumed if missed < first.missed]
+    for number, missed in enumerate(less, 1):
+        progress(number / (len(less) + 1))
         level = search.solve(begin, missed)
         if level.rms <= max(EXPLAINED, last.rms):
             last, before, after = level, [begin], []
