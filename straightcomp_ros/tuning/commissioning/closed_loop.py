@@ -330,7 +330,7 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
         "mass": (turns, 0.0),
         "force": (turns, (turns.high / turns.value) ** 2 - 1.0),
         "air_gap": (gap, gap.high / gap.value - 1.0),
-        "friction": (friction, friction.high / friction.value),
+        "friction": (friction, friction.high / friction.value if friction.value > 0.0 else 0.0),
     }
     better = {fact.name for name, (fact, width) in intervals.items() if 0.0 < width < getattr(before, name)}
     facts: dict[str, Any] = {

@@ -201,7 +201,7 @@ def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> 
     for name in UNITS:
         powers = _POWERS.get(name, {name: 1.0})
         weights = np.array([powers.get(unknown, 0.0) for unknown in NAMES])
-        value = stiffness.get(name) or float(np.exp(weights @ found.solution.vector))
+        value = stiffness.get(name) or float(np.prod(np.exp(found.solution.vector) ** weights))
         deviation = math.sqrt(max(0.0, float(weights @ total @ weights)))
         factor = math.exp(min(quantile * deviation, math.log(_WIDEST)))
         others = () if name in DERIVED else _alike(name, found.covariance, free)

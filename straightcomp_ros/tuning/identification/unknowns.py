@@ -12,7 +12,7 @@ it does not. The constant gives the centre, where the magnets balance: y_c = −
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,8 +49,11 @@ FORCE_SCALE = ("platform.mass", "actuator.turns")
 """At least one of these must be known: position and current determine all forces only up to a common factor."""
 _STOP = 0.9
 """Stop as a fraction of the air gap; the platform stays far from it."""
-_SMALLEST = {"friction.coulomb": 1e-3, "friction.bristle_damping": 1.0, "friction.viscous": 0.1}
-"""Start of parameters that may be zero, which has no logarithm."""
+_DRY = NAMES[3:8]
+"""Those of dry friction: held where the description has none. A record has none of it then, and would leave them open,
+and the mass with them."""
+_SMALLEST = {"friction.bristle_damping": 1.0, "friction.viscous": 0.1}
+"""Start of what is searched and may be zero, which has no logarithm."""
 _REACH = math.log(100.0)
 BLOCK = 0.25
 """Length in s of the blocks that count as independent: quantisation errors are correlated over some 0.1 s."""
@@ -104,11 +107,18 @@ def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
     friction = stage.friction
     ratio_of = friction.static / friction.coulomb if friction.coulomb > 0.0 else 1.0
     values: dict[str, Any] = {**to_mapping(stage), RATIO: ratio_of}
-    start = np.log([max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES])
+    held = {*known, *(_DRY if friction.coulomb == 0.0 else ())}
+    start = _logarithms(values[name] if name in held else max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES)
     low, high = start - _REACH, start + _REACH
     ratio = NAMES.index(RATIO)
     low[ratio] = 0.0
-    return Unknowns(start, low, high, [place for place, name in enumerate(NAMES) if name not in known], stage)
+    return Unknowns(start, low, high, [place for place, name in enumerate(NAMES) if name not in held], stage)
+
+
+def _logarithms(values: Iterable[float]) -> Array:
+    """Of ``values``, among which may be held ones of 0."""
+    with np.errstate(divide="ignore"):
+        return np.log(list(values))
 
 
 @dataclass(frozen=True)
@@ -176,7 +186,7 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
         values["friction.coulomb"] = coulomb * values["platform.mass"]
     if "friction.viscous" in free:
         values["friction.viscous"] = max(_LEAST_VISCOUS, viscous * values["platform.mass"])
-    vector = np.log([values[name] for name in NAMES])
+    vector = _logarithms(values[name] for name in NAMES)
     return np.asarray(np.clip(vector, unknowns.low, unknowns.high))
 
 

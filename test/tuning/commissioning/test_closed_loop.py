@@ -75,6 +75,10 @@ def test_what_is_hardly_identified_stays_as_it_was_described_and_as_uncertain():
     facts = facts_found(estimate("actuator.turns", turns=1.1), STAGE)
     assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
     assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
+    # Of friction that was held at none nothing is found.
+    held = estimate(coulomb=0.0)
+    held.parameters["friction.coulomb"] = dataclasses.replace(held.parameters["friction.coulomb"], known=True)
+    assert "friction.coulomb" not in facts_found(held, STAGE)
 
 
 def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_measured_ends_nothing(
