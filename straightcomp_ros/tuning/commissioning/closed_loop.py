@@ -49,6 +49,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     POOR,
     Estimate,
     estimate_from_bag,
+    excitation_scale,
     excitation_survey,
 )
 
@@ -162,9 +163,11 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     low, high = reach(stage.motion)
     length = min(_LENGTH, high - low)
     excitation.parent.mkdir(parents=True, exist_ok=True)
-    write_survey(excitation, excitation_survey(length, low), ("Made up: excites the platform.",))
+    scale = excitation_scale(stage.motion, length)
+    write_survey(excitation, excitation_survey(length, low, scale), ("Made up: excites the platform.",))
     stroke = {"motion.start": low, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
-    values = with_values(work.values, "stage", {"guide.file": str(excitation), **stroke})
+    guide = {"guide.file": str(excitation), "guide.runout": min(1.0, scale) * stage.guide.runout}
+    values = with_values(work.values, "stage", {**guide, **stroke})
     try:
         work.machine.stroke(values, bag, work.travel)
         return {}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from straightcomp_ros.analysis.current_path import CurrentPath, Recording, current_path, read_recording
+from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.parameter_file import as_yaml
 from straightcomp_ros.stage.description import StageParameters
@@ -73,7 +74,9 @@ HELP = {
 
 WAVES = ((0.300, 30e-6), (0.060, 15e-6), (0.030, 8e-6), (0.015, 4e-6))
 """Wavelength and amplitude of the excitation in m: at 0.3 m/s 1, 5, 10 and 20 Hz, together up to 57 µm and 1.3 mm/s."""
-_SPACING = 1e-3
+_SPEED = 0.3
+_SPACING, _FEWEST = 1e-3, 50
+"""Of the points, in m, at that speed and faster; and the fewest."""
 _PHASE = 1.0
 _HEAD = """\
 # Plant parameters estimated from a bag, for `straightcomp simulate --stage` and for the description of the stage.
@@ -251,11 +254,19 @@ def parameter_file(estimate: Estimate) -> str:
     return "\n".join(lines) + "\n"
 
 
-def excitation_survey(length: float, first: float = 0.0) -> Survey:
+def excitation_scale(motion: MotionParameters, length: float) -> float:
+    """Factor of the excitation's lengths along x, with which its waves have their frequencies in this ``motion`` over
+    ``length`` in m. The run-out of the map needs it too where it is below 1: it goes on as the waves end."""
+    # A short stroke may end before the stage has its speed.
+    return min(motion.speed, math.sqrt(motion.acceleration * length)) / _SPEED
+
+
+def excitation_survey(length: float, first: float = 0.0, scale: float = 1.0) -> Survey:
     """The map that excites all parameters, over ``length`` in m from x = ``first``."""
-    x = np.linspace(0.0, length, round(length / _SPACING) + 1)
+    x = np.linspace(0.0, length, max(_FEWEST, round(length / (min(1.0, scale) * _SPACING))) + 1)
     deviation = sum(
-        amplitude * np.sin(2.0 * math.pi * x / wavelength + number * _PHASE)
+        # Of a wave longer than the stroke the platform would reach one side only.
+        amplitude * np.sin(2.0 * math.pi * x / min(scale * wavelength, length) + number * _PHASE)
         for number, (wavelength, amplitude) in enumerate(WAVES)
     )
     return Survey((Run("1", "forward", first + x, np.asarray(deviation)),), "excitation")

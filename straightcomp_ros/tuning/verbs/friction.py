@@ -41,6 +41,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_scale,
     excitation_survey,
     parameter_file,
 )
@@ -71,9 +72,11 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
     values = chosen_parameters(options)
     if options.excitation is not None:
-        low, high = reach(node_parameters("cell", values).stage.motion)
+        stage = node_parameters("driver", values).stage
+        low, high = reach(stage.motion)
+        scale = excitation_scale(stage.motion, high - low)
         file = output_file(options, "--excitation")
-        write_survey(file, excitation_survey(high - low, low), _EXCITATION_COMMENTS)
+        write_survey(file, excitation_survey(high - low, low, scale), _EXCITATION_COMMENTS)
         if not options.json:
             # After the user's own: the last one counts.
             guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]

@@ -21,6 +21,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, by_node, node_parameters
@@ -35,6 +36,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_scale,
     excitation_survey,
     parameter_file,
 )
@@ -432,3 +434,25 @@ def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
         unknowns(StageParameters(), ["friction.coulomb"])
     with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
         unknowns(StageParameters(), ["weight"])
+
+
+def test_a_slow_short_stage_without_friction_on_a_fine_encoder_is_found_within_its_intervals(tmp_path):
+    scale = excitation_scale(MotionParameters(speed=0.05, acceleration=0.5), 0.05)
+    write_survey(tmp_path / "waves.csv", excitation_survey(0.05, scale=scale))
+    slow = {"motion.speed": 0.05, "motion.acceleration": 0.5, "motion.stroke": 0.05, "platform.mass": 0.5}
+    free = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.5, "encoder.y_resolution": 1e-8}
+    parameters = values({}, guide_file=str(tmp_path / "waves.csv"), guide_runout=0.02 * scale)
+    parameters["stage"] |= {**slow, **free}
+    bag = record(tmp_path / "bag", parameters)
+    described = node_parameters("driver", parameters).stage
+    start = dataclasses.replace(described, platform=dataclasses.replace(described.platform, mass=0.6))
+    found = estimate_from_bag(bag, start, ["actuator.turns"]).parameters
+    for name, truth in {"platform.mass": 0.5, "friction.viscous": 0.5, "friction.static": 0.0}.items():
+        assert found[name].low <= truth <= found[name].high and not found[name].poor, name
+    assert found["platform.mass"].high < 0.51
+
+
+@pytest.mark.parametrize("resolution", [1e-7, 1e-9])
+def test_a_fine_encoder_asks_for_a_model_that_is_as_exact(resolution):
+    shipped, found = fitting.levels(1e-7, 5e-4), fitting.levels(resolution, 5e-4)
+    assert shipped[-1] == 3e-7 and found[-1] == pytest.approx(3e-7 * resolution / 1e-7)
