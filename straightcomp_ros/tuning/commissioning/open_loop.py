@@ -34,6 +34,9 @@ _SLOW = 1e-3
 """Largest relative difference between the rate and the described one."""
 _NOISY = 3.0
 """Largest RMS of y at rest, relative to the described noise and the rounding to a count."""
+_MEAN_TIME, _WENT = 0.1, 0.1
+"""s that the platform's place at begin and end is the mean of, and the share of its whole motion by which they differ
+if it went from one to the other: noise and vibration leave far less of theirs in such a mean."""
 _LEAST_ARRIVED = 0.5
 """Least share of the samples before which a command arrived. A busy computer has some without: the driver records only
 the newest of the commands that arrived since the sample before."""
@@ -87,6 +90,8 @@ def connection(work: Work) -> Outcome:
     lost, lost_commands, latency = expected - samples, _lost_commands(series), latency_percentiles(series.latency)
     noise, different = float(np.std(series.y)) / stage.encoder.y_resolution, np.unique(series.y)
     count = float(np.diff(different).min()) * 1e9 if different.size > 1 else 0.0
+    mean = max(1, round(_MEAN_TIME * rate))
+    went = abs(float(series.y[-mean:].mean() - series.y[:mean].mean()))
     slope, _ = np.polyfit(taken, (series.stamps - series.stamps[0]).astype(np.float64), 1)
     figures: dict[str, Any] = {
         "samples": samples,
@@ -122,6 +127,12 @@ def connection(work: Work) -> Outcome:
         wrong = (
             f"commands arrived at the driver between {100.0 * arrived:.3g} % of the samples (allowed: >= "
             f"{100.0 * _LEAST_ARRIVED:g} %); is the controller active, and is this computer busy?"
+        )
+    elif noise > allowed and went > _WENT * float(np.ptp(series.y)):
+        # What passes by in a fall is not the encoder's count, nor its noise.
+        wrong = (
+            f"y went {went * 1e6:.3g} µm with the amplifier off: something pulls the platform, and friction does not "
+            "hold it; look at the tilt of y, and at cables and hoses"
         )
     elif different.size >= _READINGS and abs(count / described - 1.0) > _COUNT_WITHIN:
         wrong = (
