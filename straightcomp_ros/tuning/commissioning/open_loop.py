@@ -54,6 +54,8 @@ _RAMP_SHARE = 0.5
 """Highest current of a ramp, relative to the highest current."""
 _TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
 """m and counts of the encoder, whichever is more: the platform leaves faster the farther it is, and has to coast."""
+_FREE_TRAVEL = 3e-7
+"""The same in m in a ramp, without dry friction: nothing but the viscous one brakes the platform then."""
 _PULLED = 0.3
 """Share of the first breakaway current below which it was not the current that moved the platform."""
 _GAIN_WITHIN = 0.05
@@ -262,6 +264,9 @@ def signs_and_scales(work: Work) -> Outcome:
     if wrong := _readback_fault(readback, stage):
         return Outcome(False, wrong, figures)
     currents, moved, farthest, highest = [], [], 0.0, _RAMP_SHARE * stage.highest_current
+    dry = stage.friction.static > 0.0
+    if not dry:
+        travel = max(_FREE_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
     for signal in ("ramp_up", "ramp_down"):
         pushed = work.machine.play(
             ExcitationParameters(signal=signal, current=highest, duration=_RAMP_TIME, travel=travel)
@@ -273,11 +278,15 @@ def signs_and_scales(work: Work) -> Outcome:
     figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}
     if wrong := _force_fault(currents, moved, stage):
         return Outcome(False, wrong, figures)
+    if farthest >= stage.platform.stop:
+        way = f"the platform coasted {farthest * 1e6:.3g} µm when the amplifier went off, as far as its stop"
+        return Outcome(False, f"{way} ('stage.platform.stop'): hardly any friction braked it", figures)
     back = f" and {1e3 * currents[1]:.3g} mA" if moved[1] < 0.0 else " mA, and the magnets pull the platform on"
+    moves, coasts = ("friction gives way", "") if dry else ("the platform moves", ", and without friction coasts on")
     sentence = (
         f"readback {readback.gain:.4g} times the command, amplifier {readback.bandwidth:.0f} Hz, delay "
-        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g}{back}; the platform moved at "
-        f"most {farthest * 1e6:.0f} µm"
+        f"{readback.delay:.2f} samples; {moves} at {1e3 * currents[0]:.3g}{back}; the platform moved at most "
+        f"{farthest * 1e6:.0f} µm{coasts}"
     )
     found = {"drive.bandwidth": readback.bandwidth, "drive.delay": readback.delay}
     return Outcome(True, sentence, figures, stage=found)

@@ -178,3 +178,16 @@ def test_an_amplifier_is_found_on_both_sides_of_a_whole_sample_of_delay_whatever
     assert found.gain == pytest.approx(0.9, rel=exact) and (late or found.offset == pytest.approx(1e-4, rel=exact))
     assert found.bandwidth == pytest.approx(bandwidth, rel=5e-3 if late else 1e-5)
     assert found.delay == pytest.approx(delay, abs=5e-3 if late else 1e-5)
+
+
+@pytest.mark.parametrize("tilt", [0.3, 0.05])
+def test_a_platform_that_something_pulls_away_is_no_fault_of_its_encoder(tmp_path, tilt):
+    outcome = connection(work_on(values_of({"simulated.truth.disturbances.tilt": tilt}), tmp_path))
+    assert not outcome.passed and "something pulls the platform" in outcome.sentence
+
+
+@pytest.mark.parametrize("stop", [5e-4, 3e-6])
+def test_a_platform_without_friction_coasts_slowly_and_not_into_its_stop(tmp_path, stop):
+    free = {"friction__coulomb": 0.0, "friction__static": 0.0}
+    outcome = signs_and_scales(work_on(values_of(platform__stop=stop, **free), tmp_path))
+    assert outcome.passed is (outcome.figures["farthest_um"] < min(25.0, stop * 1e6))
