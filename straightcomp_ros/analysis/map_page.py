@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.map_building import BuiltMap
 from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
 from straightcomp_ros.analysis.straightness_statement import COVERAGE_FACTOR
@@ -99,8 +100,14 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
         value = figures[f"repeatability_{name}_um"]
         yield f"R {name}", "unknown" if value is None else f"{value:.3f} µm (ISO 230-2, k = 2)"
     largest, average = (figures[f"reversal_{name}_um"] for name in ("max", "mean"))
-    yield "reversal", "unknown" if largest is None else f"{largest:.3f} µm at most, mean {average:.3f} µm"
-    yield "noise of mean", f"{noise.point * 1e6:.3f} µm (1 s)" + ("" if noise.repeated else ", of the residual")
+    yield (
+        "reversal",
+        "unknown" if largest is None else f"{with_digits(largest, 3)} µm at most, mean {with_digits(average, 3)} µm",
+    )
+    yield (
+        "noise of mean",
+        f"{with_digits(noise.point * 1e6, 3)} µm (1 s)" + ("" if noise.repeated else ", of the residual"),
+    )
     yield "band of map", f"± {noise.half_width * 1e6:.2g} µm (95 %, RMS over x)"
 
 

@@ -16,7 +16,8 @@ from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, GRID, PALE_BLUE, 
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
-LENGTH_OF_MEAN_MM = 10.0
+_LENGTH_OF_MEAN_MM, _MEANS = 10.0, 50
+"""Of the stage's travel that a point of the line is the mean of, and how many points the line has at least."""
 
 
 def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: Path, title: str) -> None:
@@ -70,6 +71,7 @@ def _straightness(
 ) -> None:
     x, before, after_m = straightness_over(record, straightness)
     x_mm, before_um, after_um = x * 1e3, before * 1e6, after_m * 1e6
+    length_mm = min(_LENGTH_OF_MEAN_MM, float(np.ptp(x_mm)) / _MEANS)
     forward = np.isin(record.motion.samples(), record.motion.samples("forward"))
 
     both.plot(x_mm, before_um, color=BLACK, label=f"before: {with_digits(metrics.uncompensated_pp * 1e6, 2)} µm p-p")
@@ -80,11 +82,11 @@ def _straightness(
     ):
         if mask.any():
             after.plot(x_mm[mask], after_um[mask], ".", color=pale, markersize=1.0, zorder=2)
-            centres, means = group_means(x_mm[mask], after_um[mask], np.floor(x_mm[mask] / LENGTH_OF_MEAN_MM))
+            centres, means = group_means(x_mm[mask], after_um[mask], np.floor(x_mm[mask] / length_mm))
             label = f"{name}: {with_digits(float(np.ptp(after_um[mask])), 2)} µm p-p"
             after.plot(centres, means, color=colour, linestyle=style, linewidth=1.6, zorder=3, label=label)
     seen = "map + encoder" if record.guide is None else "true"
-    enlarged = f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)"
+    enlarged = f"After, enlarged ({seen}; lines: mean over {length_mm:.2g} mm)"
     for axes, title in ((both, "Straightness before and after"), (after, enlarged)):
         _finish(axes, title, "slider position x / mm", "deviation / µm", 2)
 

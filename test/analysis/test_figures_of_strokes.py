@@ -197,3 +197,10 @@ def test_a_table_shows_numbers_to_four_digits_texts_as_they_are_and_a_dash_for_n
     cells = re.findall(r"<td[^>]*>(.*?)</td>", text)
     assert cells == ["–", "–", "–", "3", "0.1235", "a&lt;b", "passed", "FAILED"]
     assert text.count("<tr>") == len(values) + 1 and "<th>slip / µm<" in text.replace(' class="n"', "")
+
+
+def test_the_line_of_means_follows_a_short_stroke(make_record, cosine_map, drawn):
+    record = make_record(0.4e-6, truth=False)
+    record = replace(record, x=0.03 * record.x)
+    plot.plot_run(record, cosine_map, evaluate(record, cosine_map), Path("run.png"), "title")
+    assert {len(x) for x, _ in lines(drawn[0].axes[1])[1::2]} <= {50, 51}

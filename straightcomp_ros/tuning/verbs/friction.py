@@ -22,6 +22,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.cli.options import (
     add_force,
     add_json,
@@ -80,6 +81,8 @@ def run(options: argparse.Namespace) -> None:
         if not options.json:
             # After the user's own: the last one counts.
             guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]
+            if scale < 1.0:
+                guides.append(f"stage.guide.runout={scale * stage.guide.runout:.3g}")
             command = _simulate(options, options.stage, [*options.set, *guides])
             print_written(file, then=f"{command} --bag BAG, or run it on the machine")
         return
@@ -156,7 +159,7 @@ def _print(estimate: Estimate) -> None:
         )
     notes.print(
         f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "
-        f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
+        f"{with_digits(estimate.fit.rms_error_m * 1e6, 3)} µm RMS; {amplifier}"
     )
     for sentence in ([str(estimate.centre)] if estimate.centre else []) + estimate.not_identifiable:
         notes.print(sentence)
