@@ -186,8 +186,8 @@ def test_a_platform_that_something_pulls_away_is_no_fault_of_its_encoder(tmp_pat
     assert not outcome.passed and "something pulls the platform" in outcome.sentence
 
 
-@pytest.mark.parametrize("stop", [5e-4, 3e-6])
+@pytest.mark.parametrize("stop", [5e-4, 1e-5])
 def test_a_platform_without_friction_coasts_slowly_and_not_into_its_stop(tmp_path, stop):
     free = {"friction__coulomb": 0.0, "friction__static": 0.0}
     outcome = signs_and_scales(work_on(values_of(platform__stop=stop, **free), tmp_path))
-    assert outcome.passed is (outcome.figures["farthest_um"] < min(25.0, stop * 1e6))
+    assert outcome.passed is (outcome.figures["farthest_um"] < min(25.0, stop * 1e6 - 0.1))
