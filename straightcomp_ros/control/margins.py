@@ -22,8 +22,8 @@ limit is missed.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ from straightcomp_ros.control.law import Law, flat
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law, states_of
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.modes import off
-from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 
 _STEPS = (1e-9, 1e-12)
 """Perturbations for the differences, in SI units: far below a count, far above rounding. The second where the first
@@ -54,6 +54,8 @@ _STATES = {
 """By the law's state: the words of a refusal, and the factors."""
 LEAST_PHASE = 5.0
 """Degrees."""
+MECHANICS = ("mass", "force", "gap")
+"""Facts of the uncertainty that change the plant without its drive."""
 _FREQUENCIES = 400
 _HALVINGS = 10
 
@@ -161,6 +163,27 @@ def with_modes_off(stage: StageParameters) -> dict[str, StageParameters]:
     return found
 
 
+def with_facts_off(stage: StageParameters, facts: Sequence[str] = MECHANICS) -> dict[str, StageParameters]:
+    """The stage at all corners of what it leaves open of ``facts``, by a name in words; ParameterError if one is
+    impossible."""
+    ranges = stage.uncertainty
+    sides = {
+        "mass": (1.0 - ranges.mass, 1.0 + ranges.mass),
+        "force": (1.0 - ranges.force, 1.0 + ranges.force),
+        "gap": (1.0 - ranges.air_gap, 1.0 + ranges.air_gap),
+        "amplifier": (1.0 / ranges.amplifier, ranges.amplifier),
+        "delay": (min(1.0, ranges.shortest_delay), max(1.0, ranges.longest_delay)),
+    }
+    found = {}
+    for factors in itertools.product(*(sorted(set(sides[fact])) for fact in facts)):
+        at = dict(zip(facts, factors, strict=True))
+        plant = deviating(stage.plant, Factors(at["mass"], at["force"], at["gap"], amplifier=at.get("amplifier", 1.0)))
+        drive = replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
+        name = ", ".join(f"{fact} × {factor:g}" for fact, factor in at.items())
+        found[name] = replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
+    return found
+
+
 def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     """From reading (m) to commanded current (A): the law about rest at the centre, with the reference at zero.
 
@@ -248,6 +271,17 @@ def loop_margins(
         phase_margin(plant, linear, period),
         last_stable(lambda late: _stable(sampled_plant(stage, late), linear), late, late + 10.0 * period),
     )
+
+
+def unstable_corner(law: Law, stage: StageParameters) -> str:
+    """The first corner of :func:`with_facts_off` at which ``law`` is unstable, in words; empty if there is none.
+
+    Raises:
+        ValueError: the law has no linearisation at rest.
+    """
+    linear, delay = linearised(law), stage.drive.delay * stage.period
+    corners = with_facts_off(stage).items()
+    return next((name for name, one in corners if not _stable(sampled_plant(one, delay), linear)), "")
 
 
 def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:

@@ -160,3 +160,23 @@ def test_a_factor_of_1000_in_any_fact_is_refused_or_found(path, facts):
     wrong = [(name, value) for name, value in wrong if name != "motion.start" or value > numbers[name]]
     missed = [one for one in wrong if not any(new not in sound for new in found(path, **{**facts, one[0]: one[1]}))]
     assert not missed
+
+
+FLEXURE = {"friction.coulomb": 0.0, "friction.static": 0.0, "platform.stiffness": 1e6, "platform.damping": 200.0}
+FLEXURE |= {"platform.mass": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("path", "facts", "corner", "remedy"),
+    [
+        (OWN, FLEXURE, True, "stage.rate"),
+        (OWN, {**FLEXURE, "rate": 3600}, False, ""),
+        (OWN, {**FLEXURE, "rate": 3600, "uncertainty.mass": 0.4, "uncertainty.force": 0.5}, True, "stage.rate"),
+        (str(STAGES[0].with_name("slow_amplifier.yaml")), {}, True, "straightcomp design"),
+    ],
+)
+def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(check, path, facts, corner, remedy):
+    (finding,) = check(path, named="loop", stage=facts)
+    assert finding["state"] == ("warn" if corner else "ok")
+    assert ("mass ×" in finding["detail"]) == corner and remedy in finding["remedy"]
+    assert not facts or "design" not in finding["remedy"]

@@ -10,7 +10,6 @@ units of the loop's dead time T_d, so that the same numbers hold for every stage
 """
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import NamedTuple
 
 from straightcomp_ros.control.laws import ControlParameters, make_law, states_of
 from straightcomp_ros.control.margins import (
+    MECHANICS,
     StateSpace,
     closed_loop,
     last_stable,
@@ -26,18 +26,17 @@ from straightcomp_ros.control.margins import (
     phase_margin,
     sampled_plant,
     spectral_radius,
+    with_facts_off,
     with_modes_off,
 )
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.stage.description import Factors, StageParameters, deviating
+from straightcomp_ros.stage.description import StageParameters
 
 _GRID = 400
 """Frequencies at which the phase margin is looked for: off by less than a degree."""
 _NOT_LINEAR = 100.0
 """Miss of a law that cannot be linearised: more than any that can."""
 _LIGHTEST, _HEAVIEST = 0.05, 20.0
-MECHANICS = ("mass", "force", "gap")
-"""Facts of the uncertainty that change the plant without its drive."""
 
 
 @dataclass(frozen=True)
@@ -170,23 +169,7 @@ def corner_at(name: str, stage: StageParameters) -> Corner:
 
 def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "amplifier", "delay")) -> list[Corner]:
     """The machines at all corners of what ``stage`` leaves open of ``facts``; ParameterError if one is impossible."""
-    ranges = stage.uncertainty
-    sides = {
-        "mass": (1.0 - ranges.mass, 1.0 + ranges.mass),
-        "force": (1.0 - ranges.force, 1.0 + ranges.force),
-        "gap": (1.0 - ranges.air_gap, 1.0 + ranges.air_gap),
-        "amplifier": (1.0 / ranges.amplifier, ranges.amplifier),
-        "delay": (min(1.0, ranges.shortest_delay), max(1.0, ranges.longest_delay)),
-    }
-    found = []
-    for factors in itertools.product(*(sorted(set(sides[fact])) for fact in facts)):
-        at = dict(zip(facts, factors, strict=True))
-        plant = deviating(stage.plant, Factors(at["mass"], at["force"], at["gap"], amplifier=at.get("amplifier", 1.0)))
-        drive = dataclasses.replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
-        corner = dataclasses.replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
-        name = ", ".join(f"{fact} × {factor:g}" for fact, factor in at.items())
-        found.append(corner_at(name, corner))
-    return found
+    return [corner_at(name, machine) for name, machine in with_facts_off(stage, facts).items()]
 
 
 class FailingLimits(NamedTuple):
