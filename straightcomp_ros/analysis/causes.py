@@ -10,6 +10,8 @@ Each is told from facts of the record, not from the size of the error:
   both ends of a stroke tell it from a line in time.
 - **friction** (stick-slip, hunting): the platform stands most of the time and jumps in between. Its velocity is then
   far from that of a sine or of noise: kurtosis 1.5 and 3.
+- **a cable that drags**: a force that turns round with the travel of the stage, whereas friction turns round with the
+  platform's.
 - **a mode**: a line at a described frequency of the platform.
 - **vibration**: a line whose amplitude comes and goes as that of noise behind a resonance; a loop that oscillates sets
   its own amplitude.
@@ -243,6 +245,28 @@ def _fitted(x: Array, left: Array, shape: Array) -> tuple[float, float]:
 def _unexplained(x: Array, left: Array, shape: Array) -> float:
     rest, whole = least_squares_residual(x, left - shape), least_squares_residual(x, left)
     return float(rest @ rest) / max(float(whole @ whole), np.finfo(float).tiny)
+
+
+def dragging(time: Array, y: Array, r: Array, current: Array, error: Array, strokes: Sequence[Stroke]) -> float:
+    """Part of the ``current`` (n,) in A that opposes a cable's drag: it turns round with the travel of the stage, that
+    against friction with the platform's. 0 unless it outweighs the rest, and the ``error`` (n,) in m is made where the
+    stage starts and stops, as that of an offset that drifts is not."""
+    period, ways = float(np.median(np.diff(time))), np.zeros(time.size)
+    ends = np.zeros(time.size, dtype=bool)
+    for one in strokes:
+        ways[one.samples] = 1.0 if one.direction == "forward" else -1.0
+        for end in (one.start, one.stop):
+            ends[end : end + round(_AFTER / period)] = True
+    moving = np.flatnonzero(ways)
+    if not moving.size or not np.ptp(ways[moving]):
+        return 0.0
+    velocity = np.sign(np.gradient(r, time))
+    terms = np.column_stack([np.ones(time.size), y, velocity, ways])[moving]
+    factors, *_ = np.linalg.lstsq(terms, current[moving], rcond=None)
+    rest = float(np.std(current[moving] - terms @ factors))
+    friction, drag = np.abs(factors[2:]).tolist()
+    at_ends, elsewhere = (float(np.mean(error[mask] ** 2)) if mask.any() else 0.0 for mask in (ends, ~ends))
+    return drag if drag > max(friction, rest) and at_ends > _AT_REVERSALS * elsewhere else 0.0
 
 
 def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[Stroke], rests: Sequence[Array]) -> str:

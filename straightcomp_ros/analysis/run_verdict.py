@@ -192,11 +192,12 @@ def _at_stop(motion: JudgedMotion) -> str:
     # The encoder rounds, and samples only see where the platform was at their own moments.
     if farthest < motion.stop - motion.count:
         return ""
-    return (
-        f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(motion.stop)}; check where the "
-        "platform starts, the current limit, and by straightcomp robustness whether the law is stable on this machine; "
-        "it may have a mode that nobody described (stage.platform.modes): straightcomp commission finds one"
+    remedy = motion.lacking() or (
+        "check where the platform starts, the current limit, and by straightcomp robustness whether the law is stable "
+        "on this machine; it may have a mode that nobody described (stage.platform.modes): straightcomp commission "
+        "finds one"
     )
+    return f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(motion.stop)}; {remedy}"
 
 
 def _left_map(motion: JudgedMotion) -> str:
@@ -207,6 +208,13 @@ def _left_map(motion: JudgedMotion) -> str:
         f"the stage moved from {_mm(low)} to {_mm(high)}; allowed: {_mm(first)} to {_mm(last)}, the "
         "survey and its run-out; shorten the motion, or survey the whole guide"
     )
+
+
+def _without_margins(motion: JudgedMotion) -> str:
+    """Before what else such a loop does; with modes that take the margins it is :func:`_disturbed` that says so."""
+    if not motion.exceeds or motion.destabilised() or not (missing := motion.lacking()):
+        return ""
+    return f"the law lacks margins on its own description: error {_um(motion.pp)} p-p; {missing}"
 
 
 def _saturated(motion: JudgedMotion) -> str:
@@ -280,16 +288,19 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             f"the platform's modes at {modes} Hz leave the law no margins: {error}; check "
             "stage.platform.modes by straightcomp frequency-response, and design gains for them",
         )
+    if motion.exceeds and (drag := _cable(motion)):
+        return Verdict(words.INACCURATE, f"{error}; allowed: {_um(motion.largest)}; {drag}")
     slips = False
     # What sticks lags by no more than what stands: a larger error is the loop's.
     if motion.pp <= motion.uncompensated and (line or (not hunting and motion.exceeds)):
         slips = any(causes.stick_slip(motion.error[one.samples], motion.period) for one in motion.strokes)
     if hunting or slips:
         rest = f", {_um(hunting)} at rest; allowed: {_um(at_rest)}" if hunting else f"; allowed: {_um(motion.largest)}"
+        lower = ", or lower the static friction" if motion.coulomb else ""
         return Verdict(
             words.STICK_SLIP,
             f"the platform sticks and slips: {error}{rest}; describe its friction (stage.friction.static, coulomb and "
-            "bristle_stiffness; straightcomp friction BAG estimates it), or lower the static friction",
+            f"bristle_stiffness; straightcomp friction BAG estimates it){lower}",
         )
     if not line:
         return None
@@ -302,7 +313,8 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         )
     halves = [half for one in motion.strokes for half in np.array_split(motion.error[one.samples], 2)]
     # A loop at its limit changes from one moment to the next.
-    if not motion.limited.any() and causes.comes_and_goes(halves, found.frequency, motion.period):
+    weak = motion.weak_corner()
+    if not weak and not motion.limited.any() and causes.comes_and_goes(halves, found.frequency, motion.period):
         dithered = (
             "friction is more than the dither overcomes (stage.friction.coulomb, static), or " if motion.dither else ""
         )
@@ -312,11 +324,12 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             "oscillation of the loop does not: look for what shakes the guide or the floor; if nothing does, "
             f"{dithered}the loop has hardly any margins there: measure them by straightcomp frequency-response",
         )
+    of_corner = f"the law is unstable within stage.uncertainty ({weak}); " if weak else ""
     return Verdict(
         words.OSCILLATES,
-        f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; compare stage.platform.mass, stage.actuator, "
-        "stage.rate and stage.drive.delay with the machine; straightcomp design finds gains that fit a description. "
-        "A line that is the same with other gains comes from outside",
+        f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; {of_corner}compare "
+        "stage.platform.mass, stage.actuator, stage.rate and stage.drive.delay with the machine; straightcomp design "
+        "finds gains that fit a description. A line that is the same with other gains comes from outside",
     )
 
 
@@ -368,8 +381,21 @@ def _inaccurate(motion: JudgedMotion) -> str:
 def _cause(motion: JudgedMotion) -> str:
     if motion.unseen:
         return "the encoder of y hardly shows it: it is the encoder's own, between its counts (interpolation)"
-    return _more_friction(motion) or causes.of_error(
-        motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting()
+    return (
+        _cable(motion)
+        or _more_friction(motion)
+        or causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
+    )
+
+
+def _cable(motion: JudgedMotion) -> str:
+    columns = motion.time, motion.y, motion.r, motion.current, motion.error
+    found = motion.current_stiffness * causes.dragging(*columns, motion.strokes)
+    if not found:
+        return ""
+    return (
+        f"a force of {found:.2g} N turns round with the travel of the stage, and the error is made where the stage "
+        "starts and stops: guide a cable or hose so that it does not drag on the platform"
     )
 
 
@@ -400,6 +426,7 @@ def _more_than_promised(motion: JudgedMotion) -> str:
 _REASONS: Sequence[tuple[str, Callable[[JudgedMotion], str]]] = (
     (words.AT_STOP, _at_stop),
     (words.LEFT_MAP, _left_map),
+    (words.OSCILLATES, _without_margins),
     (words.SATURATED, _saturated),
     (words.WRONG_GUIDE, _wrong_guide),
     (words.INACCURATE, _unsettled),

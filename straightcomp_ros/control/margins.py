@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law, flat
-from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law, states_of
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, described_state, make_law, states_of
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.modes import off
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
@@ -273,15 +273,15 @@ def loop_margins(
     )
 
 
-def unstable_corner(law: Law, stage: StageParameters) -> str:
-    """The first corner of :func:`with_facts_off` at which ``law`` is unstable, in words; empty if there is none.
-
-    Raises:
-        ValueError: the law has no linearisation at rest.
-    """
-    linear, delay = linearised(law), stage.drive.delay * stage.period
-    corners = with_facts_off(stage).items()
-    return next((name for name, one in corners if not _stable(sampled_plant(one, delay), linear)), "")
+def unstable_corner(control: ControlParameters, stage: StageParameters) -> str:
+    """The first corner of :func:`with_facts_off` at which the law, as it is on ``stage``, is unstable, in words; empty
+    if there is none, if such a machine is impossible, or if the law has no linearisation at rest."""
+    delay = stage.drive.delay * stage.period
+    try:
+        linear, corners = linearised(make_law(described_state(control, stage)[1], stage)), with_facts_off(stage)
+    except ValueError:
+        return ""
+    return next((name for name, one in corners.items() if not _stable(sampled_plant(one, delay), linear)), "")
 
 
 def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:

@@ -111,10 +111,9 @@ class Consequences:
         )
         self.law_state, law = described_state(control, stage)
         self.margins: Margins | None = None  # of a law that has a linearisation at rest, in this state
-        self.unstable_corner = ""  # of the uncertainty, where the stage may be there
+        self.unstable_corner = unstable_corner(control, stage)  # of the uncertainty, in words
         with contextlib.suppress(ValueError):
             self.margins = loop_margins(make_law(law, stage), stage)
-            self.unstable_corner = unstable_corner(make_law(law, stage), stage)
 
 
 def stage_findings(controller: ControllerNodeParameters, tracking: FeedforwardParameters) -> Iterator[Finding]:

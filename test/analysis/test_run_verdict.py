@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.causes import of_map
 from straightcomp_ros.analysis.interruption import Stall
-from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, bounds_of, encoder_count
+from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, encoder_count
+from straightcomp_ros.analysis.judged_motion import bounds_of as all_bounds
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
 from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
@@ -178,7 +179,8 @@ CASES = {
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=SHORT_RAMPS[0], r=0.1 * R)),
     ],
     "a platform that stands and jumps sticks and slips": [
-        ("stick_slip", "stage.friction.static", motion(STEPS, promise=promised(0.05))),
+        ("stick_slip", "^(?!.*lower the static)", motion(STEPS, promise=promised(0.05))),
+        ("stick_slip", "lower the static friction", motion(STEPS, promise=promised(0.05), coulomb=0.4)),
         ("in_order", "", motion(STEPS, promise=promised(0.3))),
     ],
     "a loop that oscillates in bursts neither stands nor jumps": [
@@ -202,6 +204,19 @@ CASES = {
         ("oscillates", "30 Hz", motion(SMALL + 0.4e-6 * sine(30.0) * np.clip((TIME - 2.0) / 2.0, 0.01, 1.0))),
         ("oscillates", "", motion(SMALL + SHAKEN, current=0.9 * np.sign(SHAKEN), **LIMITED)),
         ("resonance", "", motion(SMALL + SHAKEN, modes=(31.0,))),
+        ("oscillates", "mass × 0.8", motion(SMALL + SHAKEN, weak_corner=lambda: "mass × 0.8")),
+        ("vibration", "", motion(SMALL + SHAKEN, weak_corner=lambda: "")),
+    ],
+    "margins that the law lacks on its description are said first": [
+        ("oscillates", "unstable", motion(0.55 * R, lacking=lambda: "is unstable")),
+        ("oscillates", "unstable", motion(R, current=PUSHED, current_limit=0.9, lacking=lambda: "is unstable")),
+        (
+            "at_stop",
+            "^(?!.*nobody described).*unstable",
+            motion(R - 1.2e-3, stop=1.2e-3, lacking=lambda: "is unstable"),
+        ),
+        ("resonance", "", motion(R, modes=(80.0,), destabilised=lambda: True, lacking=lambda: "is unstable")),
+        ("in_order", "", motion(lacking=lambda: "is unstable")),
     ],
     "an error is judged by what the description leaves, with the friction's range and the encoder's counts": [
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.31))),
@@ -300,6 +315,9 @@ def test_a_verdict_reads_as_words():
 
 
 def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_know_its_stop():
+    def bounds_of(parameters):
+        return {name: value for name, value in all_bounds(parameters).items() if not callable(value)}
+
     assert bounds_of({}) == {}
     named = {"driver": {"stage.platform.stop": 1e-3}, "controller": {"stage.actuator.current_limit": 0.5}}
     described = {"friction": 2.0, "sensor_noise": 0.5, "map_noise": 0.02e-6, "modes": (), "dither": 0.0}
@@ -373,3 +391,15 @@ def test_cogging_is_locked_to_x_on_strokes_that_hardly_cruise(verb, stroke, pitc
     options = (part for name, value in changes.items() for part in ("--set", f"{name}={value}"))
     found = verb("simulate", "--json", *options).json
     assert found["verdict"] == "locked_to_x" and f"every {1e3 * pitch:.3g} mm" in found["reason"]
+
+
+@pytest.mark.parametrize(
+    ("disturbed", "cable"),
+    [({"cable.drag": 4.0}, True), ({"drift.current": 0.05}, False), ({"cable.drag": 0.2}, False)],
+)
+def test_a_force_that_turns_round_with_the_travel_is_the_cables_and_no_other(verb, disturbed, cable):
+    changes = {f"driver.simulated.truth.disturbances.{name}": value for name, value in disturbed.items()}
+    found = verb("simulate", "--json", *(part for one in changes.items() for part in ("--set", "{}={}".format(*one))))
+    assert ("cable or hose" in found.json["reason"]) == cable
+    if cable:
+        assert found.json["verdict"] == "inaccurate" and "friction" not in found.json["reason"]

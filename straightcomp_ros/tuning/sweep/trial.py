@@ -21,7 +21,7 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.judged_motion import JudgedMotion, dither_frequency
+from straightcomp_ros.analysis.judged_motion import JudgedMotion, dither_frequency, stability_of
 from straightcomp_ros.analysis.judgement import IN_ORDER, INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.analysis.run_verdict import verdict_of
@@ -87,6 +87,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
             continue
         y, r, current = cycle.true_y[window], target[window], cycle.current[window]
         count = nominal.encoder.y_resolution
+        bounds |= stability_of(scenario.controls[name], stage)
         bounds["dither"] = dither_frequency(scenario.controls[name], stage)
         judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
         steps = np.diff(current)
