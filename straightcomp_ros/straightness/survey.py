@@ -107,11 +107,13 @@ def _survey_of(
         groups.setdefault(key, []).append((line, x, deviation))
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
+    found = ""
     if "run" not in table.header:
         groups = _split(groups)
+        found = " (no column 'run': another begins where x turns, if each covers more than half of x)"
     runs = []
     for (name, way), points in groups.items():
-        where = f"survey {path}, run '{name}'{f' {way}' if way else ''}"
+        where = f"survey {path}, run '{name}'{f' {way}' if way else ''}{found}"
         if len(points) < max(min_points, 2):
             raise SurveyError(f"{where}: {len(points)} points; allowed: >= {min_points} (min_points)")
         runs.append(orient(where, name, way, points))

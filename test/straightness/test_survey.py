@@ -108,7 +108,7 @@ TURNS = THERE + THERE[-2::-1]
         ("run,direction,x_mm,deviation_mm", UNITS, "is·the·unit·wrong?·It·would·fit·as·deviation_um"),
         (HEADER, [f"1,forward,{x},0" for x in POSITIONS_MM], "extends·over·0·m"),
         # An x that is wrong is no turning point, and where runs are named x must not turn within one.
-        ("x_mm,deviation_um", _rows([*OUT[:15], 270, *OUT[15:]], ""), "x·turns·back:·270·mm"),
+        ("x_mm,deviation_um", _rows([*OUT[:15], 270, *OUT[15:]], ""), "more·than·half·of·x x·turns·back:·270·mm"),
         ("x_mm,deviation_um", _rows([*OUT[:15], OUT[14], *OUT[15:]], ""), "x·repeats:·280·mm"),
         ("x_mm,deviation_um", _rows([*OUT, *BACK[:5]], ""), "x·repeats:·600·mm"),
         ("direction,x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], "fwd,"), "x·turns·back:·300·mm"),
