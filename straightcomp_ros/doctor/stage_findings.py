@@ -28,6 +28,7 @@ from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, handover
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.straightness.smoothing import ROUNDING
 from straightcomp_ros.straightness.survey_table import SurveyError
 
 EASY, FEASIBLE = 0.5, 0.65
@@ -59,7 +60,6 @@ _USUAL = {
     "platform.modes.first.participation_error": (1e-3, 0.9),
     "friction.stribeck_velocity": (4e-6, 3.9e-3),
     "drive.delay": (0.0101, 10.0),
-    "encoder.x_resolution": (2e-9, 1.9e-6),
     "encoder.y_resolution": (1e-9, 0.99e-6),
     "uncertainty.mass": (1e-3, 0.9),
     "uncertainty.force": (1e-3, 0.9),
@@ -182,6 +182,9 @@ def _related(
     if friction.viscous:
         yield "s until viscous friction stops the platform", mass / friction.viscous, 0.02, 19.9, "friction.viscous"
     yield "times the current limit by the converter", drive.current_range / limit, 0.5, 100.0, "drive.gain"
+    # Counts of x from 1 nm to 1 µm are usual, which is a range of 1000: the count of y tells a wrong unit of x.
+    counts = stage.encoder.x_resolution / stage.encoder.y_resolution
+    yield "counts of y as the count of x", counts, 0.2, 199.0, "encoder.x_resolution encoder.y_resolution"
     yield "times the rate as the amplifier's bandwidth", drive.bandwidth / stage.rate, 0.02, 19.0, "drive.bandwidth"
 
 
@@ -198,7 +201,8 @@ def _guide_findings(stage: StageParameters, straightness: StraightnessMap, found
         detail += f"; hysteresis of {straightness.hysteresis * 1e6:.2g} µm: a table for each direction"
     beyond = max(first - start, end - last)
     remedy = "Survey the whole stroke, or shorten stage.motion.stroke."
-    quiet = 2.0 * straightness.noise.half_width <= found.encoder_floor
+    noise = straightness.noise
+    quiet = noise.point <= ROUNDING or 2.0 * noise.half_width <= found.encoder_floor
     if beyond <= 1e-6:
         remedy = "The noise leaves more than the encoder does: survey with more runs or more points."
     good = beyond <= 1e-6 and quiet

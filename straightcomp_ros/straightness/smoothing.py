@@ -41,8 +41,8 @@ _CLEAN = 0.6
 """Fraction of its variance that smoothing must leave of the noise at most; else it is taken off only where it bends."""
 _UNLIKELY = 0.02
 """Weight up to which a λ is left out."""
-ROUNDING = 1e-9
-"""Noise in m that nothing is done about: survey files are rounded to a nanometre."""
+ROUNDING = 1e-9 / math.sqrt(12.0)
+"""Noise in m that nothing is done about: that of a survey file's rounding to a nanometre."""
 _BY_CHANCE = 0.05
 """Share of even guides on which noise may make a smoother fit differ somewhere from a less smooth one so much that it
 is taken for the guide: at one of as many independent places as the roughest fit has degrees of freedom (Bonferroni)."""

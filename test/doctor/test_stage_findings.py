@@ -180,3 +180,19 @@ def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(chec
     assert finding["state"] == ("warn" if corner else "ok")
     assert ("mass ×" in finding["detail"]) == corner and remedy in finding["remedy"]
     assert not facts or "design" not in finding["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("noise", "count", "state"), [(2e-9, 1e-9, "warn"), (0.2e-9, 0.1e-9, "ok"), (2e-9, 1e-7, "ok")]
+)
+def test_a_survey_that_shows_no_noise_is_not_asked_for_more_runs(check, tmp_path, noise, count, state):
+    write_survey(tmp_path / "survey.csv", surveyed(5e-3, noise))
+    facts = {"guide.file": str(tmp_path / "survey.csv"), "encoder.y_resolution": count}
+    (finding,) = check(OWN, "survey", stage=facts)
+    assert finding["state"] == state and (state == "ok" or "shows no noise" not in finding["detail"])
+
+
+def test_a_count_of_x_is_as_usual_as_the_same_count_of_y():
+    for count in (1e-9, 1e-8, 0.9e-6):
+        facts = {"encoder.x_resolution": count, "encoder.y_resolution": count}
+        assert ("units", "warn") not in list(found(OWN, **facts))
