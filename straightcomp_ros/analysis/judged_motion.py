@@ -21,7 +21,7 @@ from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.metrics import RESTING
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stroke, motion_of
 from straightcomp_ros.control.laws import ControlParameters, dither_of
-from straightcomp_ros.control.margins import missing_margin, unstable_corner
+from straightcomp_ros.control.margins import missing_margin, unstable_where
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
@@ -88,7 +88,7 @@ def bounds_of(
         if bounds["modes"]:
             bounds["destabilised"] = partial(destabilised, parameters["controller"])
         if node := _described(parameters["controller"]):
-            bounds |= stability_of(node.control, node.stage)
+            bounds["unstable_where"] = partial(unstable_where, node.control, node.stage)
             bounds["dither"] = dither_frequency(node.control, node.stage)
             bounds["coulomb"] = node.stage.friction.coulomb
             bounds["current_stiffness"] = node.stage.actuator.current_stiffness
@@ -116,14 +116,6 @@ def destabilised(controller: Mapping[str, Any]) -> bool:
         return False
     missing = missing_margin(known.control, known.stage)
     return missing is not None and missing != missing_margin(known.control, known.stage.with_modes())
-
-
-def stability_of(control: ControlParameters, stage: StageParameters) -> dict[str, Callable[[], str]]:
-    """What the description says of the loop, by the names of :class:`JudgedMotion`; asked for only where it matters."""
-    return {
-        "lacking": lambda: missing_margin(control, stage) or "",
-        "weak_corner": lambda: unstable_corner(control, stage),
-    }
 
 
 def is_simulated(driver: Mapping[str, Any]) -> bool:
@@ -181,8 +173,7 @@ class JudgedMotion:
     map_noise: float = 0.02e-6
     modes: Sequence[float] = ()  # Hz, described resonances of the platform
     destabilised: Callable[[], bool] = lambda: False  # whether these take margins from the law
-    lacking: Callable[[], str] = lambda: ""  # margins that the law lacks on its description
-    weak_corner: Callable[[], str] = lambda: ""  # of the uncertainty, where the law is unstable
+    unstable_where: Callable[[], str] = lambda: ""  # the law is, within the uncertainty of its description, in words
     coulomb: float = 0.0  # N, friction; 0: none, or not known
     current_stiffness: float = 0.0  # N/A, of the magnets
     dither: float = 0.0  # Hz, of the sine that the law itself adds; 0: none

@@ -28,6 +28,7 @@ from straightcomp_ros.analysis.judged_motion import (
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_over
 from straightcomp_ros.analysis.record import Array, ReferenceMap, StrokeRecord, group_means, runs_of
+from straightcomp_ros.control.margins import AS_DESCRIBED
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
@@ -52,6 +53,7 @@ _OF_LOOP = 0.0125
 what then is left of a disturbance has no line either."""
 _SEEN = 0.5
 """Part of an error's RMS in the encoder's readings below which the encoder made it: a quarter of its power."""
+_UNSTABLE = "the law is unstable on the stage as it is described: straightcomp design finds gains for a stage"
 _HUNTS = 0.02
 """Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
 
@@ -192,11 +194,13 @@ def _at_stop(motion: JudgedMotion) -> str:
     # The encoder rounds, and samples only see where the platform was at their own moments.
     if farthest < motion.stop - motion.count:
         return ""
-    remedy = motion.lacking() or (
+    remedy = (
         "check where the platform starts, the current limit, and by straightcomp robustness whether the law is stable "
         "on this machine; it may have a mode that nobody described (stage.platform.modes): straightcomp commission "
         "finds one"
     )
+    if motion.unstable_where() == AS_DESCRIBED:
+        remedy = _UNSTABLE
     return f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(motion.stop)}; {remedy}"
 
 
@@ -210,11 +214,11 @@ def _left_map(motion: JudgedMotion) -> str:
     )
 
 
-def _without_margins(motion: JudgedMotion) -> str:
-    """Before what else such a loop does; with modes that take the margins it is :func:`_disturbed` that says so."""
-    if not motion.exceeds or motion.destabilised() or not (missing := motion.lacking()):
+def _unstable(motion: JudgedMotion) -> str:
+    """Before what else such a loop does; where modes make it unstable, :func:`_disturbed` says so."""
+    if not motion.exceeds or motion.unstable_where() != AS_DESCRIBED or motion.destabilised():
         return ""
-    return f"the law lacks margins on its own description: error {_um(motion.pp)} p-p; {missing}"
+    return f"{_UNSTABLE}: error {_um(motion.pp)} p-p; allowed: {_um(motion.largest)}"
 
 
 def _saturated(motion: JudgedMotion) -> str:
@@ -313,7 +317,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         )
     halves = [half for one in motion.strokes for half in np.array_split(motion.error[one.samples], 2)]
     # A loop at its limit changes from one moment to the next.
-    weak = motion.weak_corner()
+    weak = motion.unstable_where()
     if not weak and not motion.limited.any() and causes.comes_and_goes(halves, found.frequency, motion.period):
         dithered = (
             "friction is more than the dither overcomes (stage.friction.coulomb, static), or " if motion.dither else ""
@@ -324,7 +328,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             "oscillation of the loop does not: look for what shakes the guide or the floor; if nothing does, "
             f"{dithered}the loop has hardly any margins there: measure them by straightcomp frequency-response",
         )
-    of_corner = f"the law is unstable within stage.uncertainty ({weak}); " if weak else ""
+    of_corner = f"the law is unstable within stage.uncertainty: {weak}; " if weak else ""
     return Verdict(
         words.OSCILLATES,
         f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; {of_corner}compare "
@@ -426,7 +430,7 @@ def _more_than_promised(motion: JudgedMotion) -> str:
 _REASONS: Sequence[tuple[str, Callable[[JudgedMotion], str]]] = (
     (words.AT_STOP, _at_stop),
     (words.LEFT_MAP, _left_map),
-    (words.OSCILLATES, _without_margins),
+    (words.OSCILLATES, _unstable),
     (words.SATURATED, _saturated),
     (words.WRONG_GUIDE, _wrong_guide),
     (words.INACCURATE, _unsettled),

@@ -273,12 +273,18 @@ def loop_margins(
     )
 
 
-def unstable_corner(control: ControlParameters, stage: StageParameters) -> str:
-    """The first corner of :func:`with_facts_off` at which the law, as it is on ``stage``, is unstable, in words; empty
-    if there is none, if such a machine is impossible, or if the law has no linearisation at rest."""
+AS_DESCRIBED = "as described"
+
+
+def unstable_where(control: ControlParameters, stage: StageParameters) -> str:
+    """Where the law, as it is on ``stage``, is unstable, in words: :data:`AS_DESCRIBED`, or else at the first corner of
+    :func:`with_facts_off`; empty if nowhere, or if it has no linearisation at rest. Impossible corners do not count."""
     delay = stage.drive.delay * stage.period
     try:
-        linear, corners = linearised(make_law(described_state(control, stage)[1], stage)), with_facts_off(stage)
+        linear = linearised(make_law(described_state(control, stage)[1], stage))
+        if not _stable(sampled_plant(stage, delay), linear):
+            return AS_DESCRIBED
+        corners = with_facts_off(stage)
     except ValueError:
         return ""
     return next((name for name, one in corners.items() if not _stable(sampled_plant(one, delay), linear)), "")

@@ -15,7 +15,7 @@ from straightcomp_ros.control.laws import (
     make_law,
     needs_dither,
 )
-from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin, unstable_corner
+from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin, unstable_where
 from straightcomp_ros.doctor import Finding, State, judged
 from straightcomp_ros.hardware.can.board_dbc import Wire, gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -111,7 +111,7 @@ class Consequences:
         )
         self.law_state, law = described_state(control, stage)
         self.margins: Margins | None = None  # of a law that has a linearisation at rest, in this state
-        self.unstable_corner = unstable_corner(control, stage)  # of the uncertainty, in words
+        self.unstable_where = unstable_where(control, stage)  # in words
         with contextlib.suppress(ValueError):
             self.margins = loop_margins(make_law(law, stage), stage)
 
@@ -283,9 +283,9 @@ def _loop_findings(stage: StageParameters, control: ControlParameters, found: Co
             f"law {law}{where}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
             f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"
         )
-        if found.unstable_corner:
-            detail += f"; unstable within stage.uncertainty: {found.unstable_corner}"
-        wide = not found.unstable_corner and margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH
+        if found.unstable_where:
+            detail += f"; unstable within stage.uncertainty: {found.unstable_where}"
+        wide = not found.unstable_where and margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH
         remedy = "straightcomp design finds gains for this stage"
         if found.law_state == "free":
             # These gains follow from the dead time alone: no design changes them.

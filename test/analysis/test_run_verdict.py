@@ -204,19 +204,20 @@ CASES = {
         ("oscillates", "30 Hz", motion(SMALL + 0.4e-6 * sine(30.0) * np.clip((TIME - 2.0) / 2.0, 0.01, 1.0))),
         ("oscillates", "", motion(SMALL + SHAKEN, current=0.9 * np.sign(SHAKEN), **LIMITED)),
         ("resonance", "", motion(SMALL + SHAKEN, modes=(31.0,))),
-        ("oscillates", "mass × 0.8", motion(SMALL + SHAKEN, weak_corner=lambda: "mass × 0.8")),
-        ("vibration", "", motion(SMALL + SHAKEN, weak_corner=lambda: "")),
+        ("oscillates", "mass × 0.8", motion(SMALL + SHAKEN, unstable_where=lambda: "mass × 0.8")),
+        ("vibration", "", motion(SMALL + SHAKEN, unstable_where=lambda: "")),
     ],
-    "margins that the law lacks on its description are said first": [
-        ("oscillates", "unstable", motion(0.55 * R, lacking=lambda: "is unstable")),
-        ("oscillates", "unstable", motion(R, current=PUSHED, current_limit=0.9, lacking=lambda: "is unstable")),
+    "a law that is unstable as described is said first, and one that may be is no other cause": [
+        ("oscillates", "unstable", motion(0.55 * R, unstable_where=lambda: "as described")),
+        ("oscillates", "unstable", motion(R, current=PUSHED, current_limit=0.9, unstable_where=lambda: "as described")),
         (
             "at_stop",
             "^(?!.*nobody described).*unstable",
-            motion(R - 1.2e-3, stop=1.2e-3, lacking=lambda: "is unstable"),
+            motion(R - 1.2e-3, stop=1.2e-3, unstable_where=lambda: "as described"),
         ),
-        ("resonance", "", motion(R, modes=(80.0,), destabilised=lambda: True, lacking=lambda: "is unstable")),
-        ("in_order", "", motion(lacking=lambda: "is unstable")),
+        ("resonance", "", motion(R, modes=(80.0,), destabilised=lambda: True, unstable_where=lambda: "as described")),
+        ("in_order", "", motion(unstable_where=lambda: "as described")),
+        ("inaccurate", "", motion(0.55 * R, unstable_where=lambda: "mass × 0.8")),
     ],
     "an error is judged by what the description leaves, with the friction's range and the encoder's counts": [
         ("in_order", "", motion(8.0 * SMALL, promise=promised(0.31))),

@@ -13,6 +13,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,12 +22,13 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.judged_motion import JudgedMotion, dither_frequency, stability_of
+from straightcomp_ros.analysis.judged_motion import JudgedMotion, dither_frequency
 from straightcomp_ros.analysis.judgement import IN_ORDER, INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.analysis.run_verdict import verdict_of
 from straightcomp_ros.analysis.style import BLUE, GREEN, GREY, VERMILION
 from straightcomp_ros.control.law import Law
+from straightcomp_ros.control.margins import unstable_where
 from straightcomp_ros.offline.scenario import Scenario, laws_of
 from straightcomp_ros.offline.workers import spread
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
@@ -87,7 +89,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
             continue
         y, r, current = cycle.true_y[window], target[window], cycle.current[window]
         count = nominal.encoder.y_resolution
-        bounds |= stability_of(scenario.controls[name], stage)
+        bounds["unstable_where"] = partial(unstable_where, scenario.controls[name], stage)
         bounds["dither"] = dither_frequency(scenario.controls[name], stage)
         judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
         steps = np.diff(current)
