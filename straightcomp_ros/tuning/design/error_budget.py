@@ -14,6 +14,7 @@ import numpy as np
 
 from straightcomp_ros.control.filters import FilterParameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.margins import AS_DESCRIBED, unstable_where
 from straightcomp_ros.model.disturbances import GRAVITY, DisturbanceParameters
 from straightcomp_ros.model.modes import ModesParameters
 from straightcomp_ros.model.plant import PlantParameters
@@ -82,8 +83,15 @@ def error_budget(
     seed: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[BudgetEntry, ...]:
-    """The budget of ``gains``, by dotted name; the first entry is the stage as described. ``seed`` draws the jitter."""
-    found, causes = [], _causes(scenario, law, gains, seed)
+    """The budget of ``gains``, by dotted name; the first entry is the stage as described. What would be unstable is
+    left out. ``seed`` draws the jitter."""
+    found, stage = [], scenario.description
+    # Another drive or platform may make the gains that are scaled for it unstable: that is no limit of this one.
+    causes = {
+        cause: one
+        for cause, one in _causes(scenario, law, gains, seed).items()
+        if one.stage is stage or unstable_where(one.control, one.stage) != AS_DESCRIBED
+    }
     for number, (cause, one) in enumerate(causes.items(), 1):
         made = make_law(one.control, one.stage)
         runs = [one.stroke.run(made, one.delay, start, one.plant) for start in range(_STARTS)]

@@ -16,6 +16,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.doctor import Finding
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import read_stage_file, shipped_parameters
@@ -343,3 +344,12 @@ def test_a_design_warns_of_stiction_as_the_check_does(stage, capsys):
     (finding,) = (one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"] == "stiction")
     assert finding["state"] == "warn"
     assert warning.startswith("stiction: ") and finding["remedy"] in warning
+
+
+def test_what_would_be_unstable_is_left_out_of_the_budget(shipped):
+    ringing = shipped.on(shipped.description.with_modes(ModeParameters(400.0, 0.01)))
+    budget = error_budget(ringing, LAW, scaled(LAW, closed_form(ringing, LAW), 0.3))
+    causes = [entry.cause for entry in budget]
+    # Without a filter a faster loop shakes the mode.
+    assert OWN in causes and RIGID in causes and not any("faster to match" in cause for cause in causes)
+    assert max(entry.pp for entry in budget if not entry.cause.startswith("with ")) < 10.0 * budget[0].pp
