@@ -1,7 +1,6 @@
 """A guide that is another one on the way back: two tables where it shows, no step of the reference between them."""
 
 import csv
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import run_stroke
@@ -20,10 +18,11 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import Feedforward, Travel, along, follower, handover
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.survey import Survey, write_survey
-from trials.noise import FINE, Kind, guide, mapped, settling, surveyed
+from trials.noise import FINE, WAYS, Kind, guide, mapped, surveyed
 
 HYSTERESIS = 0.3e-6
-SURVEY = surveyed(10e-3, 25e-9, Kind(hysteresis=HYSTERESIS))
+KIND = Kind(hysteresis=HYSTERESIS)
+SURVEY = surveyed(10e-3, 25e-9, KIND)
 MAP = mapped(SURVEY)
 PERIOD_NS = 500_000
 
@@ -31,12 +30,11 @@ PERIOD_NS = 500_000
 @pytest.mark.parametrize("noise", [25e-9, 2e-7])
 @pytest.mark.parametrize("spacing", [1e-3, 10e-3])
 def test_hysteresis_that_is_more_than_the_noise_makes_a_table_for_each_direction(spacing, noise):
-    straightness = mapped(surveyed(spacing, noise, Kind(hysteresis=HYSTERESIS)))
+    straightness = mapped(surveyed(spacing, noise, KIND))
     assert straightness.directed and "two tables" in str(straightness)
-    mean = straightness.deviations(FINE)
-    for way, sign in (("forward", 0.5), ("backward", -0.5)):
-        true = guide(FINE) + sign * HYSTERESIS * settling(FINE)
-        assert np.std(straightness.deviations(FINE, way) - true) < 0.9 * np.std(mean - true)
+    for way in WAYS:
+        errors = [np.std(straightness.deviations(FINE, of) - KIND.true(FINE, way)) for of in (way, None)]
+        assert errors[0] < 0.9 * errors[1]
 
 
 def test_noise_and_drift_of_the_instrument_are_no_hysteresis_and_leave_the_map_as_it_was_to_the_last_bit():
@@ -90,19 +88,20 @@ def test_a_stage_at_rest_and_an_encoder_that_toggles_change_no_table():
 
 def test_after_a_whole_hand_over_the_reference_is_that_of_the_other_direction_with_no_more_than_its_bound():
     parameters = MapParameters(travel=5e-3)
-    feedforward = Feedforward(MAP)
     turn = Trajectory([Waypoint(0, 0.7, 0.0), Waypoint(400_000_000, 0.72, 0.0), Waypoint(800_000_000, 0.7, 0.0)])
     stamps = range(0, turn.end_ns, PERIOD_NS)
     x = np.array([turn.position(stamp) for stamp in stamps])
-    answers = np.array([feedforward.step(stamp, at) for stamp, at in zip(stamps, x.tolist(), strict=True)])
+
+    def answers_of(straightness):
+        return np.array(list(map(Feedforward(straightness).step, stamps, x.tolist())))
+
+    answers = answers_of(MAP)
     back = len(x) // 2 + np.flatnonzero(x[len(x) // 2 :] < 0.72 - parameters.reversal)
     np.testing.assert_allclose(answers[back, 0], MAP.evaluate(x[back], "backward")[0], rtol=0, atol=1e-15)
     acceleration = np.abs(np.diff(x, 2)).max() / (PERIOD_NS * 1e-9) ** 2
     rate, second = handover(HYSTERESIS, acceleration, parameters.reversal)
-    plain = Feedforward(StraightnessMap(SURVEY, replace(parameters, direction="mean")))
-    others = np.array([plain.step(stamp, at) for stamp, at in zip(stamps, x.tolist(), strict=True)])
-    assert np.abs(answers - others)[:, 1].max() < 1.2 * rate
-    assert np.abs(answers - others)[:, 2].max() < 1.2 * second
+    added = np.abs(answers - answers_of(StraightnessMap(SURVEY, replace(parameters, direction="mean"))))
+    assert added[:, 1].max() < 1.2 * rate and added[:, 2].max() < 1.2 * second
 
 
 @pytest.fixture
@@ -110,17 +109,12 @@ def values(tmp_path):
     """Of a short stroke over a guide with hysteresis, whose survey is known."""
     write_survey(tmp_path / "survey.csv", SURVEY)
     x = SURVEY.runs[0].x
-    ways = [("forward", 0.5), ("backward", -0.5)]
-    truth = Survey(
-        tuple(
-            replace(SURVEY.runs[0], direction=way, deviation=guide(x) + sign * HYSTERESIS * settling(x))
-            for way, sign in ways
-        )
-    )
-    write_survey(tmp_path / "truth.csv", truth)
+    truth = tuple(replace(SURVEY.runs[0], direction=way, deviation=KIND.true(x, way)) for way in WAYS)
+    write_survey(tmp_path / "truth.csv", Survey(truth))
     values = shipped_parameters()
-    values["stage"] |= {"motion.start": 0.6, "motion.stroke": 0.1, "guide.file": str(tmp_path / "survey.csv")}
-    values["stage"] |= {"motion.settle": 0.2, "motion.pause": 0.1}
+    motion = {"start": 0.6, "stroke": 0.1, "settle": 0.2, "pause": 0.1}
+    values["stage"] |= {f"motion.{name}": value for name, value in motion.items()}
+    values["stage"]["guide.file"] = str(tmp_path / "survey.csv")
     values["driver"] |= {"simulated.truth.guide": str(tmp_path / "truth.csv")}
     return values
 
@@ -156,13 +150,11 @@ def test_a_bag_of_two_tables_is_evaluated_as_the_run_that_it_recorded(values, tm
         assert known(evaluate(evaluation.record, reference)) == pytest.approx(known(expected), rel=1e-6)
 
 
-def test_linuxcnc_gets_both_tables_and_a_controller_with_one_their_mean_and_a_word(values, tmp_path, capsys):
-    survey = values["stage"]["guide.file"]
+def test_linuxcnc_gets_both_tables_and_a_controller_with_one_their_mean_and_a_word(values, tmp_path, verb):
     for name, ways in (("table.comp", 2), ("table.cal", 1)):
-        assert main(["map", "export", "--survey", survey, "-o", str(tmp_path / name), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["directions"] == ways
+        export = ["map", "export", "--survey", values["stage"]["guide.file"], "-o", tmp_path / name]
+        assert verb(*export, "--json").json["directions"] == ways
+        assert ("one table for both directions" in verb(*export, "--force").err) == (ways == 1)
     rows = np.loadtxt(tmp_path / "table.comp")
     for column, way in ((1, "forward"), (2, "backward")):
         np.testing.assert_allclose(rows[:, column] * 1e-3, MAP.evaluate(rows[:, 0] * 1e-3, way)[0], atol=1e-9)
-    assert main(["map", "export", "--survey", survey, "-o", str(tmp_path / "other.cal")]) == 0
-    assert "one table for both directions" in capsys.readouterr().err
