@@ -1,7 +1,6 @@
 """Reading a survey: what is accepted, how each fault is named, where a file without names of runs is split; its runs
 on one grid, and their repeatability by its definition."""
 
-import dataclasses
 import math
 import re
 
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.survey import Run, Survey, orient, read_survey, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
 from straightcomp_ros.straightness.survey_table import SurveyError
 
@@ -21,10 +20,19 @@ def _rows(positions=None, prefix="1,forward,"):
     return [f"{prefix}{x},{(x // 10) % 7}" for x in (POSITIONS_MM if positions is None else positions)]
 
 
-def _write(tmp_path, rows, header="run,direction,x_mm,deviation_um"):
-    path = tmp_path / "survey.csv"
-    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
-    return path
+HEADER = "run,direction,x_mm,deviation_um"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """``read(header, *rows)`` reads the survey of a file with these lines."""
+
+    def of(*lines, encoding="utf-8", **options):
+        path = tmp_path / "survey.csv"
+        path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
+        return read_survey(path, **options)
+
+    return of
 
 
 @pytest.mark.parametrize(
@@ -42,40 +50,24 @@ def _write(tmp_path, rows, header="run,direction,x_mm,deviation_um"):
         ("Target mm, Deviation nm", 1e3, 1e9),
     ],
 )
-def test_the_unit_in_the_column_name_counts(tmp_path, header, x, deviation):
+def test_the_unit_in_the_column_name_counts(read, header, x, deviation):
     rows = [f"{0.01 * k * x!r},{1e-6 * (k % 7) * deviation!r}" for k in range(30)]
-    run = read_survey(_write(tmp_path, rows, header)).runs[0]
+    run = read(header, *rows).runs[0]
     np.testing.assert_allclose(run.x, 0.01 * np.arange(30), rtol=1e-15)
     np.testing.assert_allclose(run.deviation, 1e-6 * (np.arange(30) % 7), rtol=1e-15)
 
 
-def test_two_points_are_enough_to_tell_a_direction():
-    deviation = [1e-6, 2e-6]
-    for x, direction in (([0.1, 0.2], "forward"), ([0.2, 0.1], "backward")):
-        run = orient("survey made up", "1", None, list(zip([2, 3], x, deviation, strict=True)))
-        assert run.direction == direction and run.x.tolist() == [0.1, 0.2]
-        assert run.deviation.tolist() == (deviation if direction == "forward" else deviation[::-1])
-
-
-def test_a_backward_run_may_be_listed_as_driven_or_sorted_and_count_with_the_one_before(tmp_path):
+def test_a_backward_run_may_be_listed_as_driven_or_sorted_and_count_with_the_one_before(read):
     for back in (POSITIONS_MM[::-1], POSITIONS_MM):
-        survey = read_survey(_write(tmp_path, _rows() + _rows(back, "1,backward,")))
+        survey = read(HEADER, *_rows(), *_rows(back, "1,backward,"))
         assert [(run.name, run.direction) for run in survey.runs] == [("1", "forward"), ("1", "backward")]
         forward, (backward,) = survey.runs[0], survey.in_direction("backward")
         np.testing.assert_array_equal(backward.x, forward.x)
         np.testing.assert_array_equal(backward.deviation, forward.deviation)
 
 
-def test_comments_blank_lines_byte_order_mark_and_other_columns_do_no_harm(tmp_path):
-    path = tmp_path / "survey.csv"
-    rows = [f"{x},{x % 70},21.5" for x in POSITIONS_MM]
-    path.write_text("\ufeff# laser\n\nx_mm,deviation_um,temperature\n" + "\n".join(rows) + "\n# end\n", "utf-8")
-    assert len(read_survey(path).runs[0].x) == len(POSITIONS_MM)
-
-
 OUT, BACK = list(range(0, 601, 20)), list(range(600, -1, -20))
 FINE = list(range(0, 601, 5))
-HEADER = "run,direction,x_mm,deviation_um"
 UNITS = [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM]
 THERE = [10.0 * number for number in range(15)]
 TURNS = THERE + THERE[-2::-1]
@@ -115,27 +107,18 @@ TURNS = THERE + THERE[-2::-1]
         ("run,x_mm,deviation_um", _rows([*OUT, *BACK], "1,"), "x·repeats:·600·mm"),
     ],
 )
-def test_a_fault_is_refused_with_its_place_and_what_is_allowed(tmp_path, header, rows, words):
+def test_a_fault_is_refused_with_its_place_and_what_is_allowed(read, header, rows, words):
     with pytest.raises(SurveyError) as caught:
-        read_survey(_write(tmp_path, rows, header))
+        read(header, *rows)
     for word in ("survey.csv", *words.split()):
         assert word.replace("·", " ") in str(caught.value)
 
 
-def test_a_file_that_is_missing_or_not_utf8_is_refused(tmp_path):
-    path = tmp_path / "survey.csv"
+def test_a_file_that_is_missing_or_not_utf8_is_refused(tmp_path, read):
     with pytest.raises(SurveyError, match=r"survey\.csv.*No such file"):
-        read_survey(path)
-    path.write_bytes(b"x_mm,deviation_\x81m\n")
+        read_survey(tmp_path / "survey.csv")
     with pytest.raises(SurveyError, match=r"survey\.csv.*not UTF-8"):
-        read_survey(path)
-
-
-@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
-def test_a_micro_sign_is_one_in_every_encoding_of_spreadsheets(tmp_path, encoding):
-    rows = "".join(f"{x};{0.5 * x:.1f}\r\n".replace(".", ",") for x in range(0, 240, 10))
-    (tmp_path / "survey.csv").write_bytes(f"Position [mm];Straightness [µm]\r\n{rows}".encode(encoding))
-    assert read_survey(tmp_path / "survey.csv").runs[0].deviation[-1] == pytest.approx(115e-6)
+        read("x_mm,deviation_\x81m", encoding="latin-1")
 
 
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -143,16 +126,17 @@ def test_a_micro_sign_is_one_in_every_encoding_of_spreadsheets(tmp_path, encodin
     deviations=st.lists(st.integers(-10_000, 10_000), min_size=20, max_size=40, unique=True),
     direction=st.sampled_from(["forward", "backward"]),
     start=st.integers(-1_000_000, 1_000_000),
+    name=st.sampled_from(["a", "#2", "Cycle 1, warm", 'the "good" one', "3"]),
 )
-def test_what_is_written_is_read_back(tmp_path, deviations, direction, start):
+def test_what_is_written_is_read_back_whatever_the_name_of_a_run(tmp_path, deviations, direction, start, name):
     x = (start + 12_345.0 * np.arange(len(deviations))) * 1e-7 * 10
     values = (np.array(deviations) * 10.0 + np.arange(len(deviations))) * 1e-9
-    run = Run("a", direction, x, values)
-    write_survey(tmp_path / "s.csv", Survey((run,)), ["comment"])
-    again = read_survey(tmp_path / "s.csv").runs[0]
-    assert (again.name, again.direction) == (run.name, run.direction)
-    np.testing.assert_allclose(again.x, run.x, atol=0.51e-7)
-    np.testing.assert_allclose(again.deviation, run.deviation, atol=0.51e-9)
+    runs = [Run(one, direction, x, values) for one in (name, "other")]
+    write_survey(tmp_path / "s.csv", Survey(tuple(runs)), ["comment"])
+    for again, run in zip(read_survey(tmp_path / "s.csv").runs, runs, strict=True):
+        assert (again.name, again.direction) == (run.name, run.direction)
+        np.testing.assert_allclose(again.x, run.x, atol=0.51e-7)
+        np.testing.assert_allclose(again.deviation, run.deviation, atol=0.51e-9)
 
 
 WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")]
@@ -168,10 +152,8 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
         ([OUT, OUT], [WAYS[0], WAYS[2]]),
     ],
 )
-def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path, passages, expected):
-    runs = read_survey(
-        _write(tmp_path, _rows([x for passage in passages for x in passage], ""), "x_mm,deviation_um")
-    ).runs
+def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(read, passages, expected):
+    runs = read("x_mm,deviation_um", *_rows([x for passage in passages for x in passage], "")).runs
     assert [(run.name, run.direction) for run in runs] == expected
     assert [run.x.size for run in runs] == [len(passage) for passage in passages]
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
@@ -188,43 +170,43 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(tmp_path
         ("Position,1+,1\u2212\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
     ],
 )
-def test_each_run_may_have_a_column_of_its_own(tmp_path, header, back, expected):
+def test_each_run_may_have_a_column_of_its_own(read, header, back, expected):
     ways = range(0, 210, 10), range(200, -1, -10)
     rows = [f"{x},{x % 30},{2 * (x % 30)}" for way in ways[: 1 + back] for x in way]
-    (tmp_path / "survey.csv").write_text(f"{header}\n" + "\n".join(rows), encoding="utf-8")
-    runs = read_survey(tmp_path / "survey.csv").runs
+    runs = read(header, *rows).runs
     assert [(run.name, run.direction) for run in runs] == expected
     halves = len(runs) // 2
     for run, column in zip(runs, [1] * halves + [2] * halves, strict=True):
         np.testing.assert_allclose(run.deviation, column * (run.x * 1e3 % 30).round() * 1e-6, atol=1e-15)
 
 
-def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_chosen(tmp_path):
-    rows = [f"{x},{x % 30},{x if x != 50 else ''}" for x in range(0, 240, 10)]
-    (tmp_path / "survey.csv").write_text("x_mm,run 1 [um],run 2 [um]\n" + "\n".join(rows), encoding="utf-8")
-    assert [run.x.size for run in read_survey(tmp_path / "survey.csv").runs] == [24, 23]
-    (run,) = read_survey(tmp_path / "survey.csv", names={"deviation": "Run 1 [um]"}).runs
+def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_chosen(read):
+    lines = "x_mm,run 1 [um],run 2 [um]", *(f"{x},{x % 30},{x if x != 50 else ''}" for x in range(0, 240, 10))
+    assert [run.x.size for run in read(*lines).runs] == [24, 23]
+    (run,) = read(*lines, names={"deviation": "Run 1 [um]"}).runs
     assert run.deviation.max() == pytest.approx(20e-6)
 
 
 @pytest.mark.parametrize(
     "beside", ["Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)", "run 3 (0.1 µm)", "run 3 (µm/m)"]
 )
-def test_a_column_that_is_computed_of_runs_or_has_another_unit_is_no_run(tmp_path, beside):
-    rows = "".join(f"{x},{x % 30},{x % 40},7\n" for x in range(0, 240, 10))
-    (tmp_path / "survey.csv").write_text(f"x_mm,Run 1 (µm),Run 2 (µm),{beside}\n{rows}", encoding="utf-8")
-    assert len(read_survey(tmp_path / "survey.csv").runs) == 2
+def test_a_column_that_is_computed_of_runs_or_has_another_unit_is_no_run(read, beside):
+    rows = (f"{x},{x % 30},{x % 40},7" for x in range(0, 240, 10))
+    assert len(read(f"x_mm,Run 1 (µm),Run 2 (µm),{beside}", *rows).runs) == 2
+
+
+ROWS = [f"{x};{x % 30}" for x in range(0, 240, 10)]
 
 
 @pytest.mark.parametrize("name", ["Tilt (µm/m)", "Tilt µm/m", "Geradheit (0,1 µm)", "slope mm per m", "Pos"])
-def test_a_column_of_another_unit_than_a_length_cannot_be_chosen(tmp_path, name):
-    rows = "".join(f"{x};{x % 30}\n" for x in range(0, 240, 10))
-    (tmp_path / "survey.csv").write_text(f"x_mm;{name}\n{rows}", encoding="utf-8")
+def test_a_column_of_another_unit_than_a_length_cannot_be_chosen(read, name):
     with pytest.raises(SurveyError, match=r"--deviation-column .* does not end with a unit"):
-        read_survey(tmp_path / "survey.csv", names={"deviation": name})
-    for fitting in ("Geradheit in µm", "Y-Abweichung_µm", "error, um"):
-        (tmp_path / "survey.csv").write_text(f"x_mm;{fitting}\n{rows}", encoding="utf-8")
-        assert read_survey(tmp_path / "survey.csv", names={"deviation": fitting}).runs[0].deviation.max() == 20e-6
+        read(f"x_mm;{name}", *ROWS, names={"deviation": name})
+
+
+@pytest.mark.parametrize("name", ["Geradheit in µm", "Y-Abweichung_µm", "error, um"])
+def test_a_column_of_any_name_that_ends_with_a_unit_of_length_can_be_chosen(read, name):
+    assert read(f"x_mm;{name}", *ROWS, names={"deviation": name}).runs[0].deviation.max() == 20e-6
 
 
 @pytest.mark.parametrize(
@@ -236,25 +218,15 @@ def test_a_column_of_another_unit_than_a_length_cannot_be_chosen(tmp_path, name)
         "# Encoder Reference: index 3",
     ],
 )
-def test_the_encoders_reference_is_known_as_a_spreadsheet_or_a_hand_writes_it(tmp_path, line):
-    (tmp_path / "survey.csv").write_text(f"# made at 12:30\n{line}\n{MM_UM}", encoding="utf-8")
-    found = read_survey(tmp_path / "survey.csv")
+def test_the_encoders_reference_is_known_as_a_spreadsheet_or_a_hand_writes_it(read, line):
+    found = read("# made at 12:30", line, "x_mm;deviation_um", *ROWS)
     assert found.mark == "index 3" and len(found.facts) == 1
 
 
-@pytest.mark.parametrize("name", ["#2", "Cycle 1, warm", 'the "good" one', "3"])
-def test_any_name_of_a_run_is_written_so_that_it_is_read_back(tmp_path, name):
-    run = Run(name, "forward", X * 1e-3, UM * 1e-6)
-    write_survey(tmp_path / "survey.csv", Survey((run, dataclasses.replace(run, name="other"))))
-    assert [one.name for one in read_survey(tmp_path / "survey.csv").runs] == [name, "other"]
-
-
 @pytest.mark.parametrize("values", [2, 3])
-def test_a_list_without_names_is_not_said_to_be_of_one_controller(tmp_path, values):
-    rows = "".join(f"{x} {x % 30 / 10:.3f} 0.100\n".replace(" 0.100" * (values == 2), "") for x in range(0, 240, 10))
-    (tmp_path / "survey.txt").write_text(rows, encoding="utf-8")
+def test_a_list_without_names_is_not_said_to_be_of_one_controller(read, values):
     with pytest.raises(SurveyError, match="x_mm") as caught:
-        read_survey(tmp_path / "survey.txt")
+        read(*(" ".join(f"{x} {x % 30 / 10:.3f} 0.100".split()[:values]) for x in range(0, 240, 10)))
     assert ("linuxcnc" in str(caught.value)) == (values == 3)
 
 
@@ -269,24 +241,20 @@ def test_a_list_without_names_is_not_said_to_be_of_one_controller(tmp_path, valu
         "run 1+ [um],run 1 - [um]",
     ],
 )
-def test_columns_that_need_not_be_runs_are_refused(tmp_path, names):
-    rows = "".join(f"{x},{x % 30},{x % 30}\n" for x in range(0, 240, 10))
-    (tmp_path / "survey.csv").write_text(f"x_mm,{names}\n{rows}", encoding="utf-8")
+def test_columns_that_need_not_be_runs_are_refused(read, names):
     with pytest.raises(SurveyError, match="no column for deviation"):
-        read_survey(tmp_path / "survey.csv")
+        read(f"x_mm,{names}", *(f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)))
 
 
 @pytest.mark.parametrize("beside", ["Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again"])
-def test_a_column_beside_those_of_runs_that_may_be_a_run_is_refused(tmp_path, beside):
-    rows = "".join(f"{x},{x % 30},{x % 30}\n" for x in range(0, 240, 10))
-    (tmp_path / "survey.csv").write_text(f"x_mm,Run 1 (\u00b5m),{beside} (\u00b5m)\n{rows}", encoding="utf-8")
+def test_a_column_beside_those_of_runs_that_may_be_a_run_is_refused(read, beside):
     with pytest.raises(SurveyError, match=f"line 1: column '{re.escape(beside.lower())} .* may be a run"):
-        read_survey(tmp_path / "survey.csv")
+        read(f"x_mm,Run 1 (\u00b5m),{beside} (\u00b5m)", *(f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)))
 
 
-def test_where_directions_are_named_alone_x_that_begins_anew_is_another_run(tmp_path):
+def test_where_directions_are_named_alone_x_that_begins_anew_is_another_run(read):
     rows = [row for _ in range(2) for row in (*_rows(OUT, "fwd,"), *_rows(BACK, "BWD,"))]
-    runs = read_survey(_write(tmp_path, rows, "direction,x_mm,deviation_um")).runs
+    runs = read("direction,x_mm,deviation_um", *rows).runs
     assert sorted((run.name, run.direction) for run in runs) == sorted(WAYS)
 
 
@@ -305,9 +273,13 @@ def csv(header, cell, delimiter=";", x=lambda value: f"{value:g}"):
 
 MM_UM = csv("x_mm;deviation_um", lambda v: german(v))
 READ = {
+    "comments, a blank line and another column": "# laser\n\n"
+    + csv("x_mm;deviation_um;temperature", lambda v: german(v) + ";21,5")
+    + "# end\n",
     "Excel's first line": "sep=;\n" + MM_UM,
     "Excel's first line with a comma": "sep=,\n" + csv("x_mm,deviation_um", lambda v: f"{v}", ","),
-    "lines before the header": "Operator;Müller, A.\nDate, 2026\n\nRun 3\n" + MM_UM,
+    "lines before the header": "Operator;Müller, A.\r\nDate, 2026\r\n\r\nRun 3\r\n"
+    + MM_UM.replace("deviation_um", "Straightness [µm]"),
     "units in a line of their own": MM_UM.replace("x_mm;deviation_um", "Position;Straightness\nmm;µm"),
     "units in brackets below": "Date;26.11.2026\n" + MM_UM.replace("x_mm;deviation_um", "X;Deviation\n[mm];[µm]"),
     "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
@@ -331,12 +303,15 @@ READ = {
 }
 
 
-@pytest.mark.parametrize("kind", READ)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_a_spreadsheet_has_the_value_that_it_shows(tmp_path, kind, encoding):
-    path = tmp_path / "survey.csv"
-    path.write_bytes(READ[kind].encode(encoding))
-    (run,) = read_survey(path).runs
+@pytest.mark.parametrize(
+    ("kind", "encoding"),
+    [
+        *((kind, "utf-8") for kind in READ),
+        *(("lines before the header", of) for of in ("cp1252", "utf-8-sig", "utf-16")),
+    ],
+)
+def test_a_spreadsheet_has_the_value_that_it_shows_in_every_encoding_of_spreadsheets(read, kind, encoding):
+    (run,) = read(READ[kind], encoding=encoding).runs
     np.testing.assert_allclose(run.x, X * 1e-3, atol=1e-12)
     np.testing.assert_allclose(run.deviation, UM * 1e-6, atol=1e-12)
 
@@ -353,11 +328,9 @@ def test_a_spreadsheet_has_the_value_that_it_shows(tmp_path, kind, encoding):
         csv("x_um;deviation_nm", lambda v: f"{abs(v) * 1e3 + 1000:,.0f}", x=lambda v: german(v * 1e3 + 1000, 0)),
     ],
 )
-def test_a_spreadsheet_that_may_mean_two_things_is_refused(tmp_path, text):
-    path = tmp_path / "survey.csv"
-    path.write_text(text, encoding="utf-8")
+def test_a_spreadsheet_that_may_mean_two_things_is_refused(read, text):
     with pytest.raises(SurveyError):
-        read_survey(path)
+        read(text)
 
 
 GRID = np.linspace(0.0, 1.0, 101)
