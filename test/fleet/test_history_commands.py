@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,6 @@ from stores import COUNT, SAMPLES, added
 from tiers import nightly
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.fleet.history.rows import stored_name
 from straightcomp_ros.fleet.history.store import Store
 from straightcomp_ros.parameters.output_files import MARK
@@ -19,36 +19,31 @@ from straightcomp_ros.stage.due_maintenance import read_advice
 from trials.wear import SOUND, WEARS
 
 
-def test_add_tells_what_it_added_and_a_folder_may_hold_bags_that_are_refused(months, tmp_path, capsys):
-    store = str(tmp_path / "store")
-    assert main(["history", "add", str(months), "-o", store, "--jobs", "1", "--json"]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out) == {"store": store, "added": COUNT, "known": 0, "refused": 2, "strokes": 2 * COUNT}
-    assert printed.err.count("refused: bag ") == 2
-    assert main(["history", "add", str(months), "-o", store]) == 0
-    printed = capsys.readouterr()
-    assert f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes added 0" in printed.out
-    assert printed.err == f"written: {store}\nnext: straightcomp history advise {store}\n"
-    assert main(["history", "add", str(months), str(SAMPLES / "cut_off"), "-o", store]) == 1
-    assert "FROM refused" in capsys.readouterr().err
+@pytest.fixture
+def history(verb):
+    """Runs a verb of `straightcomp history`."""
+    return partial(verb, "history")
 
 
-def test_a_named_bag_that_was_refused_is_refused_as_long_as_it_is_unchanged(tmp_path, capsys):
-    store, bag = str(tmp_path / "store"), tmp_path / "bags" / "run"
+def test_add_tells_what_it_added_and_a_folder_may_hold_bags_that_are_refused(months, tmp_path, history):
+    store = tmp_path / "store"
+    first = history("add", months, "-o", store, "--jobs", 1, "--json")
+    assert first.code == 0 and first.err.count("refused: bag ") == 2
+    assert first.json == {"store": str(store), "added": COUNT, "known": 0, "refused": 2, "strokes": 2 * COUNT}
+    code, out, err = history("add", months, "-o", store)
+    assert code == 0 and f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes added 0" in out
+    assert err == f"written: {store}\nnext: straightcomp history advise {store}\n"
+    named = history("add", months, SAMPLES / "cut_off", "-o", store)
+    assert named.code == 1 and "FROM refused" in named.err
+
+
+def test_a_named_bag_that_was_refused_is_refused_as_long_as_it_is_unchanged(tmp_path, history):
+    store, bag = tmp_path / "store", tmp_path / "bags" / "run"
     shutil.copytree(SAMPLES / "cut_off", bag)
-    said = []
-    for _ in range(2):
-        assert main(["history", "add", str(bag), "-o", store]) == 1
-        said.append(capsys.readouterr().err)
-    assert all("run/cut_off_0.mcap was not finished" in text and "bags refused: 1; " in text for text in said)
-    assert said[1].startswith("refused before, and unchanged: bag ")
-    assert main(["history", "add", str(bag.parent), "-o", store]) == 0
-
-
-def answer(capsys, *words):
-    """What `straightcomp history` prints with --json."""
-    assert main(["history", *map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+    refused = [history("add", bag, "-o", store) for _ in range(2)]
+    assert all(one.code == 1 and "run/cut_off_0.mcap" in one.err and "refused: 1" in one.err for one in refused)
+    assert refused[1].err.startswith("refused before, and unchanged: bag ")
+    assert history("add", bag.parent, "-o", store).code == 0
 
 
 @pytest.mark.parametrize(
@@ -64,38 +59,37 @@ def answer(capsys, *words):
         ),
     ],
 )
-def test_a_query_prints_one_json_object_with_times_as_iso_and_the_bins_are_a_table(alone, capsys, sql, row):
-    assert answer(capsys, "query", alone[0], sql) == {"rows": [row]}
+def test_a_query_prints_one_json_object_with_times_as_iso_and_the_bins_are_a_table(alone, history, sql, row):
+    assert history("query", alone[0], sql, "--json").json == {"rows": [row]}
 
 
-def test_a_store_of_refused_bags_alone_has_a_table_of_strokes_without_rows(tmp_path, capsys):
-    assert main(["history", "add", str(SAMPLES / "cut_off"), "-o", str(tmp_path)]) == 1
-    capsys.readouterr()
-    assert answer(capsys, "query", tmp_path, "SELECT stage, start FROM strokes") == {"rows": []}
+def test_a_store_of_refused_bags_alone_has_a_table_of_strokes_without_rows(tmp_path, history):
+    assert history("add", SAMPLES / "cut_off", "-o", tmp_path).code == 1
+    assert history("query", tmp_path, "SELECT stage, start FROM strokes", "--json").json == {"rows": []}
 
 
 def test_a_query_without_a_store_asks_the_default_one_and_prints_many_columns_below_each_other(
-    alone, capsys, tmp_path, monkeypatch
+    alone, history, tmp_path, monkeypatch
 ):
     (tmp_path / "history").symlink_to(alone[0])
     monkeypatch.chdir(tmp_path)
-    assert main(["history", "query", "SELECT * FROM strokes ORDER BY stage LIMIT 2"]) == 0
-    printed = capsys.readouterr().out
+    code, printed, _ = history("query", "SELECT * FROM strokes ORDER BY stage LIMIT 2")
+    assert code == 0
     assert all(words in printed for words in ("rows: 2", "\n  control_activity_A: ", "\n  stage: stage_0"))
 
 
-def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
+def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, history):
     file = tmp_path / "figures.csv"
-    assert main(["history", "query", str(alone[0]), f"COPY (SELECT stroke FROM strokes) TO '{file}'"]) == 0
+    assert history("query", alone[0], f"COPY (SELECT stroke FROM strokes) TO '{file}'").code == 0
     assert len(file.read_text().split()) == 1 + 2 * COUNT
     file.write_text("mine")
     inside = next(alone[0].rglob("*.parquet"))
     for name, *more in ((file,), (inside, "--force")):
         before = name.read_bytes()
         copy = f"SELECT 1; copy (SELECT stroke FROM strokes)\nto  '{name}'"
-        assert main(["history", "query", str(alone[0]), copy, *more]) == 2
+        assert history("query", alone[0], copy, *more).code == 2
         assert name.read_bytes() == before
-    assert main(["history", "query", str(alone[0]), "CREATE TABLE mine (a INTEGER)"]) == 0
+    assert history("query", alone[0], "CREATE TABLE mine (a INTEGER)").code == 0
 
 
 @pytest.mark.parametrize("inside", [False, True])
@@ -116,20 +110,20 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
         "SET enable_profiling = 'json'; SET profiling_output = '{}'; SELECT 1",
     ],
 )
-def test_no_spelling_of_a_name_replaces_a_file(alone, tmp_path, copy, inside):
+def test_no_spelling_of_a_name_replaces_a_file(alone, tmp_path, history, copy, inside):
     file = next(alone[0].rglob("*.parquet")) if inside else tmp_path / "figures.csv"
     if not inside:
         file.write_text("mine")
     name, before = file.parent if "EXPORT" in copy else file, file.read_bytes()
     held = sorted(name.parent.rglob("*"))
-    assert main(["history", "query", str(alone[0]), copy.format(name)]) == 2
+    assert history("query", alone[0], copy.format(name)).code == 2
     assert (file.read_bytes(), sorted(name.parent.rglob("*"))) == (before, held)
 
 
-def test_a_name_below_the_home_folder_is_found_there(alone, tmp_path, monkeypatch):
+def test_a_name_below_the_home_folder_is_found_there(alone, tmp_path, history, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "figures.csv").write_text("mine")
-    assert main(["history", "query", str(alone[0]), "COPY strokes TO '~/figures.csv'"]) == 2
+    assert history("query", alone[0], "COPY strokes TO '~/figures.csv'").code == 2
     assert (tmp_path / "figures.csv").read_text() == "mine"
 
 
@@ -154,55 +148,42 @@ def test_a_name_below_the_home_folder_is_found_there(alone, tmp_path, monkeypatc
         ("map {worn} sound --survey config/survey_synthetic.csv --days 0", 2, "allowed"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(words, code, sentence, alone, worn, tmp_path, monkeypatch, capsys):
+def test_what_is_wrong_is_said_in_one_sentence(words, code, sentence, alone, worn, tmp_path, monkeypatch, history):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
-    given = words.format(bag=SAMPLES / "smc", store=alone[0], worn=worn).split()
-    try:
-        found = main(["history", *given])
-    except SystemExit as refused:
-        found = refused.code
-    said = capsys.readouterr().err
-    assert found == code and sentence in said and "Traceback" not in said
+    found = history(*words.format(bag=SAMPLES / "smc", store=alone[0], worn=worn).split())
+    assert found.code == code and sentence in found.err and "Traceback" not in found.err
 
 
-def test_a_store_that_cannot_be_written_is_an_error_and_no_refused_bag(tmp_path, capsys):
+def test_a_store_that_cannot_be_written_is_an_error_and_no_refused_bag(tmp_path, history):
     store = tmp_path / "store"
-    shutil.copytree(SAMPLES / "smc", tmp_path / "run")
     store.mkdir()
     (store / "strokes").write_text("in the way")
-    assert main(["history", "add", str(tmp_path / "run"), "-o", str(store)]) == 1
-    printed = capsys.readouterr().err
-    assert "strokes" in printed and "Traceback" not in printed and not list(store.rglob("*.parquet"))
+    code, _, said = history("add", SAMPLES / "smc", "-o", store)
+    assert code == 1 and "strokes" in said and "Traceback" not in said and not list(store.rglob("*.parquet"))
 
 
-def test_advise_writes_a_file_for_each_stage_and_since_begins_a_new_baseline(worn, tmp_path, capsys):
-    assert main(["history", "advise", str(worn), "-o", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert "regrease" in printed and "the guide moved from x = " in printed
+def test_advise_writes_a_file_for_each_stage_and_since_begins_a_new_baseline(worn, tmp_path, history):
+    code, printed, _ = history("advise", worn, "-o", tmp_path)
+    assert code == 0 and "regrease" in printed and "the guide moved from x = " in printed
     assert {file.stem for file in tmp_path.glob("[!.]*.json")} == {wear.name for wear in (SOUND, *WEARS)}
     assert "bolts" in read_advice(tmp_path / "bolt.json")
     whole, since = (
-        answer(capsys, "advise", worn, "--name", "latency", *words)["stages"]["latency"]["advice"]
+        history("advise", worn, "--name", "latency", "--json", *words).json["stages"]["latency"]["advice"]
         for words in ((), ("--since", "2026-03-05"))
     )
     assert whole[0]["cause"] == "host" and "host" not in {one["cause"] for one in since}
 
 
-def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, capsys):
-    (file,) = answer(capsys, "report", worn, "--name", "guide", "-o", tmp_path)["reports"].values()
+def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, history):
+    (file,) = history("report", worn, "--name", "guide", "-o", tmp_path, "--json").json["reports"].values()
     page = Path(file).read_text("utf-8")
     own = page.replace(page[page.index("<script>") : page.index("</script>")], "")
     assert not any(words in own for words in ("src=", "href=", "@import"))
-    for words in (
-        "the guide moved",
-        "Change of the guide over x",
-        "Trends",
-        "Straightness (ISO 230-1)",
-        "Bags to look at",
-    ):
-        assert words in own
+    for heading in ("Change of the guide over x", "Trends", "Straightness (ISO 230-1)", "Bags to look at"):
+        assert heading in own
+    assert "the guide moved" in own
 
 
 BOMB = "a0: &a0 {x: 1}\n" + "".join(
@@ -234,37 +215,31 @@ def test_each_stage_has_a_folder_of_its_own_whatever_it_is_called(named):
     assert len(folders) == len(NAMES) and max(len(os.fsencode(folder.name)) for folder in folders) < 255
 
 
-def test_files_reports_and_tables_show_each_name_as_it_is(named, tmp_path, capsys):
+def test_files_reports_and_tables_show_each_name_as_it_is(named, tmp_path, history):
     """None leaves its folder or its page."""
-    store, whole, one = str(named[0]), tmp_path / "report", tmp_path / "one"
-    assert (
-        main(["history", "advise", store, "-o", str(whole)])
-        == main(["history", "report", store, "-o", str(whole)])
-        == 0
-    )
+    store, whole, one = named[0], tmp_path / "report", tmp_path / "one"
+    printed = [history("advise", store, "-o", whole), history("report", store, "-o", whole)]
     pages = {file.name: file.read_text(encoding="utf-8") for file in whole.glob("*.html")}
     assert len(pages) == len(NAMES) and len(list(whole.iterdir())) == 2 * len(NAMES) + len([MARK])
     assert not any("<b>bold" in page for page in pages.values())
     assert sum("Stage “&lt;b&gt;bold" in page for page in pages.values()) == 1
-    assert main(["history", "report", store, "-o", str(one), "--name", NAMES[1]]) == 0
+    printed.append(history("report", store, "-o", one, "--name", NAMES[1]))
     assert {file.name for file in one.glob("*.html")} < set(pages)
-    shown = ["gantry[left]", "gantry[right]", "[/x]"]
-    printed = capsys.readouterr().out
-    assert all(name in printed for name in (*shown, "\\x1b[2Jx")) and "\x1b" not in printed
-    assert main(["history", "query", store, "SELECT stage, count(*) AS n FROM strokes GROUP BY stage"]) == 0
-    printed = capsys.readouterr().out
-    assert all(name in printed for name in (*shown, "<b>bold</b>")) and "\x1b" not in printed
+    table = history("query", store, "SELECT stage, count(*) AS n FROM strokes GROUP BY stage")
+    assert [each.code for each in (*printed, table)] == [0] * 4
+    printed = "".join(each.out for each in printed)
+    for text, own in ((printed, "\\x1b[2Jx"), (table.out, "<b>bold</b>")):
+        assert all(name in text for name in ("gantry[left]", "gantry[right]", "[/x]", own)) and "\x1b" not in text
 
 
 @pytest.mark.parametrize("jobs", [1, *nightly([2])])
-def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(tmp_path, capsys, jobs):
+def test_a_bag_that_cannot_be_added_is_listed_and_the_next_ones_are_added(tmp_path, history, jobs):
     good = run()[1][PARAMETERS_ATTACHMENT].decode()
     cases = {"a": good, "b": BOMB, "c": good, "d": "x: " + "[" * 400, "e[/x]": "[/x]: 1", "f": good}
     for number, (name, parameters) in enumerate([*cases.items(), (os.fsdecode(b"g\xff"), good)]):
         write_bag(tmp_path / "bags" / name, number, parameters=parameters)
-    command = ["add", tmp_path / "bags", "-o", tmp_path / "store", "--jobs", jobs]
-    assert main(["history", *map(str, command), "--json"]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out).items() >= {"added": 4, "refused": 3}.items()
-    assert printed.err.count("refused: bag ") == 3 and "e[/x]" in printed.err
-    assert answer(capsys, *command).items() >= {"added": 0, "known": 7, "refused": 0}.items()
+    command = ["add", tmp_path / "bags", "-o", tmp_path / "store", "--jobs", jobs, "--json"]
+    first = history(*command)
+    assert first.code == 0 and first.json.items() >= {"added": 4, "refused": 3}.items()
+    assert first.err.count("refused: bag ") == 3 and "e[/x]" in first.err
+    assert history(*command).json.items() >= {"added": 0, "known": 7, "refused": 0}.items()

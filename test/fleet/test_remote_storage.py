@@ -1,13 +1,11 @@
 """Bags and stores in S3, on moto's server, which speaks S3 over HTTP."""
 
-import json
 import logging
 
 import fsspec
 import pytest
 from stores import COUNT, added, files_of, strokes_of
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.fleet.history.bag_places import bags_in, is_finished
 from straightcomp_ros.fleet.history.store import Store
 
@@ -49,7 +47,7 @@ def test_bags_in_s3_give_the_same_strokes_to_the_last_bit_and_rows_name_where_th
 
 
 def test_a_store_in_s3_has_the_same_strokes_and_rows_in_a_file_for_each_bag_and_answers(
-    bucket, months, alone, tmp_path, capsys
+    bucket, months, alone, tmp_path, verb
 ):
     added(f"{bucket}/store", months)
     store, local = Store(f"{bucket}/store"), Store(str(alone[0]))
@@ -60,26 +58,26 @@ def test_a_store_in_s3_has_the_same_strokes_and_rows_in_a_file_for_each_bag_and_
     assert {name: here[name] for name in here if name.startswith("bags/")}.items() <= there.items()
     assert len(here) == 2 * COUNT + 2
     sql = "SELECT stage, count(*) AS n FROM strokes GROUP BY stage ORDER BY stage"
-    assert main(["history", "query", f"{bucket}/store", sql, "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
-    assert rows == [{"stage": "stage_0", "n": COUNT}, {"stage": "stage_1", "n": COUNT}]
+    assert verb("history", "query", f"{bucket}/store", sql, "--json").json["rows"] == [
+        {"stage": "stage_0", "n": COUNT},
+        {"stage": "stage_1", "n": COUNT},
+    ]
 
 
-def test_a_bucket_that_is_not_there_is_named(bucket, months, capsys):
-    assert main(["history", "add", "s3://nowhere/bags", "-o", f"{bucket}/store"]) == 2
-    assert "s3://nowhere/bags does not exist" in capsys.readouterr().err
-    assert main(["history", "add", str(months / "stage_0"), "-o", "s3://nowhere/store", "--jobs", "1"]) == 1
-    assert "store s3://nowhere/store cannot be written" in capsys.readouterr().err
+def test_a_bucket_that_is_not_there_is_named(bucket, months, verb):
+    code, _, said = verb("history", "add", "s3://nowhere/bags", "-o", f"{bucket}/store")
+    assert code == 2 and "s3://nowhere/bags does not exist" in said
+    code, _, said = verb("history", "add", months / "stage_0", "-o", "s3://nowhere/store", "--jobs", 1)
+    assert code == 1 and "store s3://nowhere/store cannot be written" in said
 
 
-def test_a_server_that_does_not_answer_is_named(monkeypatch, capsys, bucket, tmp_path):
+def test_a_server_that_does_not_answer_is_named(monkeypatch, verb, bucket, tmp_path):
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     # Clients keep the address that they began with.
     fsspec.filesystem("s3").clear_instance_cache()
     try:
-        assert main(["history", "add", f"{bucket}/bags", "-o", str(tmp_path)]) == 1
+        code, _, said = verb("history", "add", f"{bucket}/bags", "-o", tmp_path)
     finally:
         fsspec.filesystem("s3").clear_instance_cache()
-    printed = capsys.readouterr().err
-    assert f"{bucket}/bags: Could not connect" in printed and "Traceback" not in printed
+    assert code == 1 and f"{bucket}/bags: Could not connect" in said and "Traceback" not in said

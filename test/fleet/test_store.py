@@ -62,6 +62,12 @@ def test_several_processes_may_add_to_one_store_at_once(months, alone, tmp_path)
     assert files_of(tmp_path) == alone[1]
 
 
+@pytest.fixture
+def copy(alone, tmp_path):
+    """A store of its own, as ``alone``."""
+    return shutil.copytree(alone[0], tmp_path / "store")
+
+
 def right(store, expected):
     """Whether each stroke is there once and as it should be, with those of each bag that has a row."""
     found = strokes_of(store)
@@ -108,41 +114,37 @@ def test_what_a_killed_process_left_half_written_is_removed_by_a_later_one(tmp_p
     assert list(parts.iterdir()) == [fresh]
 
 
-def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubling_a_stroke(alone, months, tmp_path):
+def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubling_a_stroke(alone, months, copy):
     """That has a file for each bag."""
-    store = shutil.copytree(alone[0], tmp_path / "store")
-    for file in store.glob("strokes/*/*/strokes.parquet"):
+    for file in copy.glob("strokes/*/*/strokes.parquet"):
         table = pyarrow.parquet.read_table(file, partitioning=None)
         file.unlink()
         for checksum in set(table["checksum"].to_pylist()):
             own = table.filter(pyarrow.compute.equal(table["checksum"], checksum))
             pyarrow.parquet.write_table(own, file.with_name(f"{checksum}.parquet"))
-    names = set(files_of(store))
-    assert added(store, months, again=True).added == COUNT
-    assert strokes_of(store) == strokes_of(alone[0]) and set(files_of(store)) == names
-    added(store, SAMPLES / "smc")
-    assert len(strokes_of(store)) == 2 * COUNT + 2
+    names = set(files_of(copy))
+    assert added(copy, months, again=True).added == COUNT
+    assert strokes_of(copy) == strokes_of(alone[0]) and set(files_of(copy)) == names
+    added(copy, SAMPLES / "smc")
+    assert len(strokes_of(copy)) == 2 * COUNT + 2
 
 
-def test_strokes_that_were_added_before_a_column_was_declared_are_null_there_until_they_are_added_again(
-    alone, months, tmp_path
-):
-    store = shutil.copytree(alone[0], tmp_path / "store")
-    for file in store.glob("strokes/*/*/strokes.parquet"):
+def test_strokes_that_were_added_before_a_column_was_declared_are_null_there_until_they_are_added_again(copy, months):
+    for file in copy.glob("strokes/*/*/strokes.parquet"):
         table = pyarrow.parquet.read_table(file, partitioning=None)
         pyarrow.parquet.write_table(table.drop_columns("after_minimum_zone_um"), file)
     null = "SELECT count(*) AS strokes FROM strokes WHERE after_minimum_zone_um IS NULL"
-    assert Store(str(store)).query(null).to_pylist() == [{"strokes": len(strokes_of(store))}]
-    assert added(store, months, again=True).added == COUNT
-    assert Store(str(store)).query(null).to_pylist() == [{"strokes": 0}]
+    assert Store(str(copy)).query(null).to_pylist() == [{"strokes": len(strokes_of(copy))}]
+    assert added(copy, months, again=True).added == COUNT
+    assert Store(str(copy)).query(null).to_pylist() == [{"strokes": 0}]
 
 
-def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(alone, months, tmp_path, monkeypatch):
-    store, rows_of = shutil.copytree(alone[0], tmp_path / "store"), adding.rows_of
+def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(alone, months, copy, monkeypatch):
+    rows_of = adding.rows_of
     monkeypatch.setattr(adding, "rows_of", lambda *run: rows_of(*run)[:1])
-    added(store, months / "stage_0" / "run_0", again=True)
-    found, before = strokes_of(store), strokes_of(alone[0])
-    (gone,) = (row for row in before if row not in found)
+    added(copy, months / "stage_0" / "run_0", again=True)
+    found = strokes_of(copy)
+    (gone,) = (row for row in strokes_of(alone[0]) if row not in found)
     assert len(found) == 2 * COUNT - 1 and gone["stroke"] == 2
 
 
@@ -154,20 +156,18 @@ def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(alone, month
         lambda whole: whole[:4] + b"\xff" * 40 + whole[44:].replace(b"blake2b:", b"no sum: "),
     ],
 )
-def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, tmp_path, damaged):
-    store = shutil.copytree(alone[0], tmp_path / "store")
-    (file, *_) = sorted(store.rglob("strokes.parquet"))
+def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, copy, damaged):
+    (file, *_) = sorted(copy.rglob("strokes.parquet"))
     file.write_bytes(damaged(file.read_bytes()))
-    with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):
-        added(store, months, again=True)
     stage = file.parent.parent.name.removeprefix("stage=")
-    with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):
-        Store(str(store)).strokes(stage)
+    for use in (lambda: added(copy, months, again=True), lambda: Store(str(copy)).strokes(stage)):
+        with pytest.raises(HistoryError, match=r"strokes\.parquet is damaged: .*; remove it, and add .* --again"):
+            use()
     with pytest.raises(HistoryError, match=r"strokes\.parquet|^query: "):
-        Store(str(store)).query("FROM strokes")
+        Store(str(copy)).query("FROM strokes")
     file.unlink()
-    added(store, months, again=True)
-    assert files_of(store) == alone[1]
+    added(copy, months, again=True)
+    assert files_of(copy) == alone[1]
 
 
 def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
@@ -180,12 +180,12 @@ def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
 
 
 def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tmp_path):
-    bag, store = tmp_path / "run", tmp_path / "store"
-    shutil.copytree(SAMPLES / "cut_off", bag)
-    assert added(store, bag).refused == 1
-    shutil.rmtree(bag)
-    shutil.copytree(SAMPLES / "smc", bag)
-    assert added(store, bag).added == 1
+    store, tallies = tmp_path / "store", []
+    for sample in ("cut_off", "smc"):
+        bag = shutil.copytree(SAMPLES / sample, tmp_path / "run")
+        tallies.append(added(store, bag))
+        shutil.rmtree(bag)
+    assert (tallies[0].refused, tallies[1].added) == (1, 1)
     assert Store(str(store)).query("SELECT * FROM refused").num_rows == 0
 
 
@@ -254,10 +254,9 @@ print(threads() - before)
 """
 
 
-def test_no_thread_of_arrow_s_is_left_that_could_hold_python_s_bytes_when_the_interpreter_ends(alone, tmp_path):
+def test_no_thread_of_arrow_s_is_left_that_could_hold_python_s_bytes_when_the_interpreter_ends(copy):
     """It would end the process with `terminate called without an active exception`, now and then (rows_in)."""
-    store = shutil.copytree(alone[0], tmp_path / "store")
-    command = [sys.executable, "-c", READS_AND_ADDS, str(store), str(SAMPLES / "smc")]
+    command = [sys.executable, "-c", READS_AND_ADDS, str(copy), str(SAMPLES / "smc")]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"
 
 
