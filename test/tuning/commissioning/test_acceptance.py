@@ -46,7 +46,13 @@ def bags(tmp_path_factory):
 
 
 @pytest.fixture
-def accepted(monkeypatch, bags, tmp_path):
+def judged_at_once(monkeypatch):
+    """What late commands cost is not computed."""
+    monkeypatch.setattr(acceptance_step, "timing_budget", lambda values, latency, travel: TIMING)
+
+
+@pytest.fixture
+def accepted(monkeypatch, judged_at_once, bags, tmp_path):
     """The acceptance on a host that disturbs its first strokes, and how many it makes; each is a recorded one.
 
     A simulation knows no stall: they are put where the evaluation finds those of a bag.
@@ -70,7 +76,6 @@ def accepted(monkeypatch, bags, tmp_path):
             return dataclasses.replace(found, stalls=stalls, stamps=np.delete(found.stamps, range(1, 1 + lost_samples)))
 
         monkeypatch.setattr(acceptance_step, "evaluate_bag", evaluated)
-        monkeypatch.setattr(acceptance_step, "timing_budget", lambda values, latency, travel: TIMING)
         monkeypatch.setattr(work.machine, "stroke", stroke)
         return acceptance(dataclasses.replace(work, **changes)), len(strokes)
 
@@ -108,8 +113,7 @@ def test_a_check_of_the_guide_finds_the_wrong_survey(tmp_path, accepted, agrees)
     assert (tmp_path / LIMITS).exists() is agrees and outcome.figures["survey_check_points"] == 15
 
 
-def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the_step(tmp_path, monkeypatch):
-    monkeypatch.setattr(acceptance_step, "timing_budget", lambda values, latency, travel: TIMING)
+def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the_step(tmp_path, judged_at_once):
     values = values_of(motion__stroke=0.1)
     values["controller"]["control.law"] = "linear"
     work = dataclasses.replace(work_on(values, tmp_path / "learned"), learning_strokes=6)
@@ -132,8 +136,7 @@ def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the
         *nightly([({}, BLOCKS, {}), ({"friction": 1.05, "force": 1.03}, "lugre", {})]),
     ],
 )
-def test_a_stroke_shows_that_friction_gives_way_as_blocks_do(tmp_path, monkeypatch, machine, described, found):
-    monkeypatch.setattr(acceptance_step, "timing_budget", lambda values, latency, travel: TIMING)
+def test_a_stroke_shows_that_friction_gives_way_as_blocks_do(tmp_path, judged_at_once, machine, described, found):
     truth = {f"simulated.truth.{name}": value for name, value in machine.items()}
     values = values_of(truth, motion__stroke=0.2, friction__model=described)
     outcome = acceptance(work_on(values, tmp_path))

@@ -14,6 +14,7 @@ from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
 from straightcomp_ros.tuning.commissioning.machine import Outcome
 
+ENCODER, SURVEY = Contribution("encoder", 29e-9, 5e-9, -90e-9), Contribution("map", 10e-9, 12e-9, 1e-9)
 LATENCY = {"p50": 335.12100000000004, "p99": 335.12100000000004, "p99.9": 335.2, "p100": 335.2}
 TIMING = {
     "latency_us": LATENCY,
@@ -47,6 +48,11 @@ def done(folder, **changed):
         for name, figures in FIGURES.items()
     }
     return dataclasses.replace(work_on(values_of(), folder), outcomes=outcomes)
+
+
+def written(folder):
+    """The page, and the content of the JSON beside it."""
+    return (folder / "certificate.html").read_text(), json.loads((folder / "certificate.json").read_text())
 
 
 @pytest.mark.parametrize(
@@ -90,7 +96,7 @@ def test_lateness_is_judged_by_what_it_costs(tmp_path, changed):
 def test_the_page_and_the_json_have_what_was_found_and_limits_of_later_strokes_are_no_checks_of_this_one(tmp_path):
     outcome = certificate(done(tmp_path))
     assert outcome.passed, outcome.sentence
-    page, content = (tmp_path / "certificate.html").read_text(), json.loads((tmp_path / "certificate.json").read_text())
+    page, content = written(tmp_path)
     assert all(check["passed"] for check in content["checks"]) and ">passed<" in page and "FAILED" not in page
     assert not {one["name"] for one in content["checks"]} & set(LIMITS)
     assert content["later_limits"][0] == {"name": "encoder_pp_um", "value": 0.4, "limit": 0.6}
@@ -105,21 +111,17 @@ def test_the_page_and_the_json_have_what_was_found_and_limits_of_later_strokes_a
 
 
 def test_the_page_states_the_straightness_with_its_uncertainty_and_what_that_is_made_of(tmp_path):
-    unknown, encoder = Contribution("repeatability", None, counts=False), Contribution("encoder", 29e-9, 5e-9, -90e-9)
-    survey = Contribution("map", 10e-9, 12e-9, 1e-9)
-    before = Statement("before", "forward", "end_points", 1, 22.4e-6, (survey,))
-    after = Statement("after", "forward", "minimum_zone", 1, 0.2e-6, (unknown, encoder, survey))
+    unknown = Contribution("repeatability", None, counts=False)
+    before = Statement("before", "forward", "end_points", 1, 22.4e-6, (SURVEY,))
+    after = Statement("after", "forward", "minimum_zone", 1, 0.2e-6, (unknown, ENCODER, SURVEY))
     stated = [one.to_display() for one in (before, after)]
     assert certificate(done(tmp_path, acceptance={"straightness": stated})).passed
-    page = (tmp_path / "certificate.html").read_text()
+    page, content = written(tmp_path)
     cells = re.findall(r"<td[^>]*>([^<]*)<", page[page.index("after, forward, minimum zone") - 10 :])[:7]
     # 2 √(5² + 12²) nm.
     assert cells == ["after, forward, minimum zone", "0.200", "0.111", "0.026", "?", "0.005", "0.012"]
     assert "before, forward, end points" in page and "None" not in page
-    assert (
-        json.loads((tmp_path / "certificate.json").read_text())["steps"]["acceptance"]["figures"]["straightness"]
-        == stated
-    )
+    assert content["steps"]["acceptance"]["figures"]["straightness"] == stated
 
 
 @pytest.mark.parametrize(
@@ -133,8 +135,7 @@ def test_the_page_states_the_straightness_with_its_uncertainty_and_what_that_is_
 def test_the_first_line_says_whether_the_tolerance_is_kept_with_the_uncertainty_and_for_which_machine(
     tmp_path, require, passed, words
 ):
-    encoder, survey = Contribution("encoder", 29e-9, 5e-9, -90e-9), Contribution("map", 10e-9, 12e-9, 1e-9)
-    stated = [Statement("after", way, "minimum_zone", 1, 0.2e-6, (encoder, survey)) for way in ("forward", "backward")]
+    stated = [Statement("after", way, "minimum_zone", 1, 0.2e-6, (ENCODER, SURVEY)) for way in ("forward", "backward")]
     budget = [("as described", 0.131, 0.02), ("ideal encoder", 0.1, 0.02), ("a hundredth of the friction", 0.491, 0.04)]
     work = done(
         tmp_path,
@@ -143,7 +144,7 @@ def test_the_first_line_says_whether_the_tolerance_is_kept_with_the_uncertainty_
     )
     work.values["stage"]["serial"] = "A 17"
     outcome = certificate(dataclasses.replace(work, require=require))
-    page, content = (tmp_path / "certificate.html").read_text(), json.loads((tmp_path / "certificate.json").read_text())
+    page, content = written(tmp_path)
     assert outcome.passed == content["passed"] == passed and outcome.sentence.startswith(content["conclusion"])
     stated = "straightness after compensation (0.111 ± 0.026) µm"
     assert content["conclusion"].startswith(words.format(stated)) and content["machine"] == "simulated"

@@ -35,6 +35,28 @@ from straightcomp_ros.tuning.identification.estimate import DERIVED, UNITS, Esti
 
 STAGE = StageParameters(uncertainty=UncertaintyParameters(mass=0.2, force=0.2, air_gap=0.1, friction=2.0))
 USUAL = MultisineParameters().motion
+NOTCH = "control.filters.first.frequency"
+ONE = Interval(1.0, 0.99, 1.01)
+
+
+@pytest.fixture
+def work(tmp_path):
+    return work_on(values_of(), tmp_path)
+
+
+def found_mode(frequency):
+    return FoundMode(Interval(frequency, frequency - 1.0, frequency + 1.0), *2 * (Interval(0.01, 0.008, 0.013),), "")
+
+
+def swinging(growth, frequency):
+    """y of 0.2 s of a swing that grows, in m."""
+    time = np.arange(400) * STAGE.period
+    return 1e-9 * np.exp(growth * time) * np.cos(2.0 * np.pi * frequency * time)
+
+
+def looked_at(swing, **mechanics):
+    """A response that shows this of the mechanics."""
+    return SimpleNamespace(mechanics=FoundPlant(**mechanics), measured=SimpleNamespace(swing=swing))
 
 
 def estimate(poor="", **factors):
@@ -84,11 +106,10 @@ def test_what_is_hardly_identified_stays_as_it_was_described_and_as_uncertain():
 def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_measured_ends_nothing(
     tmp_path, monkeypatch
 ):
-    known = FoundMode(Interval(350.0, 349.0, 351.0), *2 * (Interval(0.01, 0.008, 0.013),), "stage.platform.modes.first")
-    found = known._replace(frequency=Interval(180.0, 179.0, 181.0), residue=Interval(-1.0, -1.1, -0.9), described="")
+    known = found_mode(350.0)._replace(described="stage.platform.modes.first")
+    found = found_mode(180.0)._replace(residue=Interval(-1.0, -1.1, -0.9))
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
-    response = SimpleNamespace(mechanics=FoundPlant(modes=(found, known)), measured=SimpleNamespace(swing=0.0))
-    monkeypatch.setattr(closed_loop, "_measured", lambda work, **excited: response)
+    monkeypatch.setattr(closed_loop, "_measured", lambda work, **excited: looked_at(0.0, modes=(found, known)))
     mechanics, words, gains = closed_loop._looked_at(work, {})
     assert gains == {}
     facts = modes_found(mechanics, work.stage)
@@ -123,9 +144,7 @@ def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_reco
     # Nor is a wide gap lacking force: the response has what the record hardly shows of it.
     wide = estimate("actuator.air_gap", air_gap=1.2)
     seen = 0.7 / 1.2**2
-    scaled, scale = scaled_by(
-        Interval(*(seen * one for one in (1.0, 0.99, 1.01))), facts_found(wide, STAGE), wide, STAGE
-    )
+    scaled, scale = scaled_by(Interval(*(seen * one for one in ONE)), facts_found(wide, STAGE), wide, STAGE)
     assert scale == pytest.approx(0.7) and not strangeness(wide, STAGE, scale)
     assert scaled["actuator.turns"] == pytest.approx(STAGE.actuator.turns * seen**0.5)
     # A response that shows nothing changes nothing.
@@ -133,12 +152,11 @@ def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_reco
     assert "2 times" in strangeness(estimate(turns=2.0**0.5), STAGE) and not strangeness(found, STAGE, 1.0 / 1.44)
 
 
-def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_more(tmp_path, monkeypatch):
+def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_more(work, monkeypatch):
     found = dataclasses.replace(estimate(turns=1.2), fit=SimpleNamespace(rms_error_m=1e-8))
-    mode = FoundMode(Interval(180.0, 179.0, 181.0), *2 * (Interval(0.01, 0.008, 0.013),), "")
-    seen = []
+    mode, seen = found_mode(180.0), []
 
-    def looked_at(before, facts):
+    def looked(before, facts):
         assert before.stage == work.stage
         seen.append(facts["actuator.turns"])
         # Of the machine as described, but for a tenth of its force.
@@ -148,11 +166,10 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
 
     monkeypatch.setattr(closed_loop, "_excited", lambda *_: {})
     monkeypatch.setattr(closed_loop, "estimate_from_bag", lambda *_: found)
-    monkeypatch.setattr(closed_loop, "_looked_at", looked_at)
+    monkeypatch.setattr(closed_loop, "_looked_at", looked)
     monkeypatch.setattr(Estimate, "to_display", lambda self: {})
     monkeypatch.setattr(Estimate, "not_identifiable", [])
     monkeypatch.setattr(found.path, "rate", 1.0, raising=False)
-    work = work_on(values_of(), tmp_path)
     outcome = identification(work)
     assert outcome.passed and outcome.stage["platform.modes.first.frequency"] == 180.0
     turns = STAGE.actuator.turns
@@ -162,7 +179,7 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     # Where the second look fails, the first one counts.
     looks = [(FoundPlant(Interval(0.625, 0.62, 0.63), (mode,)), "; one mode", {}), (FoundPlant(), "; none", {})]
     monkeypatch.setattr(closed_loop, "_looked_at", lambda *_: looks.pop(0))
-    outcome = identification(work_on(values_of(), tmp_path))
+    outcome = identification(work)
     assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns) and not looks
     assert outcome.stage["platform.modes.first.frequency"] == 180.0 and "one mode" in outcome.sentence
 
@@ -188,14 +205,12 @@ def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken()
     ],
 )
 def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_safe_law_for_a_mode_there(
-    tmp_path, monkeypatch, growth, rings, lawful, ends, words
+    work, monkeypatch, growth, rings, lawful, ends, words
 ):
-    time = np.arange(400) * STAGE.period
-    y = 1e-9 * np.exp(growth * time) * np.cos(2.0 * np.pi * rings * time)
-    notch, strokes = "control.filters.first.frequency", []
+    strokes = []
 
     def stroke(values, bag, travel):
-        strokes.append(values["controller"].get(notch, 0.0))
+        strokes.append(values["controller"].get(NOTCH, 0.0))
         if len(strokes) == 1 or ends == "left":
             raise LeftTravel("the platform left its reference")
 
@@ -204,66 +219,56 @@ def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_saf
         if abs(mode.coil) > lawful:
             raise DesignError("none")
         assert mode.coil == -mode.encoder == 0.28
-        return SimpleNamespace(values={notch: mode.frequency})
+        return SimpleNamespace(values={NOTCH: mode.frequency})
 
     def identified(*_):
         raise IdentificationError("far enough")
 
-    monkeypatch.setattr(closed_loop, "recorded_reading", lambda bag: y)
+    monkeypatch.setattr(closed_loop, "recorded_reading", lambda bag: swinging(growth, rings))
     monkeypatch.setattr(closed_loop, "safe_law", safe_law)
     monkeypatch.setattr(closed_loop, "estimate_from_bag", identified)
-    work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=stroke))
-    found = identification(work)
+    found = identification(dataclasses.replace(work, machine=SimpleNamespace(stroke=stroke)))
     assert not found.passed and re.search(words, found.sentence)
     assert strokes[0] == 0.0 and strokes[1:] == ([pytest.approx(rings, rel=0.02)] if rings and lawful else [])
 
 
 @pytest.mark.parametrize("leaves", [True, False])
 def test_a_platform_that_swings_while_modes_are_looked_for_is_looked_at_under_a_safe_law_for_one(
-    tmp_path, monkeypatch, leaves
+    work, monkeypatch, leaves
 ):
-    time, notch = np.arange(400) * STAGE.period, "control.filters.first.frequency"
-    swings = ExcitationEnded("too far", 1e-9 * np.exp(20.0 * time) * np.cos(2.0 * np.pi * 72.0 * time))
-    mode = FoundMode(Interval(72.3, 72.1, 72.5), *2 * (Interval(0.01, 0.008, 0.013),), "")
-    again = True
+    mode, again = found_mode(72.3), True
 
     def measured(work, **excited):
-        if leaves and (again or not work.values["controller"].get(notch)):
-            raise swings
-        swing = 0.0 if work.values["controller"].get(notch) else 72.0
-        modes = () if swing else (mode,)
-        return SimpleNamespace(mechanics=FoundPlant(modes=modes), measured=SimpleNamespace(swing=swing))
+        safe = work.values["controller"].get(NOTCH)
+        if leaves and (again or not safe):
+            raise ExcitationEnded("too far", swinging(20.0, 72.0))
+        return looked_at(0.0, modes=(mode,)) if safe else looked_at(72.0)
 
     def safe_law(scenario):
-        return SimpleNamespace(values={notch: scenario.description.platform.modes.first.frequency})
+        return SimpleNamespace(values={NOTCH: scenario.description.platform.modes.first.frequency})
 
     monkeypatch.setattr(closed_loop, "_measured", measured)
     monkeypatch.setattr(closed_loop, "safe_law", safe_law)
-    work = work_on(values_of(), tmp_path)
     if leaves:
         mechanics, words, gains = closed_loop._looked_at(work, {})
         assert mechanics == FoundPlant() and "not looked for: too far" in words and not gains
     again = False
     mechanics, words, gains = closed_loop._looked_at(work, {})
-    assert mechanics.modes == (mode,) and gains == {notch: pytest.approx(72.0, rel=0.02)}
+    assert mechanics.modes == (mode,) and gains == {NOTCH: pytest.approx(72.0, rel=0.02)}
 
 
 def test_a_platform_that_swings_under_a_wrong_force_over_mass_is_looked_at_under_the_description_before(
-    tmp_path, monkeypatch
+    work, monkeypatch
 ):
-    work, twice = work_on(values_of(), tmp_path), {"actuator.turns": STAGE.actuator.turns * 2.0**0.5}
-    mode = FoundMode(Interval(72.3, 72.1, 72.5), *2 * (Interval(0.01, 0.008, 0.013),), "")
+    mode = found_mode(72.3)
 
     def measured(one, **excited):
         # The machine is as described; twice its force over mass in the law halves the loop's gain.
-        swing = 72.0 if one.stage.actuator.turns > STAGE.actuator.turns else 0.0
-        return SimpleNamespace(
-            mechanics=FoundPlant(Interval(1.0, 0.99, 1.01), () if swing else (mode,)),
-            measured=SimpleNamespace(swing=swing),
-        )
+        swings = one.stage.actuator.turns > STAGE.actuator.turns
+        return looked_at(72.0, gain=ONE) if swings else looked_at(0.0, gain=ONE, modes=(mode,))
 
     monkeypatch.setattr(closed_loop, "_measured", measured)
-    mechanics, _, gains = closed_loop._looked_at(work, twice)
+    mechanics, _, gains = closed_loop._looked_at(work, {"actuator.turns": STAGE.actuator.turns * 2.0**0.5})
     assert mechanics.modes == (mode,) and not gains
     # Relative to the facts that were handed over.
     assert mechanics.gain == pytest.approx((0.5, 0.495, 0.505))
@@ -290,11 +295,9 @@ def test_a_plant_that_only_its_friction_explains_passes_if_the_friction_is_as_op
 
 
 @pytest.mark.parametrize("step", ["safe_loop", "identification", "design"])
-def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch, step):
-    notch = "control.filters.first.frequency"
-    work = work_on(values_of(), tmp_path)
-    work.values["controller"][notch] = 94.0
-    safe = {step: closed_loop.Outcome(True, "", gains={notch: 94.0})}
+def test_the_notch_of_a_safe_law_is_not_the_designs(work, monkeypatch, step):
+    work.values["controller"][NOTCH] = 94.0
+    safe = {step: closed_loop.Outcome(True, "", gains={NOTCH: 94.0})}
 
     def designed(scenario, law, **_):
         assert next(iter(scenario.controls.values())).filters.first.frequency == 0.0
@@ -304,18 +307,17 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(tmp_path, monkeypatch, step)
     assert closed_loop.design(dataclasses.replace(work, outcomes=safe)).sentence == "far enough"
 
 
-def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(tmp_path):
-    mine, moved_along = tmp_path / "excitation.csv", []
+def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(work):
+    mine, moved_along = work.folder / "excitation.csv", []
     mine.write_text("a survey that took a day")
 
     def stroke(values, bag, travel):
         moved_along.append(values["stage"]["guide.file"])
         raise LeftTravel("far enough")
 
-    work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(stroke=stroke))
-    assert not identification(work).passed
+    assert not identification(dataclasses.replace(work, machine=SimpleNamespace(stroke=stroke))).passed
     assert mine.read_text() == "a survey that took a day"
-    assert moved_along == [str(tmp_path / "bags" / "excitation.csv")] and "bags" in MADE
+    assert moved_along == [str(work.folder / "bags" / "excitation.csv")] and "bags" in MADE
 
 
 @pytest.fixture(scope="module")
@@ -327,7 +329,7 @@ def measured():
 
 
 @pytest.fixture
-def response(measured, monkeypatch, tmp_path):
+def response(measured, monkeypatch, work):
     """The step on a machine that its simulation explains, and the motion that it was moved by at last.
 
     It leaves the travel where more than ``bears`` of it is aimed at.
@@ -344,8 +346,7 @@ def response(measured, monkeypatch, tmp_path):
                 raise ExcitationEnded(f"the excitation was ended early at {excitation.motion:.3f} of the travel")
             return measured
 
-        work = dataclasses.replace(work_on(values_of(), tmp_path), machine=SimpleNamespace(response=respond))
-        return frequency_response(work), motions[-1]
+        return frequency_response(dataclasses.replace(work, machine=SimpleNamespace(response=respond))), motions[-1]
 
     return run
 
@@ -357,10 +358,9 @@ def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(re
     assert not outcome.passed and outcome.sentence == "the excitation was ended early at 0.083 of the travel"
 
 
-def test_a_mode_that_shows_under_the_designed_law_is_designed_for_and_measured_again(tmp_path, monkeypatch, measured):
-    mode = FoundMode(Interval(560.0, 550.0, 570.0), *2 * (Interval(0.01, 0.008, 0.013),), "")
+def test_a_mode_that_shows_under_the_designed_law_is_designed_for_and_measured_again(work, monkeypatch, measured):
     explained = dataclasses.replace(measured, model=measured.measured.response)
-    shown, seen = dataclasses.replace(explained, mechanics=FoundPlant(modes=(mode,))), []
+    shown, seen = dataclasses.replace(explained, mechanics=FoundPlant(modes=(found_mode(560.0),))), []
     notch, gains = "control.filters.second.frequency", {"control.law": "smc_observer", "control.smc.zeta": 0.8}
 
     def responds(work):
@@ -374,9 +374,7 @@ def test_a_mode_that_shows_under_the_designed_law_is_designed_for_and_measured_a
     monkeypatch.setattr(closed_loop, "_measured", responds)
     monkeypatch.setattr(closed_loop, "design", designed)
     monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
-    work = dataclasses.replace(
-        work_on(values_of(), tmp_path), outcomes={"design": closed_loop.Outcome(True, "", gains={notch: 300.0})}
-    )
+    work = dataclasses.replace(work, outcomes={"design": closed_loop.Outcome(True, "", gains={notch: 300.0})})
     outcome = frequency_response(work)
     assert outcome.passed and seen == [0.0, 560.0] and "560.0 Hz" in outcome.sentence
     assert outcome.stage["platform.modes.first.frequency"] == 560.0 and outcome.gains == gains
@@ -388,14 +386,12 @@ def test_a_mode_that_shows_under_the_designed_law_is_designed_for_and_measured_a
 
 @pytest.mark.parametrize(("needed", "share"), [(0.69, 1.0), (0.9, 0.7), (1.8, 0.5), (3.0, 0.35)])
 def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
-    tmp_path, monkeypatch, measured, response, needed, share
+    work, monkeypatch, measured, response, needed, share
 ):
-    travel = work_on(values_of(), tmp_path).travel
-
     def simulated(values, excitation):
         # More motion needs more travel than in proportion; the limit is that of the simulation.
-        aimed = excitation.motion * excitation.travel / (USUAL * travel)
-        if needed * aimed**2 * travel > excitation.travel:
+        aimed = excitation.motion * excitation.travel / (USUAL * work.travel)
+        if needed * aimed**2 * work.travel > excitation.travel:
             raise ExcitationEnded("the excitation was ended early: too far")
         return measured
 

@@ -3,12 +3,12 @@ described, with no current left."""
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
 from roughly_known import ROUGH, encoder_of_twice_the_count, lossy_bus, one_coil_dead, other_guide, values_of
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.output_files import MARK, making
 from straightcomp_ros.tuning.commissioning import MADE, RECORD, STEP_FILES, CommissionRefused, procedure
@@ -16,82 +16,79 @@ from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
 
-STAGE = str(ROUGH)
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "done"
 
 
-def answer(capsys):
-    return json.loads(capsys.readouterr().out)
+@pytest.fixture
+def commission(verb, folder):
+    """Runs `straightcomp commission` of the rough stage, in ``folder``."""
+    return partial(verb, "commission", ROUGH, "-o", folder)
 
 
-def test_a_machine_with_a_slow_amplifier_ends_it_with_a_sentence_and_exit_code_1(tmp_path, capsys):
-    words = ["--json", "--set", "driver.simulated.truth.amplifier=0.1"]
-    assert main(["commission", STAGE, "-o", str(tmp_path / "done"), *words]) == 1
-    found = answer(capsys)
-    assert found["failed"] == "signs_and_scales" and found["remaining"] == list(STEPS)[1:]
+def test_a_machine_with_a_slow_amplifier_ends_it_with_a_sentence_and_exit_code_1(commission):
+    ended = commission("--json", "--set", "driver.simulated.truth.amplifier=0.1")
+    found = ended.json
+    assert ended.code == 1 and found["failed"] == "signs_and_scales" and found["remaining"] == list(STEPS)[1:]
     assert found["steps"]["connection"]["passed"]
     assert "the amplifier has 50 Hz" in found["steps"]["signs_and_scales"]["sentence"]
 
 
-def test_a_step_alone_is_done_and_a_later_one_is_refused(tmp_path, capsys):
-    folder = str(tmp_path / "done")
-    assert main(["commission", STAGE, "-o", folder, "--only", "connection"]) == 0
-    printed = capsys.readouterr()
-    assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(printed.out.split())
-    assert "next: the same command without --only does the steps that are left: signs_and_scales" in printed.err
-    assert main(["commission", STAGE, "-o", folder, "--only", "design"]) == 2
-    assert "rests on 'signs_and_scales', which has not passed" in capsys.readouterr().err
+def test_a_step_alone_is_done_and_a_later_one_is_refused(commission):
+    code, out, err = commission("--only", "connection")
+    assert code == 0 and "connection: 60000 samples at 2000 Hz, none lost" in " ".join(out.split())
+    assert "next: the same command without --only does the steps that are left: signs_and_scales" in err
+    code, _, said = commission("--only", "design")
+    assert code == 2 and "rests on 'signs_and_scales', which has not passed" in said
 
 
-def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(tmp_path, capsys):
-    folder, check = str(tmp_path / "done"), tmp_path / "check.csv"
+def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(folder, tmp_path, commission):
+    check = tmp_path / "check.csv"
     rows = [f"{run},{place},{0.01 * place + 0.1 * run}" for run in (1, 2) for place in range(0, 601, 100)]
     check.write_text("\n".join(["run,x_mm,deviation_um", *rows]) + "\n")
     # Passed without a survey, and without learning; nothing is left to do.
     passed = {name: Outcome(True, "passed") for name in STEPS}
-    done_before(Path(folder), passed)
-    for asked in (("--check-survey", str(check)), ("--learn", "3")):
-        assert main(["commission", STAGE, "-o", folder, *asked]) == 2
-        refused = f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance repeats it"
-        assert refused in capsys.readouterr().err
+    done_before(folder, passed)
+    for asked in (("--check-survey", check), ("--learn", 3)):
+        code, _, said = commission(*asked)
+        assert code == 2 and f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance" in said
     # The command that was interrupted after its acceptance goes on.
-    figures = {"survey_check": str(check)}
-    learned = Outcome(True, "passed", figures, gains={"learning.learn": True})
-    done_before(Path(folder), {**passed, "acceptance": learned})
-    assert main(["commission", STAGE, "-o", folder, "--check-survey", str(check), "--learn", "3"]) == 0
-    assert "next: all is done" in capsys.readouterr().err
+    learned = Outcome(True, "passed", {"survey_check": str(check)}, gains={"learning.learn": True})
+    done_before(folder, {**passed, "acceptance": learned})
+    code, _, said = commission("--check-survey", check, "--learn", 3)
+    assert code == 0 and "next: all is done" in said
 
 
-def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, tmp_path, monkeypatch, capsys):
-    asked = ["commission", STAGE, "-o", str(tmp_path / "done")]
-    assert main(asked) == 0
+def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, commission, monkeypatch):
+    assert commission().code == 0
     # Whoever interrupts the repeat of an early step leaves the acceptance passed, but to be done again.
     monkeypatch.setitem(procedure.STEPS, "safe_loop", interrupted)
-    assert main([*asked, "--only", "safe_loop"]) == 130
+    assert commission("--only", "safe_loop").code == 130
     monkeypatch.setitem(procedure.STEPS, "safe_loop", lambda work: Outcome(True, "once more"))
     learned = []
     monkeypatch.setitem(
         procedure.STEPS, "acceptance", lambda work: learned.append(work.learning_strokes) or Outcome(True, "learned")
     )
-    capsys.readouterr()
     monkeypatch.setitem(procedure.STEPS, "design", lambda work: Outcome(False, "no gains"))
-    assert main(asked) == 1
-    assert "next: the same command does the steps that are left: design" in capsys.readouterr().err
+    code, _, said = commission()
+    assert code == 1 and "next: the same command does the steps that are left: design" in said
     monkeypatch.setitem(procedure.STEPS, "design", lambda work: Outcome(True, "gains"))
-    assert main([*asked, "--learn", "3"]) == 0, capsys.readouterr().err
+    code, _, said = commission("--learn", 3)
+    assert code == 0, said
     assert learned == [3]
 
 
-def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_command(tmp_path, monkeypatch, capsys):
-    folder = tmp_path / "done"
+def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_command(folder, commission, monkeypatch):
     done_before(folder, {name: Outcome(True, "passed") for name in STEPS})
     monkeypatch.setitem(procedure.STEPS, "certificate", lambda work: Outcome(work.require > 0.3, "judged"))
-    asked = ["commission", STAGE, "-o", str(folder), "--require"]
-    assert main([*asked, "0.25"]) == 1
-    (said,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("next: "))
-    assert "--only STEP" in said and "another --require" in said and "the same command" not in said
+    missed = commission("--require", 0.25)
+    (said,) = (line for line in missed.err.splitlines() if line.startswith("next: "))
+    assert missed.code == 1 and "--only STEP" in said and "--require" in said and "the same command" not in said
     # It does what it says.
-    assert main([*asked, "0.4"]) == 0
-    assert "next: all is done" in capsys.readouterr().err
+    kept = commission("--require", 0.4)
+    assert kept.code == 0 and "next: all is done" in kept.err
 
 
 def done_before(folder, outcomes):
@@ -111,15 +108,14 @@ def done_before(folder, outcomes):
         pytest.param(1.76, ["--evaluations", "40", "--machines", "20"], id="whole", marks=pytest.mark.nightly),
     ],
 )
-def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stroke, few, tmp_path, capsys):
-    folder = tmp_path / "done"
+def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stroke, few, folder, commission, verb):
     truth = {"mass": 0.8, "force": 1.2, "air_gap": 0.75, "friction": 0.5, "amplifier": 1.5}
     settings = [f"driver.simulated.truth.{name}={value}" for name, value in truth.items()]
     settings += ["driver.stage.drive.delay=1.3", f"stage.motion.stroke={stroke}"]
     words = [*(word for one in settings for word in ("--set", one)), *few, "--json"]
-    assert main(["commission", STAGE, "-o", str(folder), *words]) == 0
-    found = answer(capsys)
-    assert found["remaining"] == [] and list(found["steps"]) == list(STEPS)
+    ended = commission(*words)
+    found = ended.json
+    assert ended.code == 0 and found["remaining"] == [] and list(found["steps"]) == list(STEPS)
     assert found["steps"]["frequency_response"]["figures"]["largest_deviation_dB"] < 1.0
     # 0.15 µm with full knowledge; as described, no law of this bandwidth is stable on this machine.
     assert found["steps"]["acceptance"]["figures"]["true_pp_um"] < 0.4
@@ -129,13 +125,12 @@ def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stro
     certificate = json.loads((folder / "certificate.json").read_text())
     assert "bags/acceptance/acceptance_0.mcap" in certificate["sha256"]
     # What it wrote is what the other commands take.
-    assert main(["simulate", "--params-file", str(folder / "tuned.yaml"), "--json"]) == 0
-    assert answer(capsys)["law"] == "smc_observer"
-    assert main(["evaluate", str(folder / "bags" / "acceptance"), "--limits", str(folder / "limits.yaml")]) == 0
-    capsys.readouterr()
+    simulated = verb("simulate", "--params-file", folder / "tuned.yaml", "--json")
+    assert simulated.code == 0 and simulated.json["law"] == "smc_observer"
+    assert verb("evaluate", folder / "bags" / "acceptance", "--limits", folder / "limits.yaml").code == 0
     # Done is done.
-    assert main(["commission", STAGE, "-o", str(folder), *words]) == 0
-    assert answer(capsys)["steps"] == {}
+    again = commission(*words)
+    assert again.code == 0 and again.json["steps"] == {}
 
 
 TRUTH = "driver.simulated.truth."
@@ -143,13 +138,13 @@ WELL_KNOWN = {f"stage.uncertainty.{name}": value for name, value in {"mass": 0.2
 
 
 @pytest.fixture
-def commissioned(monkeypatch, capsys, tmp_path):
+def commissioned(monkeypatch, folder, commission):
     """Commission a machine by the command; the step that did not pass, and its sentence.
 
     Fails if all pass, if current is left anywhere, or if there is a certificate.
     """
 
-    def run(settings, wiring=None, machine=SimulatedMachine, *options):
+    def run(settings, wiring=None, machine=SimulatedMachine):
         built = []
 
         def kept(hardware):
@@ -158,10 +153,9 @@ def commissioned(monkeypatch, capsys, tmp_path):
 
         monkeypatch.setattr(machines, "SimulatedMachine", lambda values: machine(values, kept))
         words = [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
-        few = ("--evaluations", "40", "--machines", "20", "--json")
-        folder = tmp_path / "done"
-        assert main(["commission", STAGE, "-o", str(folder), *words, *few, *options]) == 1
-        found = json.loads(capsys.readouterr().out)
+        ended = commission(*words, "--evaluations", 40, "--machines", 20, "--json")
+        found = ended.json
+        assert ended.code == 1
         assert built and all(one.state is State.OFF and one.applied_current == 0.0 for one in built)
         assert found["remaining"][0] == found["failed"] and found["remaining"][-1] == "certificate"
         assert not (folder / "certificate.html").exists() and not (folder / "tuned.yaml").exists()
@@ -323,13 +317,18 @@ def test_an_interrupt_leaves_the_record_of_plain_json_as_it_was(done, tmp_path, 
     assert begun(tmp_path).remaining()[0] == "signs_and_scales"
 
 
-def test_a_record_of_another_description_or_one_that_is_damaged_is_refused(done, tmp_path):
+def test_a_record_of_another_description_or_version_or_one_that_is_damaged_is_refused(done, tmp_path):
     begun(tmp_path).run("connection")
     with pytest.raises(CommissionRefused, match="is of another description"):
         begun(tmp_path, platform__mass=2.0)
-    for text in ("", "[]", '{"steps": {"connection": {"colour": 1}}, "description": ""}'):
+    record = json.loads((tmp_path / RECORD).read_text())
+    # An earlier version did not note the survey.
+    del record["files"]
+    damaged = '{"steps": {"connection": {"colour": 1}}, "description": ""}'
+    refusals = {json.dumps(record): "is of an earlier version", **dict.fromkeys(("", "[]", damaged), "cannot be read")}
+    for text, words in refusals.items():
         (tmp_path / RECORD).write_text(text)
-        with pytest.raises(CommissionRefused, match="cannot be read"):
+        with pytest.raises(CommissionRefused, match=words):
             begun(tmp_path)
 
 
@@ -343,23 +342,21 @@ def test_a_record_of_another_description_or_one_that_is_damaged_is_refused(done,
     ],
 )
 def test_a_record_is_of_what_the_files_of_the_description_held_when_it_was_begun(
-    done, tmp_path, capsys, parameter, content
+    done, tmp_path, folder, commission, parameter, content
 ):
-    file, folder = tmp_path / "named.csv", tmp_path / "done"
+    file = tmp_path / "named.csv"
     file.write_text(content or Path(other_guide(file)).read_text())
-    asked = ["commission", STAGE, "-o", str(folder), "--set", f"{parameter}={file}"]
-    assert main(asked) == 0
+    asked = "--set", f"{parameter}={file}"
+    assert commission(*asked).code == 0
     record = (folder / RECORD).read_bytes()
     file.write_text(file.read_text().replace("0.1", "0.3"))
-    capsys.readouterr()
-    assert main(asked) == 2
-    said = capsys.readouterr().err
-    assert f"{file} was changed since" in said and "name another folder" in said
+    code, _, said = commission(*asked)
+    assert code == 2 and f"{file} was changed since" in said and "name another folder" in said
     assert (folder / RECORD).read_bytes() == record
     # Also for a step alone; and the record serves again when the file holds what it held.
-    assert main([*asked, "--only", "certificate"]) == 2
+    assert commission(*asked, "--only", "certificate").code == 2
     file.write_text(file.read_text().replace("0.3", "0.1"))
-    assert main(asked) == 0
+    assert commission(*asked).code == 0
 
 
 def test_a_survey_that_is_changed_between_two_steps_ends_the_commission(done, tmp_path):
@@ -369,12 +366,3 @@ def test_a_survey_that_is_changed_between_two_steps_ends_the_commission(done, tm
     file.write_text(file.read_text() + "# measured again\n")
     with pytest.raises(CommissionRefused, match=re.escape(f"{file} was changed since")):
         begun_with.run("signs_and_scales")
-
-
-def test_a_record_of_a_version_that_did_not_note_the_survey_is_refused(done, tmp_path):
-    begun(tmp_path).run("connection")
-    record = json.loads((tmp_path / RECORD).read_text())
-    del record["files"]
-    (tmp_path / RECORD).write_text(json.dumps(record))
-    with pytest.raises(CommissionRefused, match="is of an earlier version"):
-        begun(tmp_path)

@@ -1,7 +1,6 @@
 """Automatic design from end to end, on short strokes with few candidates."""
 
 import dataclasses
-import json
 import math
 import re
 from types import SimpleNamespace
@@ -12,7 +11,6 @@ from tiers import nightly
 
 from scripts.stage_files import STAGES, stage_scenario
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.doctor import Finding
@@ -73,35 +71,29 @@ def test_the_budget_begins_with_the_stage_and_has_the_same_causes_for_every_law(
 
 
 @pytest.mark.parametrize(
-    ("cause", "what", "parameter"),
-    [(RIGID, "a rigid platform", "frequency_error"), (EXACT, "an exact reference", "reference_lead")],
+    ("causes", "medians", "words"),
+    [
+        ({RIGID: 0.14e-6}, [0.2e-6], ["0.5 µm p-p", "a rigid platform leaves 0.14 µm", "frequency_error"]),
+        ({EXACT: 0.14e-6}, [0.2e-6], ["0.5 µm p-p", "an exact reference leaves 0.14 µm", "reference_lead"]),
+        ({RIGID: 0.4e-6, EXACT: 0.4e-6}, [0.2e-6], []),
+        ({}, [1.4e-6, 0.9e-6, 0.35e-6], ["1.4 µm", "0.35 µm", "200 machines", "at stop: 35)", "stage.uncertainty"]),
+        ({}, [0.4e-6, 0.3e-6], []),
+    ],
 )
-def test_what_costs_a_part_of_the_error_that_no_gains_can_help_is_said(cause, what, parameter):
-    def warned(without):
-        return warnings([BudgetEntry(OWN, 0.5e-6, 0.1e-6), *([BudgetEntry(cause, without, 0.1e-6)] if without else [])])
-
-    (said,) = warned(0.14e-6)
-    assert f"0.5 µm p-p, where {what} leaves 0.14 µm" in said and parameter in said
-    assert warned(0.4e-6) == warned(None) == []
-
-
-def warnings(budget, kept=0.2e-6, others=()):
-    """Of a design, with the median errors in m of its verification and of its other searches."""
-    summaries = [
+def test_a_part_of_the_error_that_no_gains_help_and_what_it_costs_to_keep_every_machine_in_order_are_said(
+    causes, medians, words
+):
+    """By the median errors in m of the verification, then of the other searches."""
+    kept, *others = [
         SimpleNamespace(
             percentiles=lambda figure, pp=pp: {"p50": pp}, trials=200, verdicts={"at_stop": round(pp * 1e8)}
         )
-        for pp in (kept, *others)
+        for pp in medians
     ]
-    design = {"budget": budget, "verification": summaries[0], "others": summaries[1:]}
-    return Design.warnings.fget(SimpleNamespace(**design, stiction=Finding("stiction", "ok", "")))
-
-
-def test_what_it_costs_that_every_uncertain_machine_is_in_order_is_said():
-    (said,) = warnings([], 1.4e-6, (0.9e-6, 0.35e-6))
-    assert "1.4 µm" in said and "0.35 µm, but of 200 machines" in said and "at stop: 35)" in said
-    assert "stage.uncertainty" in said
-    assert warnings([], 0.4e-6, (0.3e-6,)) == []
+    budget = [BudgetEntry(cause, pp, 0.1e-6) for cause, pp in {OWN: 0.5e-6, **causes}.items()]
+    stiction = Finding("stiction", "ok", "")
+    said = Design.warnings.fget(SimpleNamespace(budget=budget, verification=kept, others=others, stiction=stiction))
+    assert len(said) == bool(words) and all(word in said[0] for word in words)
 
 
 @pytest.fixture(scope="module")
@@ -256,16 +248,14 @@ def stage(tmp_path):
     return path
 
 
-def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_those_of_an_earlier_one(stage, capsys):
+def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_those_of_an_earlier_one(stage, verb):
     before = stage.read_text()
-    design = ["design", str(stage), "-o", str(stage), *BRIEF]
-    assert main([*design, "--quiet", "0"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
+    design = ["design", stage, "-o", stage, *BRIEF]
+    code, printed, _ = verb(*design, "--quiet", 0)
+    assert code == 0
     for words in ("true error p-p", "ideal encoder of y", "quiet: stable for gains", "2 uncertain machines"):
-        assert words in printed
-    assert main([*design, "--quiet", "1", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    values = read_stage_file(stage)
+        assert words in " ".join(printed.split())
+    answer, values = verb(*design, "--quiet", 1, "--json").json, read_stage_file(stage)
     assert values["controller"]["control.law"] == "smc_observer"
     for name, value in answer["values"].items():
         assert values["controller"][name] == pytest.approx(value, rel=1e-5)
@@ -274,14 +264,13 @@ def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_t
     assert stage.read_text().count("/**/controller:") == 1 and stage.read_text().endswith(before)
     # To ROS the last value counts: what holds for all nodes, and with it a command line, comes after the gains.
     assert list(yaml.safe_load(stage.read_text())) == ["/**/controller", "/**"]
-    assert main(["simulate", "--stage", str(stage), "--json"]) == 0
     promised = answer["predicted"]["true_pp_um"]
-    found = json.loads(capsys.readouterr().out)["true_pp_um"]
+    found = verb("simulate", "--stage", stage, "--json").json["true_pp_um"]
     assert promised["min"] * 0.99 <= found <= promised["max"] * 1.01
 
 
 @pytest.mark.parametrize("head", ["---\n", "# Mine.\n\n--- # of the gantry\n", "%YAML 1.1\n# Mine.\n---\n", "\ufeff"])
-def test_gains_are_written_behind_what_begins_a_yaml_document_and_replaced_there(stage, monkeypatch, head):
+def test_gains_are_written_behind_what_begins_a_yaml_document_and_replaced_there(stage, verb, monkeypatch, head):
     stage.write_text(head + stage.read_text(), encoding="utf-8")
     before = read_stage_file(stage)
     figures = DesignFigures(*[Spread(1e-7, 1e-7, 1e-7)] * 4)
@@ -289,7 +278,7 @@ def test_gains_are_written_behind_what_begins_a_yaml_document_and_replaced_there
     for gains in ({"reference_lead": 0.001}, {"error_limit": 0.002}):
         found = SimpleNamespace(law="smc", quiet=0.5, figures=figures, values=gains, newer={}, holds=True)
         monkeypatch.setattr(design_command, "design_gains", lambda *_, found=found, **__: found)
-        assert main(["design", str(stage), "-o", str(stage)]) == 0
+        assert verb("design", stage, "-o", stage).code == 0
         after = read_stage_file(stage)
         assert after["controller"] == {**before["controller"], "control.law": "smc", **gains}
         assert after["stage"] == before["stage"]
@@ -297,51 +286,46 @@ def test_gains_are_written_behind_what_begins_a_yaml_document_and_replaced_there
 
 
 @pytest.mark.parametrize("form", ["{{{}}}\n", "--- {{{}}}\n", "  {}\n"], ids=["flow", "on the marker", "indented"])
-def test_a_stage_file_that_takes_no_section_is_refused_before_the_work_and_stays_as_it_is(stage, capsys, form):
+def test_a_stage_file_that_takes_no_section_is_refused_before_the_work_and_stays_as_it_is(stage, verb, form):
     stage.write_text(form.format('"/**": {ros__parameters: {stage.name: mine}}'))
     before = stage.read_text()
-    assert main(["stage", "check", str(stage), "--json"]) in (0, 1)
-    capsys.readouterr()
-    assert main(["design", str(stage), "-o", str(stage), *BRIEF]) == 2
-    said = capsys.readouterr().err
-    assert f"{stage}: a section of gains cannot be put into it; write it in block style" in said
+    assert verb("stage", "check", stage, "--json").code in (0, 1)
+    code, _, said = verb("design", stage, "-o", stage, *BRIEF)
+    assert code == 2 and f"{stage}: a section of gains cannot be put into it" in said
     assert stage.read_text() == before
 
 
 @pytest.mark.nightly
-def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infeasible, capsys):
-    assert main(["design", str(STAGES / "infeasible.yaml"), "--law", "linear"]) == 1
-    said = capsys.readouterr().err
-    assert "at 1000 Hz" in said and "amplifier of 150 Hz" in said and said.count("\n") == 1
-    assert "no gains of 'linear' have margins" in said and "would do" in said
+def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infeasible, verb):
+    code, _, said = verb("design", STAGES / "infeasible.yaml", "--law", "linear")
+    assert code == 1 and said.count("\n") == 1
+    assert all(words in said for words in ("at 1000 Hz", "amplifier of 150 Hz", "no gains of 'linear'", "would do"))
     # What would do does.
     rate = float(re.search(r"a rate of at least (\S+) Hz", said).group(1))
     faster = infeasible.on(dataclasses.replace(infeasible.description, rate=round(rate)))
     assert rate > 1000.0 and FeasibleGains(faster, "linear").near(closed_form(faster, "linear")) is not None
 
 
-def test_what_is_wrong_or_would_lose_something_is_said_before_the_work(stage, capsys):
+def test_what_is_wrong_or_would_lose_something_is_said_before_the_work(stage, verb):
     for words, expected in (
-        (["--quiet", "2"], "--quiet 2; allowed: 0 to 1"),
-        (["--machines", "0"], "--machines 0; allowed: 1 to"),
-        (["-o", "/tmp/gains.yaml"], "is in another folder than"),
+        (("--quiet", 2), "--quiet 2; allowed: 0 to 1"),
+        (("--machines", 0), "--machines 0; allowed: 1 to"),
+        (("-o", "/tmp/gains.yaml"), "is in another folder than"),
+        (("-o", stage), "has a section '/**/controller' of its own"),
     ):
-        assert main(["design", str(stage), *words]) == 2
-        assert expected in capsys.readouterr().err
-    stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {trigger: timer}}\n")
-    assert main(["design", str(stage), "-o", str(stage)]) == 2
-    assert "has a section '/**/controller' of its own" in capsys.readouterr().err
+        if stage in words:
+            stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {trigger: timer}}\n")
+        code, _, said = verb("design", stage, *words)
+        assert code == 2 and expected in said
 
 
 @pytest.mark.nightly
-def test_a_design_warns_of_stiction_as_the_check_does(stage, capsys):
+def test_a_design_warns_of_stiction_as_the_check_does(stage, verb):
     tree = yaml.safe_load(stage.read_text())
     tree["/**"]["ros__parameters"]["stage"]["friction"] = {"bristle_stiffness": 1e8}
     stage.write_text(yaml.safe_dump(tree))
-    main(["design", str(stage), "--json", *BRIEF])
-    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
-    main(["stage", "check", str(stage), "--json"])
-    (finding,) = (one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"] == "stiction")
+    (warning,) = verb("design", stage, "--json", *BRIEF).json["warnings"]
+    (finding,) = (one for one in verb("stage", "check", stage, "--json").json["checks"] if one["name"] == "stiction")
     assert finding["state"] == "warn"
     assert warning.startswith("stiction: ") and finding["remedy"] in warning
 

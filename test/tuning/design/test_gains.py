@@ -119,17 +119,6 @@ def test_a_loop_that_leaves_a_mode_alone_need_not_damp_it():
     assert StabilityCheck(ringing).violation(control) == StabilityCheck(STAGE).violation(control) == 0.0
 
 
-OF_A_SEARCH = {
-    "bandwidth": 305.62,
-    "third_pole": 0.33874,
-    "delay": 0.88,
-    "surface": 481.23,
-    "reaching": 1925.7,
-    "gain_allowance": 1.8527,
-}
-"""Found for an encoder of 5 nm by a search that did not look at the measured current."""
-
-
 def control_of(scenario, factor=1.0):
     gains = scaled("smc_observer", closed_form(scenario, "smc_observer"), factor)
     return with_gains(scenario.controls["smc_observer"], "smc_observer", gains)
@@ -150,10 +139,19 @@ def test_demands_are_held_within_the_margins_and_missed_by_their_names_the_more_
     assert any(name.startswith("corner mass × 0.4") for name in StabilityCheck(wide).missed(control))
 
 
+def of_a_search(stage, **gains):
+    """The scenario of a stage, and a control with gains that a search found for it."""
+    scenario = stage_scenario(stage)
+    gains = {OBSERVER + name: value for name, value in gains.items()}
+    return scenario, with_gains(scenario.controls["smc_observer"], "smc_observer", gains)
+
+
 def test_gains_for_a_fine_encoder_that_hold_without_the_measured_current_may_not_hold_with_it():
-    scenario = stage_scenario("fine_encoder")
-    gains = {f"control.smc_observer.{name}": value for name, value in OF_A_SEARCH.items()}
-    control = with_gains(scenario.controls["smc_observer"], "smc_observer", gains)
+    # Of a search that did not look at the measured current, for an encoder of 5 nm.
+    scenario, control = of_a_search(
+        "fine_encoder",
+        bandwidth=305.62, third_pole=0.33874, delay=0.88, surface=481.23, reaching=1925.7, gain_allowance=1.8527,
+    )  # fmt: skip
     missed = StabilityCheck(scenario.description).missed(control)
     assert missed and all("amplifier" in name or "current measured" in name for name in missed)
     refused = missing_margin(control, scenario.description)
@@ -164,22 +162,11 @@ def test_gains_for_a_fine_encoder_that_hold_without_the_measured_current_may_not
 
 def test_gains_are_not_admitted_whose_stiffest_loop_is_unstable_where_commands_act_sooner_than_described():
     """At 1 kHz a command acts a sample late as described, and from 0.2 to 1.5 by the uncertainty."""
-    scenario = stage_scenario("rate_1_khz")
-    control = with_gains(
-        scenario.controls["smc_observer"],
-        "smc_observer",
-        {
-            "control.smc_observer.bandwidth": 269.2,
-            "control.smc_observer.third_pole": 0.33534,
-            "control.smc_observer.delay": 0.88,
-            "control.smc_observer.surface": 123.4,
-            "control.smc_observer.reaching": 754.37,
-            "control.smc_observer.gain_allowance": 1.7838,
-            "control.smc_observer.velocity_share": 0.34645,
-            "control.smc_observer.first_size": 0.45,
-            "control.smc_observer.memory": 9.807,
-        },
-    )
+    scenario, control = of_a_search(
+        "rate_1_khz",
+        bandwidth=269.2, third_pole=0.33534, delay=0.88, surface=123.4, reaching=754.37, gain_allowance=1.7838,
+        velocity_share=0.34645, first_size=0.45, memory=9.807,
+    )  # fmt: skip
     assert StabilityCheck(scenario.description).missed(control) == ["early commands, stiffest"]
     scenario = dataclasses.replace(scenario, controls={"smc_observer": control})
     # A machine that was drawn with 0.22 samples, and is lost.

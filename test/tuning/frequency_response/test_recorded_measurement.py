@@ -144,20 +144,19 @@ def test_a_description_that_is_wrong_is_rejected(truth):
     assert not measured(*wrong, exit_code=1)["model_explains_the_plant"]
 
 
-def test_a_platform_that_leaves_the_travel_ends_the_measurement(capsys):
+def test_a_platform_that_leaves_the_travel_ends_the_measurement(verb):
     # Without feedforward the law lags behind the moving reference by more than is allowed.
-    assert main(["frequency-response", "--moving", "--law", "linear", "--travel", "5e-7"]) == 1
-    assert "take less current, or allow more travel" in capsys.readouterr().err
+    code, _, said = verb("frequency-response", "--moving", "--law", "linear", "--travel", "5e-7")
+    assert code == 1 and "allow more travel" in said
 
 
 @pytest.mark.parametrize(
     ("mass", "verdict"), [(1.4, "does not explain the plant"), *nightly([(1.0, "explains the plant")])]
 )
-def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(capsys, tmp_path, mass, verdict):
+def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(verb, tmp_path, mass, verdict):
     plot = tmp_path / "loop.svg"
     options = ("--law", "linear", "--draws", "4", "--set", f"driver.simulated.truth.mass={mass}")
-    assert main(["frequency-response", *options, "-o", str(plot)]) == (mass != 1.0)
-    said = capsys.readouterr()
-    assert f"the description {verdict}" in " ".join((said.out + said.err).split())
-    assert "phase margin" in said.out and "N·s/m" in said.err
+    code, out, err = verb("frequency-response", *options, "-o", plot)
+    assert code == (mass != 1.0) and f"the description {verdict}" in " ".join((out + err).split())
+    assert "phase margin" in out and "N·s/m" in err
     assert plot.read_text().startswith("<?xml")

@@ -293,7 +293,7 @@ def test_json_names_every_parameter_with_its_interval(stiff_answer):
     assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
 
 
-def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_answer, capsys):
+def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_answer, verb):
     answer, file = stiff_answer
     values = read_parameter_file(file)
     assert {key for key, section in values.items() if section} == {STAGE}
@@ -304,8 +304,8 @@ def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_a
                 assert described[name] == pytest.approx(found["value"], rel=1e-5), name
     short = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.1", "pause=0.1")]
     for option in ("--stage", "--params-file"):
-        assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
-        assert json.loads(capsys.readouterr().out)["law"] == "linear"
+        code, out, _ = verb("simulate", option, file, "--law", "linear", "--json", *short)
+        assert code == 0 and json.loads(out)["law"] == "linear"
 
 
 def test_the_truth_is_never_read(stiff_bag, monkeypatch):
@@ -330,32 +330,28 @@ def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
     assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
 
 
-def test_after_an_excitation_the_next_command_is_of_a_machine_with_that_guide(tmp_path, capsys):
-    waves = tmp_path / "waves.csv"
-    assert main(["friction", "--excitation", str(waves)]) == 0
-    assert f"--set driver.simulated.truth.guide={waves}" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("start", "stroke"), [(0.4, -0.3), (0.2, 0.3)])
-def test_the_command_after_an_excitation_is_of_the_users_stage_and_stays_on_the_map(tmp_path, capsys, start, stroke):
+def test_the_command_after_an_excitation_is_of_the_users_stage_with_that_guide_and_stays_on_the_map(
+    tmp_path, verb, start, stroke
+):
     own, waves = tmp_path / "my stage.yaml", tmp_path / "waves.csv"
     own.write_text(
         f"/**: {{ros__parameters: {{stage.name: mine, stage.motion: {{start: {start}, stroke: {stroke}}}}}}}"
     )
     chosen = ["--stage", str(own), "--law", "smc", "--set", "stage.motion.pause=0.2"]
-    assert main(["friction", "--excitation", str(waves), *chosen]) == 0
+    code, _, said = verb("friction", "--excitation", waves, *chosen)
     x = read_survey(waves).runs[0].x
+    assert code == 0
     assert (x[0], x[-1]) == pytest.approx((min(start, start + stroke), max(start, start + stroke)))
-    (then,) = re.findall("next: straightcomp (.*) --bag BAG, or", " ".join(capsys.readouterr().err.split()))
+    (then,) = re.findall("next: straightcomp (.*) --bag BAG, or", " ".join(said.split()))
     words = shlex.split(then)
-    assert set(chosen) < set(words)
+    assert {*chosen, f"driver.simulated.truth.guide={waves}"} < set(words)
     # The safest law follows the waves badly; what counts is that it stays on the map.
-    main([*words, "--json"])
-    assert json.loads(capsys.readouterr().out)["verdict"] in ("in_order", "inaccurate")
+    assert verb(*words, "--json").json["verdict"] in ("in_order", "inaccurate")
 
 
 @pytest.mark.parametrize("chosen", [(), ("--params-file",), ("--stage",), ("--params-file", "--stage")])
-def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file(tmp_path, capsys, monkeypatch, chosen):
+def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file(tmp_path, verb, monkeypatch, chosen):
     found = SimpleNamespace(parameters={"platform.mass": None, "friction.coulomb": None})
     monkeypatch.setattr(friction, "estimate_from_bag", lambda *_: found)
     monkeypatch.setattr(friction, "parameter_file", lambda estimate: "# estimated\n")
@@ -365,10 +361,9 @@ def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file
     plant = tmp_path / "plant.yaml"
     settings = ["--set", "stage.platform.mass=3.5", "--set", "stage.motion.stroke=0.3"]
     words = [word for pair in named.items() for word in pair]
-    assert main(["friction", "BAG", "-o", str(plant), *words, *settings]) == 0
-    said = " ".join(capsys.readouterr().err.split())
-    stage = named.get("--stage")
-    assert (f"put its values into {stage}, in the place of those there; then " in said) == bool(stage)
+    code, _, said = verb("friction", "BAG", "-o", plant, *words, *settings)
+    said, stage = " ".join(said.split()), named.get("--stage")
+    assert code == 0 and (f"put its values into {stage}, in the place of those there; then " in said) == bool(stage)
     params = f"--params-file {named['--params-file']} " if "--params-file" in named else ""
     assert said.endswith(f"straightcomp simulate {params}--stage {stage or plant} --set stage.motion.stroke=0.3")
 

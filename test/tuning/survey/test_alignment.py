@@ -1,13 +1,11 @@
 """Alignment finds zero, scale, sign and tilt of a survey from three strokes, and how well it knows them; a check of a
 map by another survey finds another guide."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.straightness.survey_table import SurveyError
@@ -119,44 +117,40 @@ def test_what_the_guide_has_become_since_the_survey_widens_the_intervals():
 
 
 def test_the_verb_writes_the_corrected_survey_only_when_asked_and_stage_check_names_another_reference(
-    tmp_path, monkeypatch, capsys
+    tmp_path, monkeypatch, verb
 ):
     monkeypatch.chdir(tmp_path)
     random = np.random.default_rng(6)
     survey = surveyed(random, 1e-8, shift=1e-3, sign=-1)
     write_survey("survey.csv", survey, ["encoder reference: index 3", "instrument: probe 7"])
     write_survey("strokes.csv", Survey(tuple(stroked(random))))
-    line = ["map", "align", "survey.csv", "strokes.csv"]
-    assert main([*line, "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+    align_it = ["map", "align", "survey.csv", "strokes.csv"]
+    figures = verb(*align_it, "--json").json
     assert (figures["sign"], figures["output"]) == (-1, None) and len(list(tmp_path.iterdir())) == 2
     assert figures["shift_mm"] == pytest.approx(1.0, abs=figures["shift_mm_95"])
-    assert main([*line, "-o", "new.csv", "--note", "encoder reference=index 4"]) == 0
-    table = [[cell.strip() for cell in row.split("│")] for row in capsys.readouterr().out.splitlines()]
+    code, out, _ = verb(*align_it, "-o", "new.csv", "--note", "encoder reference=index 4")
+    table = [[cell.strip() for cell in row.split("│")] for row in out.splitlines()]
     units = {row[1]: row[3] for row in table if len(row) == 5}
-    assert units["shift"] == units["shift, ± (95 %)"] == units["lag, half of the shift between the directions"] == "mm"
+    assert code == 0 and units["shift"] == units["shift, ± (95 %)"] == "mm"
+    assert units["lag, half of the shift between the directions"] == "mm"
     assert units["scale, ± (95 %)"] == "1e-6" and units["tilt, ± (95 %)"] == "µm/m"
     assert not any("told" in words or ("95 " not in words and "95" in words) for words in units)
     written = read_survey("new.csv")
     assert written.mark == "index 4" and written.facts["instrument"] == "probe 7"
     assert "straightcomp map align" in written.facts["aligned by"]
-    assert main(["map", "align", "new.csv", "strokes.csv", "-o", "again.csv"]) == 0
-    assert "nothing to correct" in capsys.readouterr().err and not (tmp_path / "again.csv").exists()
+    code, _, said = verb("map", "align", "new.csv", "strokes.csv", "-o", "again.csv")
+    assert code == 0 and "nothing to correct" in said and not (tmp_path / "again.csv").exists()
     # What is left with the map as it is, as a sensor on the workpiece sees it.
-    left = [replace(run, deviation=run.deviation - load(survey).deviations(run.x)) for run in stroked(random)]
+    before = StraightnessMap(survey, MapParameters())
+    left = [replace(run, deviation=run.deviation - before.deviations(run.x)) for run in stroked(random)]
     write_survey("left.csv", Survey(tuple(left)))
-    assert main(["map", "align", "survey.csv", "left.csv", "--residual", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["shift_mm"] == pytest.approx(1.0, abs=0.1)
+    residual = verb("map", "align", "survey.csv", "left.csv", "--residual", "--json").json
+    assert residual["shift_mm"] == pytest.approx(1.0, abs=0.1)
     named = ["stage", "new", "mine", "--yes", "--survey", "new.csv", "--set", "stage.guide.reference='index 4'"]
-    assert main(named) == 0 and main(["stage", "check", "mine/stage.yaml"]) == 0
+    assert verb(*named).code == verb("stage", "check", "mine/stage.yaml").code == 0
     (tmp_path / "mine" / "survey.csv").write_bytes((tmp_path / "survey.csv").read_bytes())
-    capsys.readouterr()
-    assert main(["stage", "check", "mine/stage.yaml"]) == 1
-    assert "'index 3'" in (out := capsys.readouterr().out) and "'index 4'" in out
-
-
-def load(survey):
-    return StraightnessMap(survey, MapParameters())
+    code, out, _ = verb("stage", "check", "mine/stage.yaml")
+    assert code == 1 and "'index 3'" in out and "'index 4'" in out
 
 
 NOISE = 0.02e-6

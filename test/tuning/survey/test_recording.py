@@ -1,8 +1,8 @@
 """Surveys with known guides, hysteresis and faults: what is recognised, rejected, reported and written."""
 
 import itertools
-import json
 import struct
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ import pytest
 from straightcomp_ros.analysis.map_building import Choices, disagreement
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.messages.cdr import ENCAPSULATION, joint_state
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
@@ -95,17 +94,15 @@ def test_stops_make_points_of_their_second_halves():
         assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
 
 
-def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys):
+def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, verb):
     output = tmp_path / "map.csv"
-    assert main(["map", "build", str(SAMPLE), "-o", str(output), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = verb("map", "build", SAMPLE, "-o", output, "--json").json
     assert (found["forward_runs"], found["backward_runs"]) == (5, 4)
     assert found["rejected_run_names"] == ["2 backward"]
     assert 10 <= found["rejected_samples"] <= 40
     assert 0.2 < found["repeatability_bidirectional_um"] < 0.6
     assert len(found["x_mm"]) == found["points"] == len(found["mean_um"])
-    survey = read_survey(output)
-    assert len(survey.runs) == 9
+    assert len(read_survey(output).runs) == 9
     head = output.read_text().splitlines()[:8]
     assert any(line.startswith("# source: survey, sha256 ") for line in head)
     assert any("rejected runs: 2 backward" in line for line in head)
@@ -114,42 +111,40 @@ def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys)
     assert np.ptp(built.deviations(x) - true.deviations(x)) < 0.12e-6
 
 
-def test_a_map_is_reported_with_its_band_and_smoothed_as_asked(tmp_path, capsys):
+def test_a_map_is_reported_with_its_band_and_smoothed_as_asked(tmp_path, verb):
     source, picture = tmp_path / "survey.csv", tmp_path / "survey.png"
     write_survey(source, surveyed(2e-3, 2e-7))
     figures = {}
     for how in ("auto", "none"):
-        assert main(["map", "build", str(source), "--smooth", how, "--plot", str(picture), "--force", "--json"]) == 0
-        found = figures[how] = json.loads(capsys.readouterr().out)
-        noise = mapped(read_survey(source), how).noise
+        found = verb("map", "build", source, "--smooth", how, "--plot", picture, "--force", "--json").json
+        figures[how], noise = found, mapped(read_survey(source), how).noise
         assert found["smoothed"] == (how == "auto") and f"stage.guide.smooth {how}" in found["provenance"]["choices"]
         assert found["map_uncertainty_95_um"] == pytest.approx(noise.half_width * 1e6, rel=1e-3)
         assert found["map_s_um"] == pytest.approx(noise.band(np.array(found["x_mm"]) * 1e-3) * 1e6, rel=1e-3)
     assert figures["none"]["map_um"] == pytest.approx(figures["none"]["mean_um"])
     assert figures["auto"]["map_um"] != pytest.approx(figures["auto"]["mean_um"], abs=0.1)
-    assert main(["map", "build", str(source), "--smooth", "some"]) == 2
-    assert "allowed: auto, none or a number" in capsys.readouterr().err
-    assert main(["map", "build", str(source)]) == 0
-    assert "6 more runs would leave" in " ".join(capsys.readouterr().err.split())
+    code, _, said = verb("map", "build", source, "--smooth", "some")
+    assert code == 2 and "allowed: auto, none or a number" in said
+    code, _, said = verb("map", "build", source)
+    assert code == 0 and "6 more runs" in " ".join(said.split())
 
 
-def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):
+def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, verb):
     time, x = driven(0.0, LENGTH, 0.0, LENGTH, 0.0)
     rows = "\n".join(f"{t:.3f},{a * 1e3:.4f},{d * 1e6:.3f}" for t, a, d in zip(time, x, guide(x), strict=True))
     recording, survey, plot = tmp_path / "time.csv", tmp_path / "survey.csv", tmp_path / "survey.png"
     recording.write_text(f"time_s,x_mm,deviation_um\n{rows}\n")
-    assert main(["map", "build", str(recording), "-o", str(survey), "--plot", str(plot), "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)
+    first = verb("map", "build", recording, "-o", survey, "--plot", plot, "--json").json
     assert first["forward_runs"] == first["backward_runs"] == 2
     assert plot.read_bytes().startswith(b"\x89PNG")
-    assert main(["map", "build", str(survey), "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)
+    again = verb("map", "build", survey, "--json").json
     assert again["straightness_least_squares_um"] == pytest.approx(first["straightness_least_squares_um"], abs=2e-3)
 
 
 @pytest.fixture
-def other_bag(tmp_path):
-    """A survey with other names and types: an axis `carriage`, a sensor without a stamp that counts µm downwards."""
+def build_other(tmp_path, verb):
+    """Builds a map of a survey with other names and types: an axis `carriage`, a sensor without a stamp that counts µm
+    downwards."""
     axes = joint_state(["spindle", "carriage"], position=["angle", "x"])
     with BagWriter(tmp_path / "bag") as bag:
         for topic, kind in (("/axes", axes.type_name), ("/probe", "std_msgs/msg/Float64")):
@@ -158,12 +153,12 @@ def other_bag(tmp_path):
             ns = START_NS + round(t * 1e9)
             bag.write("/axes", axes.pack(ns, 1.0, x), ns, ns)
             bag.write("/probe", ENCAPSULATION + struct.pack("<d", -1e6 * guide(x)), ns, ns)
-    return ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", "--unit", "um", "--json"]
+    stage = ["--stage", "axes:position[carriage]", "--unit", "um", "--json"]
+    return partial(verb, "map", "build", tmp_path / "bag", *stage)
 
 
-def test_topics_and_types_of_others_are_named_by_options(other_bag, capsys):
-    assert main([*other_bag, "--invert", "--sensor", "/probe:data"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_topics_and_types_of_others_are_named_by_options(build_other):
+    found = build_other("--invert", "--sensor", "/probe:data").json
     true = guide(np.array(found["x_mm"]) * 1e-3) * 1e6
     assert np.array(found["mean_um"]) == pytest.approx(true - true.mean(), abs=0.02)
     assert "by time of sending" in found["provenance"]["sensor"]
@@ -179,9 +174,9 @@ def test_topics_and_types_of_others_are_named_by_options(other_bag, capsys):
         (["--step", "0"], "--step 0; allowed"),
     ],
 )
-def test_what_cannot_be_read_is_named(other_bag, capsys, options, words):
-    assert main([*other_bag, *options]) != 0
-    assert words in " ".join(capsys.readouterr().err.split())
+def test_what_cannot_be_read_is_named(build_other, options, words):
+    code, _, said = build_other(*options)
+    assert code != 0 and words in " ".join(said.split())
 
 
 SPEED = 0.2
@@ -257,23 +252,30 @@ def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(read_bag)
         read_bag(lambda t: 1e-6, SECOND[:1])
 
 
-def test_a_recording_as_csv_starts_at_time_zero_in_metres(tmp_path):
+# One row for each stop, there and back; more rows where the stage stands are a recording.
+STOPS = "time_s,x_mm,deviation_um\n0,1,10\n5,2,20\n10,3,30\n15,3,30\n20,2,20\n25,1,10\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "samples"),
+    [
+        ("x_mm,deviation_um\n1,10\n", 0),
+        ("time_s,x_mm,deviation_um,run\n5.0,1,10,1\n5.0,1,10,2\n", 0),
+        ("time_s,x_mm,Run 1 [um],Run 2 [um]\n5.0,1,10,10\n", 0),
+        (STOPS, 0),
+        (STOPS + "30,1,10\n35,1,10\n", 8),
+        ("time_s,x_mm,deviation_um\n5.0,1,10\n5.1,2,20\n5.2,3,30\n", 3),
+    ],
+    ids=["no time", "named runs", "columns of runs", "stops", "stands at its stops", "moves"],
+)
+def test_a_csv_with_times_is_a_recording_unless_it_names_runs_or_has_one_row_for_each_stop(tmp_path, text, samples):
     path = tmp_path / "series.csv"
-    path.write_text("time_s,x_mm,deviation_um\n5.0,1,10\n5.1,2,20\n5.2,3,30\n")
-    (tmp_path / "points.csv").write_text("x_mm,deviation_um\n1,10\n")
-    (tmp_path / "runs.csv").write_text("time_s,x_mm,deviation_um,run\n5.0,1,10,1\n5.0,1,10,2\n")
-    (tmp_path / "columns.csv").write_text("time_s,x_mm,Run 1 [um],Run 2 [um]\n5.0,1,10,10\n")
-    # One row for each stop, there and back; more rows where the stage stands are a recording.
-    stops = "time_s,x_mm,deviation_um\n0,1,10\n5,2,20\n10,3,30\n15,3,30\n20,2,20\n25,1,10\n"
-    (tmp_path / "stops.csv").write_text(stops)
-    for name in ("points", "runs", "columns", "stops"):
-        assert series_of_csv(tmp_path / f"{name}.csv") is None
-    (tmp_path / "stops.csv").write_text(stops + "30,1,10\n35,1,10\n")
-    assert series_of_csv(tmp_path / "stops.csv").x.size == 8
+    path.write_text(text)
     found = series_of_csv(path)
-    assert found.time == pytest.approx([0.0, 0.1, 0.2])
-    assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])
-    assert found.unusable == 0
+    assert (found.x.size if found else 0) == samples
+    if samples == 3:
+        assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.unusable == 0
+        assert found.x == pytest.approx([1e-3, 2e-3, 3e-3]) and found.deviation == pytest.approx([1e-5, 2e-5, 3e-5])
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,11 @@
 """Reversal and shift give the guide and the straightedge apart, and the uncertainty of both."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tiers import nightly
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.separation import separated
@@ -28,31 +26,30 @@ def centred(curve):
     return curve - np.polyval(np.polyfit(X, curve, 1), X)
 
 
+def noisy(random, noise, lines, ways=WAYS):
+    """A survey of each of the ``lines``, with a run for each of the ``ways``."""
+    runs = ([Run(str(k), w, X, line + random.normal(0.0, noise, X.size)) for k, w in enumerate(ways)] for line in lines)
+    return [Survey(tuple(one)) for one in runs]
+
+
 def surveys(random, noise, ways=WAYS, guide=GUIDE, edge=EDGE):
     """A survey with the straightedge as it was, and one with it turned over and aligned anew."""
-    lines = (guide + edge, edge - guide + 30e-6 * X - 5e-6)
-    runs = (
-        [Run(str(k), way, X, line + random.normal(0.0, noise, X.size)) for k, way in enumerate(ways)] for line in lines
-    )
-    return [Survey(tuple(one)) for one in runs]
+    return noisy(random, noise, (guide + edge, edge - guide + 30e-6 * X - 5e-6), ways)
 
 
 def test_a_guide_of_a_tenth_of_the_straightedge_s_error_comes_out_with_its_sign_and_the_edge_with_its_own():
     found = separated(*surveys(np.random.default_rng(0), 0.0))
     assert found.guide.mean == pytest.approx(centred(GUIDE), abs=1e-12)
     assert found.edge.mean == pytest.approx(centred(EDGE), abs=1e-12)
-    assert [run.direction for run in found.guide.survey.runs] == ["forward"] * 3 + [
-        "backward"
-    ] * 3 and found.left_out == 0
+    assert [run.direction for run in found.guide.survey.runs] == [*["forward"] * 3, *["backward"] * 3]
+    assert found.left_out == 0
 
 
 def shifted(random, noise, shift, moved, guide=GUIDE, edge=cosine):
     """A survey as it was, and one with the straightedge moved and aligned anew, or with the sensor moved."""
     other = edge(X + (shift if moved == "sensor" else -shift)) + guide - 2e-6
     other = other + (30e-6 * X if moved == "straightedge" else 0.0)
-    lines = guide + edge(X), other
-    runs = ([Run(str(k), w, X, line + random.normal(0.0, noise, X.size)) for k, w in enumerate(WAYS)] for line in lines)
-    return [Survey(tuple(one)) for one in runs]
+    return noisy(random, noise, (guide + edge(X), other))
 
 
 def drawn_shape(random, pp):
@@ -124,24 +121,23 @@ def test_waves_of_the_straightedge_as_long_as_the_shift_stay_in_the_guide(moved)
             separated(normal, second, shift, moved)
 
 
-def test_the_verb_writes_both_as_surveys_and_prints_their_straightness(tmp_path, monkeypatch, capsys):
+def test_the_verb_writes_both_as_surveys_and_prints_their_straightness(tmp_path, monkeypatch, verb):
     monkeypatch.chdir(tmp_path)
     for name, survey in zip(("m1.csv", "m2.csv"), surveys(np.random.default_rng(3), 0.0), strict=True):
         write_survey(name, survey)
-    assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "guide.csv", "--edge", "edge.csv", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+    reverse = ["map", "reverse", "m1.csv", "m2.csv", "-o"]
+    figures = verb(*reverse, "guide.csv", "--edge", "edge.csv", "--json").json
     for name, curve in (("guide", GUIDE), ("edge", EDGE)):
         assert figures[f"{name}_least_squares_um"] == pytest.approx(np.ptp(centred(curve)) * 1e6, abs=2e-3)
         assert read_survey(f"{name}.csv").runs[0].deviation == pytest.approx(centred(curve), abs=2e-9)
     assert (figures["pairs"], figures["left_out_runs"]) == (6, 0)
-    assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "m1.csv", "--force"]) == 2
+    assert verb(*reverse, "m1.csv", "--force").code == 2
     # Neither of two results is lost where both are given one name.
     Path("link.csv").symlink_to("both.csv")
-    assert main(["map", "reverse", "m1.csv", "m2.csv", "-o", "both.csv", "--edge", "link.csv"]) == 2
-    assert not Path("both.csv").exists()
+    assert verb(*reverse, "both.csv", "--edge", "link.csv").code == 2 and not Path("both.csv").exists()
     for name, survey in zip(("m1.csv", "m2.csv"), shifted(np.random.default_rng(3), 0.0, 0.05, "sensor"), strict=True):
         write_survey(name, survey, ["encoder reference: index 3"])
-    assert main(["map", "reverse", "m1.csv", "m2.csv", "--shift", "50", "--moved", "sensor", "-o", "g.csv"]) == 0
+    code, _, said = verb(*reverse, "g.csv", "--shift", 50, "--moved", "sensor")
     guide = read_survey("g.csv")
     assert guide.mark == "index 3" and guide.runs[0].deviation == pytest.approx(centred(GUIDE), abs=4e-9)
-    assert "waves of 50 mm" in capsys.readouterr().err
+    assert code == 0 and "waves of 50 mm" in said

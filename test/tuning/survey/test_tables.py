@@ -1,6 +1,5 @@
 """Files of instruments and controllers: their makers' values or a refusal; nothing is lost on the way."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions
@@ -118,8 +116,7 @@ def test_a_fault_is_named(tmp_path, name, old, new, words):
     assert EXAMPLES[name].count(old) == 1
     with pytest.raises(SurveyError) as caught:
         read(tmp_path, name, EXAMPLES[name].replace(old, new))
-    assert f"table{FORMATS[name].ending}" in str(caught.value)
-    for word in words:
+    for word in (f"table{FORMATS[name].ending}", *words):
         assert word in str(caught.value)
 
 
@@ -189,16 +186,13 @@ def test_a_file_has_the_value_that_its_maker_gives_it(tmp_path, name, text, peak
         assert np.ptp(run.deviation) * 1e6 == pytest.approx(peak_to_peak, abs=0.1)
 
 
-def test_runs_of_renishaw_are_those_of_the_survey_with_their_directions(tmp_path):
+def test_runs_of_renishaw_and_the_mean_backward_of_api_alone_have_their_directions(tmp_path):
     forward, backward = read(tmp_path, "renishaw", rtl(OUT_AND_BACK), encoding="cp1252")
     assert (forward.direction, backward.direction) == ("forward", "backward")
     np.testing.assert_allclose(forward.x, X * 1e-3)
     np.testing.assert_allclose(backward.deviation - forward.deviation, 0.2e-6, atol=1e-12)
-
-
-def test_the_mean_backward_of_api_alone_is_of_runs_backward(tmp_path):
-    (run,) = read(tmp_path, "api", pos(("Reverse Directional", UM)))
-    assert run.direction == "backward"
+    (alone,) = read(tmp_path, "api", pos(("Reverse Directional", UM)))
+    assert alone.direction == "backward"
 
 
 @pytest.mark.parametrize(
@@ -230,11 +224,11 @@ def test_the_mean_backward_of_api_alone_is_of_runs_backward(tmp_path):
         ("api", "API\n", ""),
     ],
 )
-def test_a_file_that_says_another_axis_a_point_twice_or_is_cut_off_is_refused(tmp_path, capsys, name, text, options):
-    (tmp_path / "table").write_text(text)
-    arguments = [str(tmp_path / "table"), "--format", name, "-o", str(tmp_path / "o.csv"), *options.split()]
-    assert main(["map", "convert", *arguments]) != 0
-    assert capsys.readouterr().err.startswith("straightcomp map convert: ") and len(list(tmp_path.iterdir())) == 1
+def test_a_file_that_says_another_axis_a_point_twice_or_is_cut_off_is_refused(tmp_path, verb, name, text, options):
+    table = tmp_path / "table"
+    table.write_text(text)
+    code, _, said = verb("map", "convert", table, "--format", name, "-o", tmp_path / "o.csv", *options.split())
+    assert code != 0 and said.startswith("straightcomp map convert: ") and list(tmp_path.iterdir()) == [table]
 
 
 @pytest.mark.parametrize(
@@ -248,15 +242,14 @@ def test_a_file_that_says_another_axis_a_point_twice_or_is_cut_off_is_refused(tm
     ],
 )
 def test_columns_of_other_names_are_chosen_and_no_others_of_their_quantities_are_meant(
-    tmp_path, capsys, others, header, x, deviation
+    tmp_path, verb, others, header, x, deviation
 ):
     path = tmp_path / "survey.csv"
     zeros = "0," * others.count(",")
     path.write_text("\n".join([others + header, *(f"{zeros}{at},{y}" for at, y in zip(X, UM, strict=True))]))
-    assert main(["map", "build", str(path)]) == 2
-    assert "--x-column" in capsys.readouterr().err
-    assert main(["map", "build", str(path), "--x-column", x, "--deviation-column", deviation, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    refused = verb("map", "build", path)
+    assert refused.code == 2 and "--x-column" in refused.err
+    found = verb("map", "build", path, "--x-column", x, "--deviation-column", deviation, "--json").json
     assert found["points"] == 24 and found["correction_pp_um"] == pytest.approx(np.ptp(UM), rel=0.05)
 
 
@@ -271,26 +264,24 @@ def test_columns_of_other_names_are_chosen_and_no_others_of_their_quantities_are
         ("api", pos(("Bidirectional", UM))),
     ],
 )
-def test_another_kind_of_file_in_place_of_a_survey_names_the_command_that_converts_it(tmp_path, capsys, name, text):
+def test_another_kind_of_file_in_place_of_a_survey_names_the_command_that_converts_it(tmp_path, verb, name, text):
     path = tmp_path / "file.csv"
     path.write_text(text, encoding="utf-8")
     for command in (
-        ["map", "build", str(path)],
+        ["map", "build", path],
         ["simulate", "--set", f"stage.guide.file={path}"],
-        ["stage", "new", str(tmp_path / "stage"), "--survey", str(path), "--yes"],
+        ["stage", "new", tmp_path / "stage", "--survey", path, "--yes"],
     ):
-        assert main(command) != 0
-        assert f"map convert {path} --format {name}" in capsys.readouterr().err
-    assert main(["map", "convert", str(path), "--format", name, "-o", str(tmp_path / "s.csv")]) == 0
+        code, _, said = verb(*command)
+        assert code != 0 and f"map convert {path} --format {name}" in said
+    assert verb("map", "convert", path, "--format", name, "-o", tmp_path / "s.csv").code == 0
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_the_exported_map_comes_back_as_the_same_map(tmp_path, capsys, name):
+def test_the_exported_map_comes_back_as_the_same_map(tmp_path, verb, name):
     table, survey = tmp_path / f"table{FORMATS[name].ending}", tmp_path / "survey.csv"
-    assert main(["map", "export", "-o", str(table), "--json"]) == 0
-    exported = json.loads(capsys.readouterr().out)
-    assert main(["map", "convert", str(table), "-o", str(survey), "--json"]) == 0
-    converted = json.loads(capsys.readouterr().out)
+    exported = verb("map", "export", "-o", table, "--json").json
+    converted = verb("map", "convert", table, "-o", survey, "--json").json
     assert exported["points"] == converted["points"] == 177
     original, again = load_map(), load_map(MapParameters(file=str(survey)))
     x = np.linspace(*original.span, 5000)
@@ -298,9 +289,9 @@ def test_the_exported_map_comes_back_as_the_same_map(tmp_path, capsys, name):
     assert exported["interpolation_error_um"] < 0.1
 
 
-def test_negate_turns_the_sign_over(tmp_path, capsys):
+def test_negate_turns_the_sign_over(tmp_path, verb):
     for option in ([], ["--negate"]):
-        assert main(["map", "export", "-o", str(tmp_path / f"{len(option)}.comp"), *option]) == 0
+        assert verb("map", "export", "-o", tmp_path / f"{len(option)}.comp", *option).code == 0
     plain, negated = (np.loadtxt(tmp_path / f"{count}.comp") for count in (0, 1))
     np.testing.assert_allclose(plain[:, 1:], -negated[:, 1:])
     np.testing.assert_allclose(plain[:, 1], load_map().evaluate(plain[:, 0] * 1e-3)[0] * 1e3, atol=1e-7)
@@ -320,12 +311,9 @@ def test_negate_turns_the_sign_over(tmp_path, capsys):
         (["convert", "mm.comp", "--unit", "m", "-o", "o.csv"], ["x_m extends over 230 m"]),
     ],
 )
-def test_a_refusal_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, words):
+def test_a_refusal_is_one_sentence(tmp_path, monkeypatch, verb, arguments, words):
     monkeypatch.chdir(tmp_path)
     Path("mm.comp").write_text("".join(f"{x:g} {y} {y}\n" for x, y in zip(X, UM, strict=True)))
-    assert main(["map", *arguments]) in (1, 2)
-    printed = capsys.readouterr().err
-    assert printed.startswith(f"straightcomp map {arguments[0]}: ")
-    assert printed.count("\n") == 1
-    for word in words:
-        assert word in printed
+    code, _, printed = verb("map", *arguments)
+    assert code in (1, 2) and printed.startswith(f"straightcomp map {arguments[0]}: ")
+    assert printed.count("\n") == 1 and all(word in printed for word in words)

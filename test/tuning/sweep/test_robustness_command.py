@@ -1,14 +1,13 @@
 """`straightcomp robustness`: figures of many machines, the same numbers however the trials are spread."""
 
-import json
 import math
 import re
 import sys
+from functools import partial
 
 import pytest
 
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.workers import WorkersError
 from straightcomp_ros.parameters.output_files import plain
 from straightcomp_ros.tuning.sweep.trial import TrialResult, plot_sweep, run_trials, summarise, sweep
@@ -20,11 +19,15 @@ def result(trial: int, pp: float, word: str = "in_order") -> TrialResult:
     return TrialResult(trial, "linear", pp, pp / 6.0, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
 
 
-def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_path):
+@pytest.fixture
+def robustness(verb):
+    """`straightcomp robustness` of a short stroke, in one process."""
+    return partial(verb, "robustness", *SHORT, "--jobs", 1)
+
+
+def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(robustness, tmp_path):
     plot = tmp_path / "robustness.png"
-    laws = ["--law", "linear", "--law", "smc"]
-    assert main(["robustness", *SHORT, *laws, "--trials", "3", "--jobs", "1", "--json", "--plot", str(plot)]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed = robustness("--law", "linear", "--law", "smc", "--trials", 3, "--json", "--plot", plot).json
     assert set(printed) == {"trials", "seed", "laws", "seconds", "verdict", "reason"}
     assert printed["verdict"] == "in_order"
     assert printed["trials"] == 3 and list(printed["laws"]) == ["linear", "smc"]
@@ -34,12 +37,11 @@ def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_alone(capsys, monkeypatch):
+def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_alone(robustness, monkeypatch):
     monkeypatch.setattr("straightcomp_ros.tuning.sweep.trial.OUTLIER", 0.5)
-    words = [*SHORT, "--law", "smc", "--trials", "2", "--jobs", "1", "--set", "stage.uncertainty.mass=0.3"]
-    assert main(["robustness", *words]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert all(text in printed for text in ("smc", "mass ±30%", "not in order", "--machine"))
+    code, out, _ = robustness("--law", "smc", "--trials", 2, "--set", "stage.uncertainty.mass=0.3")
+    printed = " ".join(out.split())
+    assert code == 0 and all(text in printed for text in ("smc", "mass ±30%", "not in order", "--machine"))
     assert re.search(r"times its median: machine [01] \(", printed)
 
 
@@ -61,13 +63,12 @@ def test_machines_above_twice_the_median_are_named_worst_first():
     assert [outlier["trial"] for outlier in summary.to_display()["outliers"]] == [4, 0]
 
 
-def test_a_machine_alone_is_the_machine_of_the_sweep(capsys):
-    def figures(*options: str) -> dict:
-        assert main(["robustness", *SHORT, "--law", "smc", "--jobs", "1", "--json", *options]) == 0
-        return json.loads(capsys.readouterr().out)["laws"]["smc"]
+def test_a_machine_alone_is_the_machine_of_the_sweep(robustness):
+    def figures(*options):
+        return robustness("--law", "smc", "--json", *options).json["laws"]["smc"]
 
-    of_three = figures("--trials", "3")
-    alone = figures("--trial", str(of_three["worst_trial"]))
+    of_three = figures("--trials", 3)
+    alone = figures("--trial", of_three["worst_trial"])
     assert alone["pp_um"]["p50"] == of_three["pp_um"]["max"] and alone["worst_trial"] == of_three["worst_trial"]
 
 
@@ -95,20 +96,18 @@ def test_a_percentile_of_a_machine_that_is_not_in_order_is_doubtful():
     assert summary_of(range(1, 11), *["in_order"] * 9, "oscillates").doubtful == {"p95", "max"}
 
 
-def test_a_machine_that_is_not_in_order_fails_the_command_and_is_marked_and_named(capsys):
+def test_a_machine_that_is_not_in_order_fails_the_command_and_is_marked_and_named(robustness):
     # The paper's switching law with sgn σ: it oscillates by itself.
-    sgn = ["--set", "controller.control.smc.boundary_layer=0.0", "--set", "stage.motion.stroke=0.1"]
-    assert main(["robustness", *SHORT, *sgn, "--law", "smc", "--trials", "2", "--jobs", "1", "--json"]) == 1
-    captured = capsys.readouterr()
-    printed = json.loads(captured.out)
-    assert printed["verdict"] == "oscillates" and "law 'smc'" in printed["reason"]
-    figures = printed["laws"]["smc"]
+    sgn = ["--set", "controller.control.smc.boundary_layer=0.0", "--set", "stage.motion.stroke=0.1", "--law", "smc"]
+    failed = robustness(*sgn, "--trials", 2, "--json")
+    assert failed.code == 1 and "not in order: oscillates" in failed.err
+    assert failed.json["verdict"] == "oscillates" and "law 'smc'" in failed.json["reason"]
+    figures = failed.json["laws"]["smc"]
     assert figures["not_in_order"] == figures["verdicts"]["oscillates"] == 2
     assert [one["trial"] for one in figures["machines_not_in_order"]] == [0, 1]
-    assert "not in order: oscillates" in captured.err
-    assert main(["robustness", *SHORT, *sgn, "--law", "smc", "--trials", "1", "--jobs", "1"]) == 1
-    printed = " ".join(capsys.readouterr().out.split())
-    assert " ! " in printed and "Verdict on smc: oscillates: oscillates 1 of 1 machines; machine 0:" in printed
+    code, out, _ = robustness(*sgn, "--trials", 1)
+    printed = " ".join(out.split())
+    assert code == 1 and " ! " in printed and "Verdict on smc: oscillates: oscillates 1 of 1 machines" in printed
 
 
 TRIALS = 5

@@ -28,6 +28,8 @@ EXACT = UncertaintyParameters(
 """The machine that the controller was designed for."""
 HIGH_GAIN = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
 SURVEY = read_survey(find_survey(MapParameters().file))
+PERIOD = 500_000
+CONTACT = "simulated.truth.contact"
 
 
 def within(uncertainty: UncertaintyParameters, values: dict[str, dict], delay: float = 0.5) -> dict[str, dict]:
@@ -89,26 +91,19 @@ def test_a_range_that_no_machine_can_have_and_a_scenario_that_the_kernel_does_no
         make_scenario(values, ["linear"])
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, law):
-    values = within(EXACT, values)
+BLOCKS = {"model": "maxwell_slip", "bands.fraction": 0.3, "rest.growth": 0.2}
+"""Friction beyond LuGre's."""
+
+
+@pytest.mark.parametrize(("law", "contact"), [*((law, {}) for law in LAWS), ("smc", BLOCKS)])
+def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, law, contact):
+    values = {**within(EXACT, values), "driver": {f"{CONTACT}.{name}": value for name, value in contact.items()}}
     simulation = Simulation({**values, "controller": {"control.law": law}})
     expected = evaluate(simulation.run(), simulation.map)
     (result,) = run_trials(make_scenario(values, [law]), 1, [0])
     assert (result.pp, result.rms) == (expected.true_pp, expected.true_rms)
     assert result.control_activity == expected.control_activity
     assert result.verdict.in_order
-
-
-def test_a_trial_draws_its_machine_with_the_friction_beyond_lugre(values):
-    friction = {"model": "maxwell_slip", "bands.fraction": 0.3, "rest.growth": 0.2}
-    driver = {f"simulated.truth.contact.{name}": value for name, value in friction.items()}
-    values = within(EXACT, values)
-    simulation = Simulation({**values, "driver": driver, "controller": {"control.law": "smc"}})
-    expected = evaluate(simulation.run(), simulation.map)
-    (result,) = run_trials(make_scenario({**values, "driver": driver}, ["smc"]), 1, [0])
-    (plain,) = run_trials(make_scenario(values, ["smc"]), 1, [0])
-    assert result.pp == expected.true_pp != plain.pp
 
 
 def test_a_machine_depends_on_seed_and_number_and_not_on_the_order_of_trials_or_on_other_laws(values, scenario):
@@ -140,18 +135,6 @@ def test_a_law_gets_the_verdict_that_its_machine_deserves(values, law, stage, ot
     assert result.verdict.verdict == verdict and result.pp < np.inf
 
 
-PERIOD = 500_000
-
-
-@pytest.fixture
-def shipped():
-    values = shipped_parameters()
-    values["stage"]["motion.stroke"] = 0.1
-    values["stage"]["drive.delay"] = 1.0
-    return values
-
-
-CONTACT = "simulated.truth.contact"
 NONE = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.0}
 
 
@@ -189,7 +172,10 @@ def test_friction_that_the_dither_does_not_overcome_is_among_what_the_verdict_na
     assert not one.verdict.in_order and "stage.friction" in one.verdict.reason
 
 
-def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(shipped):
+def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away():
+    shipped = shipped_parameters()
+    shipped["stage"] |= {"motion.stroke": 0.1, "drive.delay": 1.0}
+
     def rms(delays):
         return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]
 
