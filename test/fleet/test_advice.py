@@ -124,12 +124,6 @@ def test_simulated_wear_is_found_with_its_cause(pool, wear):
     assert found and found[0].found >= date(2026, 3, 2)
 
 
-@pytest.mark.parametrize("wear", [wear for wear in WEARS if wear.name in ("guide", "bolt")], ids=lambda wear: wear.name)
-def test_without_a_displacement_sensor_the_guide_is_not_seen_to_move(pool, wear):
-    strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
-    assert not {"guide", "bolt"} & {one.cause for one in advice_of(strokes.levels())}
-
-
 AGAIN = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))
 
 

@@ -82,13 +82,6 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, history):
     file = tmp_path / "figures.csv"
     assert history("query", alone[0], f"COPY (SELECT stroke FROM strokes) TO '{file}'").code == 0
     assert len(file.read_text().split()) == 1 + 2 * COUNT
-    file.write_text("mine")
-    inside = next(alone[0].rglob("*.parquet"))
-    for name, *more in ((file,), (inside, "--force")):
-        before = name.read_bytes()
-        copy = f"SELECT 1; copy (SELECT stroke FROM strokes)\nto  '{name}'"
-        assert history("query", alone[0], copy, *more).code == 2
-        assert name.read_bytes() == before
     assert history("query", alone[0], "CREATE TABLE mine (a INTEGER)").code == 0
 
 
@@ -96,6 +89,7 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, history):
 @pytest.mark.parametrize(
     "copy",
     [
+        "SELECT 1; copy (SELECT stroke FROM strokes)\nto  '{}'",
         'COPY strokes TO "{}"',
         "COPY strokes TO E'{}'",
         "COPY strokes TO $${}$$",
@@ -110,13 +104,13 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, history):
         "SET enable_profiling = 'json'; SET profiling_output = '{}'; SELECT 1",
     ],
 )
-def test_no_spelling_of_a_name_replaces_a_file(alone, tmp_path, history, copy, inside):
+def test_no_spelling_of_a_name_replaces_a_file_and_no_force_one_of_the_store(alone, tmp_path, history, copy, inside):
     file = next(alone[0].rglob("*.parquet")) if inside else tmp_path / "figures.csv"
     if not inside:
         file.write_text("mine")
     name, before = file.parent if "EXPORT" in copy else file, file.read_bytes()
     held = sorted(name.parent.rglob("*"))
-    assert history("query", alone[0], copy.format(name)).code == 2
+    assert history("query", alone[0], copy.format(name), *["--force"] * inside).code == 2
     assert (file.read_bytes(), sorted(name.parent.rglob("*"))) == (before, held)
 
 
