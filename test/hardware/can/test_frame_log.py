@@ -155,39 +155,29 @@ def asc(times, head):
 
 
 HALF_MS = [12 + 0.0005 * number for number in range(10)]
-ABSOLUTE = [f"{0.0005 * number:.6f}" for number in range(10)]
 
 
-@pytest.mark.parametrize(
-    "head",
-    [
-        "date Mo M\u00e4r 30 15:06:13.191 2026\nbase hex  timestamps absolute",
-        "date lun. ao\u00fbt 30 15:06:13 2026\nbase hex  timestamps absolute",
-        "date Mon Mar 30 03:06:13.191 pm 2026\nbase hex  timestamps absolute",
-    ],
-)
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig"])
-def test_an_asc_log_is_read_whatever_the_language_of_its_date(tmp_path, head, encoding):
-    (tmp_path / "bus.asc").write_bytes(asc(ABSOLUTE, head).encode(encoding))
-    frames = list(of_the_board(RecordedBus(tmp_path / "bus.asc"), {0x181}))
-    assert [frame.timestamp for frame in frames] == pytest.approx([float(at) for at in ABSOLUTE], abs=1e-9)
-    assert frames[0].data.hex() == "1122334455667788"
-
-
-def test_the_base_of_an_asc_log_counts_below_a_date_of_any_language(tmp_path):
-    text = asc(["0.000500"], "date lun. avr. 30 15:06:13 2026\nbase dec  timestamps absolute")
-    (tmp_path / "bus.asc").write_text(text.replace("181 ", "385 "))
-    (frame,) = RecordedBus(tmp_path / "bus.asc")
-    assert frame.arbitration_id == 0x181 and frame.data[0] == 11
-
-
-def test_relative_times_of_an_asc_log_count_from_the_line_before(tmp_path):
-    text = asc(["0.000500"] * 20, "date Mon Mar 30 15:06:13.191 2026\nbase hex  timestamps relative")
-    # Lines of other things count as well.
+@pytest.mark.parametrize(
+    ("date", "base", "kind", "times"),
+    [
+        ("Mo M\u00e4r 30 15:06:13.191 2026", "hex", "absolute", [0.0005] * 4),
+        ("lun. ao\u00fbt 30 15:06:13 2026", "dec", "absolute", [0.0005] * 4),
+        # Lines of other things count as well.
+        ("Mon Mar 30 03:06:13.191 pm 2026", "hex", "relative", [0.0005, 0.001, 0.0015, 0.004]),
+    ],
+    ids=["German", "French", "of twelve hours"],
+)
+def test_an_asc_log_is_read_in_its_base_and_kind_of_times_whatever_the_language_of_its_date(
+    tmp_path, date, base, kind, times, encoding
+):
+    text = asc(["0.000500"] * 3, f"date {date}\nbase {base}  timestamps {kind}")
     text += "   0.002000 1  Statistic: D 0 R 0\n" + "   0.000500 1  181  Rx   d 1 11\n"
-    (tmp_path / "bus.asc").write_text(text)
-    times = [frame.timestamp for frame in of_the_board(RecordedBus(tmp_path / "bus.asc"), {0x181})]
-    assert times == pytest.approx([0.0005 * number for number in range(1, 21)] + [0.0125], abs=1e-9)
+    text = text if base == "hex" else text.replace(" 181 ", " 385 ")
+    (tmp_path / "bus.asc").write_bytes(text.encode(encoding))
+    frames = list(of_the_board(RecordedBus(tmp_path / "bus.asc"), {0x181}))
+    assert [frame.timestamp for frame in frames] == pytest.approx(times, abs=1e-9)
+    assert list(frames[0].data[:2]) == ([0x11, 0x22] if base == "hex" else [11, 22])
 
 
 @pytest.mark.parametrize(
@@ -205,9 +195,9 @@ def test_relative_times_of_an_asc_log_count_from_the_line_before(tmp_path):
         ("a.log", b" (2026-03-30 15:06:13.191000)  can0  18FF0201   [8]  11\n", {}, ["candump -L"]),
         ("a.log", b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n", {}, ["BusMaster"]),
         ("a.csv", b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,181,false,Rx,0,1,11,\n", {}, ["GVRET"]),
-        ("a.log", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode(), {}, [".asc"]),
+        ("a.log", asc(["0.000500"], "date Mon Mar 30\nbase hex").encode(), {}, [".asc"]),
         ("a.asc", lines_of(HALF_MS).encode(), {}, ["candump", ".log"]),
-        ("a.asc", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode("utf-16"), {}, ["UTF-16", "as UTF-8"]),
+        ("a.asc", asc(["0.000500"], "date Mon Mar 30\nbase hex").encode("utf-16"), {}, ["UTF-16", "as UTF-8"]),
         ("a.log", b"# of the first run\n" + lines_of(HALF_MS).encode(), {}, ["first frame", "ending"]),
         ("a.log", lines_of(HALF_MS).encode(), {"fd": True}, ["classic", "0x181", "can.fd is true"]),
         ("a.log", b"(12.0) can0 381##1" + b"11" * 16 + b"\n", {}, ["CAN FD", "0x381", "can.fd is false"]),

@@ -10,21 +10,14 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
-from straightcomp_ros.hardware.can.hub import (
-    ERROR,
-    FD,
-    FD_FRAME,
-    Faults,
-    Frame,
-    Hub,
-    priority,
-)
+from straightcomp_ros.hardware.can.hub import ERROR, FD, FD_FRAME, Faults, Frame, Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.interface import HardwareError
 
 WAITING = "transmit buffer full"
+EXTENDED = 0x181 << 18
+IN_ORDER = [0x180, 0x181, EXTENDED, EXTENDED + 1, EXTENDED + 0x3FFFF, 0x182]
 
 
 class World:
@@ -135,13 +128,22 @@ def test_a_node_waits_for_a_frame_as_long_as_it_is_asked_to(world):
         sending.join()
 
 
-def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_keeps_its_order(world):
-    first, second, receiver = world.nodes(3)
-    for sender, identifiers in ((first, (0x300, 0x100)), (second, (0x200, 0x50))):
+@pytest.mark.parametrize(
+    ("waiting", "order"),
+    [
+        ([(0x300, 0x100), (0x200, 0x50)], [0x200, 0x50, 0x300, 0x100]),
+        # A standard frame wins over an extended one with the same first bits.
+        ([(0x182,), (EXTENDED + 1,), (EXTENDED,), (0x181,), (EXTENDED + 0x3FFFF,), (0x180,)], IN_ORDER),
+    ],
+    ids=["nodes with several", "identifiers of 11 and 29 bits"],
+)
+def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_keeps_its_order(world, waiting, order):
+    *senders, receiver = world.nodes(len(waiting) + 1)
+    for sender, identifiers in zip(senders, waiting, strict=True):
         for identifier in identifiers:
-            sender.send(message(identifier))
-    world.hub.run(lambda: world.hub.passed == 4)
-    assert [receiver.recv(10).arbitration_id for _ in range(4)] == [0x200, 0x50, 0x300, 0x100]
+            sender.send(message(identifier, is_extended_id=identifier >= EXTENDED))
+    world.hub.run(lambda: world.hub.passed == len(order))
+    assert [receiver.recv(10).arbitration_id for _ in order] == order
 
 
 def test_a_hub_takes_over_a_socket_that_was_left_but_not_one_in_use_and_without_one_a_node_says_so(tmp_path, world):
@@ -196,12 +198,3 @@ def test_faults_in_the_hub_reach_the_nodes(make):
     world.send(sender, *(message(1, [number]) for number in range(200)))
     arrived = [one.data[0] for one in iter(lambda: receiver.recv(0.0), None)]
     assert arrived == sorted(arrived) and len(arrived) == 200 - faults.injected["drop"] < 150
-
-
-def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():
-    def order(identifier):
-        return priority(Frame(0, identifier, 0, b""))
-
-    extended = [0x181 << 18, 0x181 << 18 | 1, 0x181 << 18 | 0x3FFFF]
-    ranks = [order(0x180), order(0x181), *(order(identifier | EXTENDED_ID) for identifier in extended), order(0x182)]
-    assert ranks == sorted(ranks) and len(set(ranks)) == len(ranks)
