@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
@@ -26,4 +27,5 @@ def board_of(file, **changes):
     return node_parameters("driver", values).can
 
 
-FOREIGN, SPLIT, BARE = map(board_of, (FOREIGN_FILE, SPLIT_FILE, BARE_FILE))
+CLASSIC, FD = (CanParameters(fd=fd, simulated_stage=True) for fd in (False, True))
+FOREIGN, SPLIT, BARE = (board_of(file, simulated_stage=True) for file in (FOREIGN_FILE, SPLIT_FILE, BARE_FILE))

@@ -3,15 +3,14 @@ moves."""
 
 import contextlib
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from can_boards import FOREIGN_FILE, GUIDE, PERIOD, SPLIT_FILE, STAGE, START, board_of
+from can_boards import CLASSIC, FD, FOREIGN, GUIDE, PERIOD, SPLIT, STAGE, START
 from forgery import forged
 
-from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator import Board
@@ -30,19 +29,18 @@ TIMEOUT = 0.005
 class World:
     """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, and frames be ``unreceived``."""
 
-    def __init__(self, fd, **parameters):
+    def __init__(self, parameters):
         self.now = START
         self.to_board = self.to_host = True
         self.board = None
         self.unreceived, self._programs = set(), contextlib.ExitStack()
-        self.parameters = parameters = CanParameters(fd=fd, simulated_stage=True, **parameters)
+        self.parameters = parameters
         self.wire = parameters.make_wire()
         self.host = CanHardware(parameters, STAGE, lambda: self.now, self._link)
         self.host.start(self.now)
         self.power_up()
         self.commands = True
         self.samples = []
-        self.answers = []
 
     def _link(self, parameters, identifiers, receive, clock):
         self._receive, self._identifiers = receive, identifiers
@@ -51,10 +49,8 @@ class World:
         )
 
     def power_up(self):
-        kind, simulated = (
-            FirmwareBoard if self.parameters.firmware else Board,
-            SimulatedParameters(command_timeout=TIMEOUT),
-        )
+        kind = FirmwareBoard if self.parameters.firmware else Board
+        simulated = SimulatedParameters(command_timeout=TIMEOUT)
         self.board = kind(self.parameters, simulated, STAGE, GUIDE, self._from_board)
         self._programs.callback(self.board.close)
         self.board.start(self.now)
@@ -80,22 +76,6 @@ class World:
             self.samples += [sample for sample, _ in samples]
             if self.commands and samples:
                 self.host.write(current, self.now, samples[-1][0].stamp_ns)
-
-    def servo(self, seconds, reference):
-        """Close the loop: each sample's command is there half a period after it."""
-        servo = Servo(make_law(ControlParameters(), STAGE))
-        for _ in range(round(seconds * 2000)):
-            self.now += PERIOD // 2
-            for stamp_ns, current in self.answers:
-                self.host.write(current, self.now, stamp_ns)
-            self.now += PERIOD // 2
-            self.board.cycle(self.now)
-            fresh = [sample for sample, _ in self.host.read(self.now)]
-            self.samples += fresh
-            self.answers = [
-                (sample.stamp_ns, servo.step(sample.stamp_ns, sample.y, sample.current, reference).current)
-                for sample in fresh
-            ]
 
     def on(self):
         self.run(0.2)
@@ -132,16 +112,21 @@ class World:
         return commands
 
 
-@pytest.fixture(params=[False, True], ids=["classic", "fd"])
-def fd(request):
-    return request.param
-
-
 @pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
-def world(request, fd):
-    program = str(request.getfixturevalue("firmware") / request.param) if request.param else ""
-    with contextlib.closing(World(fd, firmware=program)) as world:
+def made(request):
+    """``made(can)`` is a world with this board."""
+    with contextlib.ExitStack() as stack:
+
+        def world(can):
+            program = str(request.getfixturevalue("firmware_of")(can, request.param)) if request.param else ""
+            return stack.enter_context(contextlib.closing(World(replace(can, firmware=program))))
+
         yield world
+
+
+@pytest.fixture(params=[CLASSIC, FD], ids=["classic", "fd"])
+def world(request, made):
+    return made(request.param)
 
 
 @pytest.fixture
@@ -235,23 +220,10 @@ def test_what_must_not_happen_latches_a_fault_of_its_name_until_a_reset(running,
     running.off_again()
 
 
-@pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
-def made(request):
-    """``made(file)`` is a world with the board of a stage file."""
-    with contextlib.ExitStack() as stack:
-
-        def world(file):
-            can = board_of(file)
-            program = str(request.getfixturevalue("firmware_of")(can, request.param)) if request.param else ""
-            return stack.enter_context(contextlib.closing(World(can.fd, dbc=can.dbc, wire=can.wire, firmware=program)))
-
-        yield world
-
-
 @pytest.fixture
 def foreign(made):
     """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
-    return made(FOREIGN_FILE).on()
+    return made(FOREIGN).on()
 
 
 def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words(foreign):
@@ -282,12 +254,12 @@ def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(
 @pytest.fixture
 def split(made):
     """A board with a message for each axis, to which the host sends switches and current in two."""
-    return made(SPLIT_FILE).on()
+    return made(SPLIT).on()
 
 
 def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_any_other(split):
-    split.servo(0.2, (20e-6, 0.0, 0.0))
-    assert split.samples[-1].y == pytest.approx(20e-6, abs=1e-6)
+    split.run(0.05, current=0.2)
+    assert split.samples[-1].current == pytest.approx(0.2, abs=0.01)
     assert split.host.lost_samples == split.host.counters()["can_incomplete"] == split.board.refused_commands == 0
     split.to_board = False
     split.run(TIMEOUT + 0.006)
@@ -434,7 +406,7 @@ def test_what_is_not_ready_says_what_is_missing(world):
 
 
 def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason():
-    world, trajectory = World(True), Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
+    world, trajectory = World(FD), Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
     real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: world.now, world._link)
     world.host._link.send = lambda identifier, payload, *, fd: False
     for host, problem, words in (
@@ -469,7 +441,7 @@ def test_counters_show_bus_log_and_lost_samples_wherever_they_went(running):
 
 @pytest.mark.parametrize(("taken", "samples", "turns"), [(1, [], 3), (1, [None], 1), (0, [], 1)])
 def test_waiting_ends_with_the_first_sample_and_after_three_frames_without_one(taken, samples, turns):
-    world, waits = World(True), []
+    world, waits = World(FD), []
     world.host._receiver.samples.extend(samples)
     world.host._link.wait = lambda seconds: waits.append(seconds) or taken
     world.host.wait(250_000)

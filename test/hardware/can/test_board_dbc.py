@@ -266,8 +266,8 @@ def test_each_check_that_the_frames_of_a_board_do_not_allow_is_reported_once_and
     assert all(sum(text.startswith(words) for text in found) == 1 for words in lacking), found
 
 
-@pytest.mark.parametrize("board", [BARE, without_counts(SPLIT)], ids=["bare", "put together by time"])
-def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must(board):
+@pytest.mark.parametrize("board", [SPLIT, without_counts(SPLIT), BARE], ids=["by counts", "by time", "bare"])
+def test_the_servo_holds_the_platform_by_a_sample_of_several_messages_and_by_a_board_that_says_only_what_it_must(board):
     trial = ServoTrial({}, GUIDE, board, frames=2000)
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from can_boards import BARE_FILE, FOREIGN_FILE, GUIDE, SPLIT_FILE, STAGE, START, board_of
+from can_boards import BARE, CLASSIC, FD, FOREIGN, FOREIGN_FILE, GUIDE, SPLIT, STAGE, START
 from drawn_dbc import drawn_board
 from forgery import forged
 from hypothesis import given, settings
@@ -39,26 +39,19 @@ from trials.can import FirmwareBoard
 REPOSITORY = Path(__file__).resolve().parents[3]
 CURRENT_COUNT = 1e-4
 """A"""
-CLASSIC, FD = (CanParameters(fd=fd, simulated_stage=True) for fd in (False, True))
-
-
-FOREIGN, SPLIT, BARE = (board_of(file, simulated_stage=True) for file in (FOREIGN_FILE, SPLIT_FILE, BARE_FILE))
 
 
 class Run:
     """A board with its calls and what it sent; ``program`` is the firmware, without it the board is the emulator."""
 
-    def __init__(self, can, program=None, stage=STAGE, parameters=None):
+    def __init__(self, can, program=None, stage=STAGE):
         self.can, self.wire = can, can.make_wire()
         self.emulator = EmulatorFrames(self.wire)
         self.sent, self.calls, self.currents, self.states = [], [], [], []
         self._next_ns = START
-        parameters = parameters or SimulatedParameters()
-        send = lambda *frame: self.sent.append(frame)  # noqa: E731
-        if program is None:
-            self.board = Board(can, parameters, stage, GUIDE, send)
-        else:
-            self.board = FirmwareBoard(replace(can, firmware=str(program)), parameters, stage, GUIDE, send)
+        kind, can = (FirmwareBoard, replace(can, firmware=str(program))) if program else (Board, can)
+        self.board = kind(can, SimulatedParameters(), stage, GUIDE, lambda *frame: self.sent.append(frame))
+        if program:
             self._listen_to(self.board.machine)
         self.board.start(START)
 
@@ -299,7 +292,7 @@ def started(can, program, stage=STAGE):
     return board
 
 
-def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path, capfd):
+def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path):
     with pytest.raises(HardwareError, match=r"firmware '.*nothing' cannot be started: No such file"):
         started(FD, tmp_path / "nothing")
     for arguments, message in (
