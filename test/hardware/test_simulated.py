@@ -61,14 +61,6 @@ def test_how_the_time_is_cut_into_fetches_does_not_change_the_machine():
     assert final_state([40]) == final_state(range(41)) == final_state([3, 11, 40])
 
 
-def test_a_command_acts_from_its_time_on_and_not_before():
-    hardware = machine(hold_after=10.0)
-    hardware.write(0.1, START + 4 * PERIOD)
-    currents = [sample.current for sample, _ in hardware.read(START + 8 * PERIOD)]
-    assert currents[:5] == [0.0] * 5
-    assert 0.0 < currents[5] < currents[6] < 0.1
-
-
 def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_before():
     hardware = machine(hold_after=2.5, hold_stiffness=0.0, hold_braking=0.0)
     last = commanded(hardware, [0.05 + (0.2 if k % 2 else -0.2) for k in range(400)])[-1]

@@ -65,14 +65,13 @@ async def several(url, count):
     return made
 
 
-async def logins(url, *certificates):
-    folder = Path(certificates[0]) if certificates else None
+async def logins(url, folder):
+    folder = Path(folder)
     wrong, unknown = ("ann", "wrong horse"), ("eve", "correct horse")
     users = {"operator": OPERATOR, "wrong password": wrong, "unknown": unknown, "anonymous": None}
     results = {name: await outcome(connect(url, user, folder)) for name, user in users.items()}
-    if folder:
-        results["unencrypted"] = await outcome(connect(url, OPERATOR))
-        results["untrusted"] = await outcome(connect(url, OPERATOR, folder.parent / "stranger"))
+    results["unencrypted"] = await outcome(connect(url, OPERATOR))
+    results["untrusted"] = await outcome(connect(url, OPERATOR, folder.parent / "stranger"))
     return results
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import can
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros.hardware.can import link as link_module
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -45,13 +46,6 @@ class Bus:
         raise can.CanOperationError("gone already")
 
 
-def is_down():
-    # As python-can's SocketCAN; who reads is not found again.
-    error = can.CanOperationError("Failed to transmit: Network is down")
-    error.__cause__ = OSError(errno.ENETDOWN, "down")
-    return error
-
-
 class World:
     """A link on buses from a list; the host's clock runs ten seconds ahead of the system's."""
 
@@ -75,10 +69,7 @@ class World:
         return time.time_ns() + 10_000_000_000
 
     def opened(self, times=1):
-        end = time.monotonic() + 60.0
-        while self.link.openings < times:
-            assert time.monotonic() < end, self.link.problem
-            self.link.wait(0.001)
+        assert comes_true(lambda: not self.link.wait(0.001) and self.link.openings >= times, 60.0), self.link.problem
         return self
 
 
@@ -159,13 +150,14 @@ def test_a_bus_that_fails_is_closed_named_and_opened_again(world, found_by):
     host = world(first, second).opened()
     assert host.link.problem == ""
     if found_by == "sending":
-        first.refusal = is_down()
+        # As python-can's SocketCAN.
+        first.refusal = can.CanOperationError("the network is down")
+        first.refusal.__cause__ = OSError(errno.ENETDOWN, "down")
         assert not host.link.send(0x201, b"", fd=False)
     else:
-        first.coming = [OSError("Failed to transmit: Network is down")]
+        first.coming = [OSError("the network is down")]
         assert host.link.wait(0.0) == 0
-    assert first.shut == 1
-    assert host.link.problem == "CAN virtual can0: Failed to transmit: Network is down"
+    assert first.shut == 1 and host.link.problem == "CAN virtual can0: the network is down"
     assert not host.link.send(0x201, b"", fd=False)
     host.opened(2)
     second.coming = [frame()]
@@ -229,10 +221,7 @@ def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_
         stage=SimpleNamespace(refused=""),
         close=lambda: None,
     )
-    end = time.monotonic() + 60.0
-    while not emulator._line.openings:
-        emulator._cycle(0)
-        assert time.monotonic() < end
+    assert comes_true(lambda: emulator._cycle(0) or emulator._line.openings, 60.0)
     assert capsys.readouterr().err == "dsp_emulator: CAN virtual can0: no device\n"
     ours = driver.can.make_wire().command.identifier
     assert ours in {one["can_id"] for one in host.filters}

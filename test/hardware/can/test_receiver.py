@@ -246,38 +246,22 @@ def test_stamps_never_run_backwards_when_the_clock_is_set_anew(board):
     assert stamps and stamps[0] > newest and set(np.diff(stamps)) == {PERIOD}
 
 
-def is_of_its_number(board):
-    """Whether the newest sample has the time at which the board took it, and its number as far as that is counted."""
-    index, sample, _ = board.receiver.samples[-1]
-    modulus = board.receiver.wire.sample_modulus or 2**32
-    late_ns = sample.stamp_ns - START - (board.number - 1) * PERIOD
-    return (index - board.number + 1) % modulus == 0 and abs(late_ns) < PERIOD / 10
-
-
-@pytest.mark.parametrize("lost", [1, 2])
-def test_a_sample_lost_without_a_counter_is_found_by_the_clock(lost):
-    board = Board(BARE).samples(2 * BLOCK)
+@pytest.mark.parametrize(
+    ("can", "lost", "counted"),
+    [(BARE, 1, 1), (BARE, 2, 2), (FOREIGN, 300, 0)],
+    ids=["one", "two", "more than a short counter holds"],
+)
+def test_a_sample_lost_without_a_counter_is_found_by_the_clock_and_a_silence_beyond_a_short_one_starts_anew(
+    can, lost, counted
+):
+    board = Board(can).samples(2 * BLOCK)
     assert board.receiver.sequence.lost == 0
-    board.samples(2 * BLOCK, lost=lost)
-    assert board.receiver.sequence.lost == lost and is_of_its_number(board)
-
-
-def test_a_silence_beyond_a_short_counter_starts_the_numbers_and_the_clock_anew():
-    board = Board(FOREIGN).samples(2 * BLOCK).samples(3 * BLOCK, lost=300)
-    assert board.receiver.sequence.jumps == 1 and board.receiver.sequence.lost == 0
-    assert is_of_its_number(board)
-
-
-def test_the_state_of_the_amplifier_may_come_between_the_samples():
-    board = Board(FOREIGN)
-    board.frames = [board.receiver.wire.sample]
-    board.samples(BLOCK)
-    assert board.receiver.amplifier is None
-    status, report = board.receiver.wire.status, Report(amplifier=State.FAULT, fault=34)
-    for turn in range(2):
-        board.receive(status.identifier, status.pack(report, turn), turn)
-    assert board.receiver.amplifier is State.FAULT and board.receiver.board_fault == 34
-    assert board.receiver.status_ns == START + BLOCK * PERIOD
+    board.samples(3 * BLOCK, lost=lost)
+    assert (board.receiver.sequence.lost, board.receiver.sequence.jumps) == (counted, can is FOREIGN)
+    index, sample, _ = board.receiver.samples[-1]
+    late_ns = sample.stamp_ns - START - (board.number - 1) * PERIOD
+    assert (index - board.number + 1) % (board.receiver.wire.sample_modulus or 2**32) == 0
+    assert abs(late_ns) < PERIOD / 10
 
 
 TURN = 2**22
