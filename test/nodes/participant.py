@@ -1,5 +1,7 @@
 """Another participant of the graph, in the test's process: it waits, calls services, knows the amplifier's state."""
 
+import contextlib
+import math
 import time
 
 import rclpy
@@ -9,8 +11,10 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.contract import SAFETY_STATE, TRIP
+from straightcomp_ros.contract import ENCODER, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import message_class, stream_qos
 
@@ -37,6 +41,7 @@ class Participant:
             DiagnosticStatus, SAFETY_STATE, lambda message: self.safety.append(SafetyState.of(message)), LATCHED
         )
         self._trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
+        self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
 
     def until(self, condition, seconds=PATIENCE_S):
         end = time.monotonic() + seconds
@@ -65,6 +70,12 @@ class Participant:
     def trip(self, reason="the door is open"):
         self.until(self._trip.get_subscription_count)
         self._trip.publish(DiagnosticStatus(name="whatever", message=reason))
+
+    def move(self, points, begin_s=0):
+        message = message_from_waypoints(points)
+        message.header.stamp.sec = begin_s
+        self.until(self._trajectory.get_subscription_count)
+        self._trajectory.publish(message)
 
     def amplifier_on(self):
         return self.safety[-1].amplifier_on
@@ -106,3 +117,31 @@ class Participant:
         self.node.destroy_node()
         if self._first:
             rclpy.shutdown()
+
+
+class Follower(Participant):
+    """Has all samples, and sees by them whether the amplifier is on."""
+
+    def __init__(self, name):
+        super().__init__(name)
+        self.samples = []
+        subscribe(self.node, ENCODER, self.on_sample)
+
+    def on_sample(self, stamp_ns, numbers):
+        self.samples.append((stamp_ns, numbers))
+
+    @property
+    def x(self):
+        return self.samples[-1][1][0]
+
+    def amplifier_on(self):
+        return len(self.samples) > 20 and math.isfinite(self.samples[-1][1][3])
+
+
+@contextlib.contextmanager
+def spun(node):
+    """The node takes its turns while a participant is spun, and is destroyed afterwards."""
+    rclpy.get_global_executor().add_node(node)
+    yield node
+    rclpy.get_global_executor().remove_node(node)
+    node.destroy_node()

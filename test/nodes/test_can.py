@@ -1,6 +1,5 @@
 """The graph with the board in a process of its own, and what is left of it when a process is killed."""
 
-import math
 import signal
 import time
 from pathlib import Path
@@ -9,13 +8,12 @@ import can
 import numpy as np
 import pytest
 import yaml
-from participant import PATIENCE_S, Participant, subscribe
-from trajectory_msgs.msg import JointTrajectory
+from participant import PATIENCE_S, Follower
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cell.launcher import COMPOSED, verb_command
-from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
+from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import RecordedBus
 from straightcomp_ros.hardware.can.frames import BoardFault
@@ -23,7 +21,6 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.runtime.graph_client import message_from_waypoints
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
@@ -32,27 +29,9 @@ RATE = 500
 """Seven processes at 2 kHz are more than a busy computer has for a test."""
 
 
-class Operator(Participant):
-    """Moves the stage; sees the samples."""
-
-    def __init__(self):
-        super().__init__("operator")
-        self.stamps, self.current = [], math.nan
-        self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        subscribe(self.node, ENCODER, self._on_sample)
-
-    def _on_sample(self, stamp_ns, numbers):
-        self.stamps.append(stamp_ns)
-        self.x, self.current = numbers[0], numbers[3]
-
-    def amplifier_on(self):
-        """As the samples say."""
-        return math.isfinite(self.current)
-
-
 @pytest.fixture
-def operator():
-    with Operator() as operator:
+def operator(own_domain):
+    with Follower("operator") as operator:
         yield operator
 
 
@@ -120,7 +99,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in names}
     operator.switch_on()
     waypoints = forward_and_back(MotionParameters(stroke=0.3, settle=0.0))
-    operator.trajectory.publish(message_from_waypoints(waypoints))
+    operator.move(waypoints)
     operator.until(lambda: operator.x > 0.01)
     moved_ns = time.time_ns()
 
@@ -135,9 +114,9 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     # On a busy computer the operator still has samples of the first board to read.
     restarted_ns = time.time_ns()
     graph.start_program("second_board", verb_command("dsp", "--params-file", str(file)))
-    operator.until(lambda: operator.stamps[-1] > restarted_ns)
-    operator.stamps.clear()
-    operator.until(lambda: len(operator.stamps) > 100)
+    operator.until(lambda: operator.samples[-1][0] > restarted_ns)
+    operator.samples.clear()
+    operator.until(lambda: len(operator.samples) > 100)
     assert not operator.enable().success and not operator.amplifier_on()
     assert operator.trigger("driver/reset_fault").success
     operator.switch_on()

@@ -3,8 +3,8 @@
 import sys
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from participant import spun
 from rclpy.parameter import Parameter
 
 from straightcomp_ros.contract import COMMISSIONING_STATE, SAFETY_STATE
@@ -28,13 +28,10 @@ def commissioning(participant, monkeypatch, tmp_path):
         parameter_overrides=[Parameter("output", value=str(tmp_path / "found"))],
     )
     component = commissioning_node.CommissioningNode(node)
-    # It takes its turns while the participant is spun.
-    rclpy.get_global_executor().add_node(node)
-    participant.until(lambda: found)
-    yield component, found
-    component.close()
-    rclpy.get_global_executor().remove_node(node)
-    node.destroy_node()
+    with spun(node):
+        participant.until(lambda: found)
+        yield component, found
+        component.close()
 
 
 def play(monkeypatch, program):

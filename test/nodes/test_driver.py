@@ -9,15 +9,13 @@ from urllib.request import Request, urlopen
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from parameters_of_tests import FORGIVING
-from participant import Participant, subscribe
+from participant import Follower, subscribe
 from std_srvs.srv import SetBool
-from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.launcher import verb_command
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_STATE, STAGE_TRAJECTORY
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, STAGE_STATE
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, jog
-from straightcomp_ros.runtime.graph_client import message_from_waypoints
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import StreamPublisher
@@ -30,25 +28,19 @@ _APPLIED, _ENABLED = (DRIVER_STATE.layout.columns.index(name) for name in ("appl
 PARAMETERS = {**FORGIVING, "stage.rate": 200, "simulated.command_timeout": 0.5}
 
 
-class Peer(Participant):
+class Peer(Follower):
     """A stand-in for the controller, which answers each sample with ``current``; None: with no command."""
 
     def __init__(self):
         super().__init__("peer")
-        self.samples, self.states, self.current = [], [], 0.0
+        self.states, self.current = [], 0.0
         self.command = StreamPublisher(self.node, COMMAND, at_once=True)
-        self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        subscribe(self.node, ENCODER, self._on_sample)
         subscribe(self.node, DRIVER_STATE, lambda _, numbers: self.states.append(numbers))
 
-    def _on_sample(self, stamp_ns, numbers):
-        self.samples.append((stamp_ns, numbers))
+    def on_sample(self, stamp_ns, numbers):
+        super().on_sample(stamp_ns, numbers)
         if self.current is not None:
             self.command(stamp_ns, self.current)
-
-    def amplifier_on(self):
-        """As the samples say."""
-        return len(self.samples) > 20 and not math.isnan(self.samples[-1][1][3])
 
 
 @pytest.fixture(scope="module")
@@ -109,31 +101,31 @@ def test_a_wrong_command_or_none_ends_the_current_until_a_reset_which_forgets_it
 
 def test_trajectories_that_no_stage_can_follow_are_refused_and_samples_still_come_on_the_clock_s_grid(peer):
     rest, second = Waypoint(0, 0.0, 0.0), 10**9
-    peer.until(lambda: len(peer.samples) > 20 and peer.trajectory.get_subscription_count())
+    peer.until(lambda: len(peer.samples) > 20)
     for *points, end in (
         [Waypoint(second, 1e300, 0.0)],
         [Waypoint(second, 1.7e308, 0.0), Waypoint(2 * second, -1.7e308, 0.0)],
         [Waypoint(1000, 1e-3, 0.0)],
         [Waypoint(k * 10**6, 0.0, 0.0) for k in range(1, MOST_POINTS + 1)],
     ):
-        peer.trajectory.publish(message_from_waypoints([rest, *points, end]))
+        peer.move([rest, *points, end])
         seen = len(peer.samples)
         peer.until(lambda seen=seen: len(peer.samples) > seen + 20)
     assert {sample[0] for _, sample in peer.samples} == {0.0}
     assert len({stamp_ns % 5_000_000 for stamp_ns, _ in peer.samples}) == 1
-    peer.trajectory.publish(message_from_waypoints([rest, Waypoint(second, 1e-3, 0.0)]))
-    peer.until(lambda: peer.samples[-1][1][0] == pytest.approx(1e-3))
+    peer.move([rest, Waypoint(second, 1e-3, 0.0)])
+    peer.until(lambda: peer.x == pytest.approx(1e-3))
 
 
 def test_no_client_fills_the_log_with_what_is_refused_or_changes_nothing(peer, shared_graph):
-    peer.until(lambda: len(peer.samples) > 20 and peer.trajectory.get_subscription_count())
+    peer.until(lambda: len(peer.samples) > 20)
     peer.current = None
     # For longer than the timeout: one that is switched on meanwhile latches a fault, which is another answer.
     peer.spin(1.0)
     assert "no fresh command" in peer.enable().message
     lines, began = shared_graph.log("driver").read_text().count("\n"), time.monotonic()
     for _ in range(30):
-        peer.trajectory.publish(message_from_waypoints([Waypoint(0, 0.0, 0.0), Waypoint(10**9, 1e300, 0.0)]))
+        peer.move([Waypoint(0, 0.0, 0.0), Waypoint(10**9, 1e300, 0.0)])
         assert not peer.enable().success and peer.enable(False).success
     most = 2 * (2 + (time.monotonic() - began) // 5.0)
     assert shared_graph.log("driver").read_text().count("\n") - lines <= most
@@ -144,9 +136,6 @@ def test_a_motion_is_held_slowed_down_let_go_on_and_ended_with_the_amplifier_on(
     states = []
     peer.node.create_subscription(DiagnosticStatus, STAGE_STATE, lambda one: states.append(StageState.of(one)), LATCHED)
 
-    def x():
-        return peer.samples[-1][1][0]
-
     def stands():
         seen = len(peer.samples)
         peer.until(lambda: len(peer.samples) > seen + 60)
@@ -155,22 +144,22 @@ def test_a_motion_is_held_slowed_down_let_go_on_and_ended_with_the_amplifier_on(
     def hold(on):
         assert peer.call(SetBool, "driver/hold", SetBool.Request(data=on)).success
 
-    begin = x()
-    peer.trajectory.publish(message_from_waypoints(jog(MotionParameters(speed=0.05), begin, 0.05)))
-    peer.until(lambda: x() > begin + 0.01)
+    begin = peer.x
+    peer.move(jog(MotionParameters(speed=0.05), begin, 0.05))
+    peer.until(lambda: peer.x > begin + 0.01)
     hold(True)
     peer.until(lambda: states[-1].condition == "held")
-    assert stands() and begin + 0.01 < x() < begin + 0.05 and peer.amplifier_on()
+    assert stands() and begin + 0.01 < peer.x < begin + 0.05 and peer.amplifier_on()
     assert peer.set("driver", {"override": 0.3}).successful
     hold(False)
-    held = x()
-    peer.until(lambda: x() > held + 0.002)
+    held = peer.x
+    peer.until(lambda: peer.x > held + 0.002)
     assert states[-1].cut and states[-1].override == 0.3 and states[-1].behind_ns > 0
     assert peer.trigger("driver/end_motion").success
     peer.until(lambda: states[-1].condition == "rest")
-    assert stands() and held < x() < begin + 0.05 and peer.amplifier_on()
+    assert stands() and held < peer.x < begin + 0.05 and peer.amplifier_on()
     assert peer.set("driver", {"override": 1.0}).successful
-    peer.trajectory.publish(message_from_waypoints(jog(MotionParameters(), x(), -0.0001)))
+    peer.move(jog(MotionParameters(), peer.x, -0.0001))
     peer.until(lambda: states[-1].condition == "rest" and not states[-1].cut)
 
 

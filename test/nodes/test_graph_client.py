@@ -142,15 +142,21 @@ def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_gr
     assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON and faults["logger"].isprintable()
 
 
-def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
-    asked, driver = [], Driver()
+def enabling(node, success=True):
+    """What is asked for of the service `driver/enable`, which a node offers."""
+    asked = []
 
     def enable(request, response):
         asked.append(request.data)
-        response.success = True
+        response.success, response.message = success, "no"
         return response
 
-    participant.node.create_service(SetBool, "driver/enable", enable)
+    node.create_service(SetBool, "driver/enable", enable)
+    return asked
+
+
+def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
+    asked, driver = enabling(participant.node), Driver()
     example = str(Path(__file__).parents[2] / "examples" / "stroke_client.py")
 
     def ended(words, end=lambda client: None):
@@ -174,16 +180,9 @@ def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(parti
 
 @pytest.mark.parametrize("end", ["answers", "refuses", "reports it off", "reported it off before", "leaves"])
 def test_a_client_that_leaves_knows_what_became_of_the_amplifier(participant, end):
-    driver, asked = Driver(), []
-
-    def enable(request, response):
-        asked.append(request.data)
-        response.success, response.message = end == "answers", "no"
-        return response
-
+    driver = Driver()
     # The driver's own node is not spun: it does not answer.
-    spun = participant.node if end in ("answers", "refuses") else driver.node
-    spun.create_service(SetBool, "driver/enable", enable)
+    enabling(participant.node if end in ("answers", "refuses") else driver.node, end == "answers")
     client = GraphClient(participant.node, ["driver"], batches=())
     participant.until(lambda: client.safety.amplifier_on and client._clients["driver/enable"].ready)
     if end == "reported it off before":

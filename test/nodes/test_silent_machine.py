@@ -3,7 +3,7 @@
 import math
 
 import pytest
-import rclpy
+from participant import spun
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.nodes.driver_node import DriverComponent
@@ -21,13 +21,10 @@ def driver(participant, tmp_path):
     node = ManagedNode("driver", DriverNodeParameters, DriverComponent)
     component = DriverComponent(node, parameters)
     node.active = True
-    # It takes its turns while the participant is spun.
-    rclpy.get_global_executor().add_node(node)
-    yield component
-    component.close()
-    node.streams.close()
-    rclpy.get_global_executor().remove_node(node)
-    node.destroy_node()
+    with spun(node):
+        yield component
+        component.close()
+        node.streams.close()
 
 
 def test_a_driver_without_samples_names_the_machine_and_its_link_and_with_samples_the_controller(participant, driver):

@@ -8,9 +8,8 @@ import pytest
 from parameters_of_tests import FORGIVING
 from participant import Participant
 from rclpy.action import ActionClient
-from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.contract import POSITION, STAGE, STAGE_TRAJECTORY
+from straightcomp_ros.contract import POSITION, STAGE
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.runtime.graph_client import message_from_waypoints
 
@@ -146,18 +145,14 @@ def test_a_fault_aborts_a_goal_with_its_reason(client):
 
 
 def test_a_motion_that_takes_the_place_of_a_goal_goes_on_and_its_stamp_says_when_it_begins(client):
-    publisher = client.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-    client.until(publisher.get_subscription_count)
     assert client.set("driver", {"blend": True}).successful
     first = client.send(to(0.1, 4.0))
     client.until(lambda: client.feedback and client.feedback[-1].actual.positions[0] > 0.02)
-    publisher.publish(message_from_waypoints(to(0.06, 3.0)))
+    client.move(to(0.06, 3.0))
     status, result = client.result(first)
     assert status == ABORTED and "another motion" in result.error_string
     client.until(lambda: client.received(POSITION, 1)[-1][0] == pytest.approx(0.06, abs=1e-5))
-    late = message_from_waypoints(to(0.0, 1.0))
-    late.header.stamp.sec = 1000
-    publisher.publish(late)
+    client.move(to(0.0, 1.0), begin_s=1000)
     client.spin(2.0)
     assert client.received(POSITION, 1)[-1][0] == pytest.approx(0.06, abs=1e-5)
     assert client.follow(to(0.0, 4.0))[0] == SUCCEEDED
