@@ -2,10 +2,9 @@ import os
 import random
 
 import pytest
-from parameters_of_tests import short_parameters
+from parameters_of_tests import short_parameters, without_priority
 
 from straightcomp_ros.cell.launcher import Graph, ros_available
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
@@ -74,12 +73,8 @@ def participant(own_domain):
 def short_cycle(request):
     values = short_parameters()
     values["controller"]["trigger"] = request.config.getoption("trigger")
-    if request.node.get_closest_marker("live") is None:
-        # Other tests run in parallel: no node takes their CPU.
-        for node in NODE_PARAMETERS:
-            values[node]["realtime.priority"] = 0
-        values["driver"]["realtime.exclusive"] = False
-    return values
+    # Beside others in parallel, if it is not live.
+    return values if request.node.get_closest_marker("live") else without_priority(values)
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """Parameters of the graphs that tests start."""
 
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 FORGIVING = {
@@ -22,6 +23,14 @@ def short_parameters():
     values = shipped_parameters()
     values["stage"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
     values["driver"].update(FORGIVING)
+    return values
+
+
+def without_priority(values):
+    """The parameters with nodes that take no other program's CPU."""
+    for node in NODE_PARAMETERS:
+        values[node]["realtime.priority"] = 0
+    values["driver"]["realtime.exclusive"] = False
     return values
 
 

@@ -8,6 +8,7 @@ import can
 import numpy as np
 import pytest
 import yaml
+from parameters_of_tests import without_priority
 from participant import PATIENCE_S, Follower
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
@@ -20,7 +21,6 @@ from straightcomp_ros.hardware.can.frames import BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
@@ -44,10 +44,7 @@ def values(request, short_cycle, tmp_path):
     short_cycle["driver"].update(on_hub(short_cycle, str(tmp_path / "bus")))
     if request.param:
         short_cycle["driver"]["can.firmware"] = str(request.getfixturevalue("firmware") / request.param)
-    for node in NODE_PARAMETERS:
-        short_cycle[node]["realtime.priority"] = 0
-    short_cycle["driver"]["realtime.exclusive"] = False
-    return short_cycle
+    return without_priority(short_cycle)
 
 
 class Watch:

@@ -18,33 +18,22 @@ pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 CHOSEN = {"nodes": " ".join(LOOP), "start_timeout": 90.0, "heartbeat_timeout": 1.0, "home": True}
 
 
-def start_loop(graph):
-    values = short_parameters()
-    for node, parameters in loop_parameters().items():
-        graph.start(node, {**of_node(values, node), **parameters})
-
-
 @pytest.fixture(scope="module")
 def loop(shared_graph):
-    start_loop(shared_graph)
+    for node, parameters in loop_parameters().items():
+        shared_graph.start(node, {**of_node(short_parameters(), node), **parameters})
     return shared_graph
-
-
-def start_cell(graph, command=None, **parameters):
-    """A cell with the amplifier on and the stage moving."""
-    cell = graph.start("cell", {**of_node(short_parameters(), "cell"), **CHOSEN, **parameters}, command=command)
-    wait_for_line(graph, "cell", "stage moves")
-    return cell
 
 
 @pytest.fixture
 def cell_at_work(loop, participant):
-    """A function that starts a cell on the graph of this module, and returns what became of it."""
+    """A function that starts a cell, acts when the stage moves, and returns what became of it."""
 
-    def started(act=lambda cell: None, **parameters):
+    def started(act, command=None, **parameters):
         loop.log("cell").unlink(missing_ok=True)
         participant.trigger("driver/reset_fault")
-        cell = start_cell(loop, **parameters)
+        cell = loop.start("cell", {**of_node(short_parameters(), "cell"), **CHOSEN, **parameters}, command=command)
+        wait_for_line(loop, "cell", "stage moves")
         act(cell)
         participant.until(lambda: cell.poll() is not None, 120.0)
         participant.until(lambda: not participant.amplifier_on())

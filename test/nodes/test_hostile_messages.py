@@ -11,6 +11,7 @@ from importlib import import_module
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from parameters_of_tests import without_priority
 from participant import Participant
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -142,11 +143,9 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
     # A cell that waits for a node that never comes sees all that one in a cycle sees.
     output["cell"] = {"nodes": "driver feedforward controller logger player", "start_timeout": 600.0}
     nodes = (*LOOP, "commissioning", "opcua", "cell")
-    for node in nodes:
-        short_cycle[node]["realtime.priority"] = 0
-    short_cycle["driver"]["realtime.exclusive"] = False
+    values = without_priority(short_cycle)
     processes = {
-        name: graph.start(name, {**short_cycle.get(name, {}), **output.get(name, {})}, command=COMMANDS.get(name))
+        name: graph.start(name, {**values.get(name, {}), **output.get(name, {})}, command=COMMANDS.get(name))
         for name in nodes
     }
     processes["view"] = graph.start_program("view", verb_command("view", "--port", "0"))

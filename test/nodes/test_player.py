@@ -83,13 +83,6 @@ def test_a_bag_without_samples_stops_the_player_with_the_reason(tmp_path, single
         single.check(["player"])
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(SMC, "out/bag")
-    return tmp_path
-
-
 def content():
     return {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file()}
 
@@ -105,7 +98,9 @@ def content():
         "demo -o out/..",
     ],
 )
-def test_a_run_removes_neither_its_input_nor_what_the_tool_did_not_make(folder, line):
+def test_a_run_removes_neither_its_input_nor_what_the_tool_did_not_make(tmp_path, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(SMC, "out/bag")
     Path("out/parameters.yaml").write_text("/**/cell:\n  ros__parameters:\n    strokes: 1\n")
     Path("run.png").write_text("mine")
     before = content()

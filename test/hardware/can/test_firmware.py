@@ -23,7 +23,6 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
-from straightcomp_ros.hardware.can.dbc_file import DbcError
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Command
@@ -295,14 +294,9 @@ def started(can, program, stage=STAGE):
 def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path):
     with pytest.raises(HardwareError, match=r"firmware '.*nothing' cannot be started: No such file"):
         started(FD, tmp_path / "nothing")
-    for arguments, message in (
-        ([], "argument machine=... is missing"),
-        (["nonsense=1"], "argument 'nonsense=1' is not known, or no number"),
-        (["node=one"], "argument 'node=one' is not known, or no number"),
-        (["node"], "argument 'node' is not known, or no number"),
-    ):
-        done = subprocess.run([firmware / "board_posix", *arguments], capture_output=True, text=True, timeout=60)
-        assert done.returncode == 1 and done.stderr == f"board_posix: {message}\n"
+    for words in ([], ["nonsense=1"], ["node=one"], ["node"]):
+        done = subprocess.run([firmware / "board_posix", *words], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 1 and f"argument {repr(words[0]) if words else 'machine=...'} is " in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -318,25 +312,6 @@ def test_a_program_that_is_not_for_this_board_is_refused(firmware, capfd, can, s
         started(can, firmware / "board_posix", stage)
     found = capfd.readouterr().err
     assert all(words in found for words in said)
-
-
-WIDE_COUNT = {
-    " 35|4@0+ (1,0) [0|15]": " 35|36@0+ (1,0) [0|0]",
-    "PC_SET: 8": "PC_SET: 12",
-    " 47|8": " 79|8",
-    ' 63|8@0+ (1,0) [0|255] "" DSP': ' 95|8@0+ (1,0) [0|255] "" DSP',
-    '"VFrameFormat" BO_ 2566849025 1': '"VFrameFormat" BO_ 2566849025 15',
-}
-
-
-def test_a_counter_that_the_firmware_cannot_have_is_refused(tmp_path):
-    text = FOREIGN_FILE.with_suffix(".dbc").read_text()
-    for old, new in WIDE_COUNT.items():
-        assert old in text
-        text = text.replace(old, new)
-    (tmp_path / "other.dbc").write_text(text)
-    with pytest.raises(DbcError, match="'SET_CNT' of message 'PC_SET' counts beyond 32 bits"):
-        frames_in_c([replace(FOREIGN, dbc=str(tmp_path / "other.dbc")).make_wire()])
 
 
 def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_path, capsys):

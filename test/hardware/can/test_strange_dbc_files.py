@@ -203,6 +203,12 @@ def test_a_unit_that_the_file_spells_its_own_way_is_said_in_the_mapping(board):
         board(BOARD, {"x.unit": "A"})
 
 
+def test_a_counter_that_the_firmware_cannot_have_is_refused(board):
+    text = with_line("SET_CNT : 24|8@1+ (1,0) [0|255]", "SET_CNT : 24|36@1+ (1,0) [0|0]").replace("SET: 4", "SET: 8")
+    with pytest.raises(DbcError, match="'SET_CNT' of message 'SET' counts beyond 32 bits"):
+        frames_in_c([board(text).make_wire()])
+
+
 def with_code(kind):
     return with_line(" SG_ OK", f' SG_ CODE : 59|{kind} "" X\n SG_ OK')
 
