@@ -55,21 +55,19 @@ def test_idle_work_waits_where_a_cycle_was_late_but_not_for_ever(monkeypatch):
     assert all(later - sooner <= 2 * IDLE_EVERY_NS // PERIOD for sooner, later in itertools.pairwise(turns))
 
 
-def test_of_the_periods_in_which_the_loop_does_not_work_once_those_of_a_late_wake_up_are_the_hosts_the_others_its_own(
-    monkeypatch,
-):
-    clock, cycles = Clock(monkeypatch, lambda: 1_200_000 if len(cycles) % 10 == 0 else 0), []
+def test_the_loop_works_once_in_a_period_and_of_those_it_missed_the_late_wake_ups_are_the_hosts(monkeypatch):
+    clock, begins = Clock(monkeypatch, lambda: 1_200_000 if len(begins) % 10 == 0 else 0), []
 
     def cycle(wake_ns):
-        cycles.append(wake_ns)
-        clock.now += 1_200_000 if len(cycles) % 10 == 5 else 100_000
+        begins.append(clock.now - wake_ns)
+        clock.now += 1_200_000 if len(begins) % 10 == 6 else 100_000
 
     loop = PeriodicLoop(PERIOD, cycle)
-    loop.run(lambda: len(cycles) >= 1000, idle=lambda: None)
+    loop.run(lambda: len(begins) >= 1000, idle=lambda: None)
     # The first cycle is due at once.
     assert (loop.missed.overruns, loop.missed.stalls) == (100, 99)
-    steps = [later - sooner for sooner, later in itertools.pairwise(cycles)]
-    assert all(step >= PERIOD and step % PERIOD == 0 for step in steps)
+    # What was missed is not caught up: but for the late wake-ups each cycle begins in its own period.
+    assert max(begin for number, begin in enumerate(begins) if number % 10) < PERIOD
 
 
 def test_a_punctual_loop_begins_when_it_is_due_or_waits_for_an_eighth_of_a_period(monkeypatch):
