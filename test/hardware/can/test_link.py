@@ -222,7 +222,7 @@ def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_
         close=lambda: None,
     )
     assert comes_true(lambda: emulator._cycle(0) or emulator._line.openings, 60.0)
-    assert capsys.readouterr().err == "dsp_emulator: CAN virtual can0: no device\n"
+    assert capsys.readouterr().err.count("CAN virtual can0: no device") == 1
     ours = driver.can.make_wire().command.identifier
     assert ours in {one["can_id"] for one in host.filters}
     bus.coming = [
@@ -239,5 +239,5 @@ def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_
     bus.coming = [OSError("gone")]
     emulator._cycle(0)
     emulator._cycle(0)
-    assert capsys.readouterr().err == "dsp_emulator: CAN virtual can0: gone\n"
+    assert capsys.readouterr().err.count("CAN virtual can0: gone") == 1
     emulator.close()
