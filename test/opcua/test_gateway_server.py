@@ -56,7 +56,7 @@ class Gateway:
     """A server whose commands are all accepted, and noted."""
 
     def __init__(self, parameters):
-        self.url = parameters.endpoint
+        self.url, self.port = parameters.endpoint, parameters.port
         self.server = GatewayServer(parameters, ["driver"])
         self.server.show(WELL)
         self.commands = []
@@ -116,8 +116,8 @@ def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(plain):
 
 
 def test_an_operator_gets_in_and_stays_however_many_others_connect(plain):
-    address = ("127.0.0.1", int(plain.url.split(":")[2].split("/")[0]))
     with ExitStack() as connections:
+        address = "127.0.0.1", plain.port
         silent = [connections.enter_context(socket.create_connection(address)) for _ in range(40)]
         for one in silent[::2]:
             one.send(b"H")
@@ -202,22 +202,26 @@ def test_without_encryption_no_client_gets_in_where_it_is_required(folder):
     assert (folder / "own" / "key.pem").stat().st_mode & 0o077 == 0
 
 
-def test_a_port_that_is_taken_is_an_error(plain, folder):
-    port = int(plain.url.split(":")[2].split("/")[0])
+def test_a_port_that_is_taken_is_an_error(plain):
     with pytest.raises(OSError, match="address already in use"):
-        GatewayServer(OpcuaParameters(port=port), ["driver"])
+        GatewayServer(OpcuaParameters(port=plain.port), ["driver"])
+
+
+def use(*arguments):
+    """Read what no gateway has, by the reference client."""
+
+    async def used():
+        async with connected(*arguments) as cell:
+            await cell._client.get_node("ns=9;s=Nothing").read_value()
+
+    asyncio.run(asyncio.wait_for(used(), 60))
 
 
 @pytest.mark.parametrize("namespace", [client.NAMESPACE, "urn:another"])
 def test_what_the_gateway_refuses_while_it_is_connected_ends_the_block_with_its_reason(plain, monkeypatch, namespace):
     monkeypatch.setattr(client, "NAMESPACE", namespace)
-
-    async def asking():
-        async with connected(plain.url, "ann", "correct horse") as cell:
-            await cell._client.get_node("ns=9;s=Nothing").read_value()
-
-    with pytest.raises(CycleFailed, match=f"BadNodeIdUnknown|no gateway.*{namespace}"):
-        asyncio.run(asyncio.wait_for(asking(), 60))
+    with pytest.raises(CycleFailed, match=f"BadNodeIdUnknown|{namespace}"):
+        use(plain.url, "ann", "correct horse")
 
 
 def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_leaves_the_others_in(plain, folder, caplog):
@@ -316,13 +320,9 @@ def test_a_gateway_with_another_certificate_is_named_with_the_file_that_is_not_i
 
 @pytest.mark.parametrize("content", [None, b"no certificate"])
 def test_a_certificate_that_cannot_be_read_ends_the_reference_client_at_once(tmp_path, content):
+    certificate = tmp_path / "certificate.der"
     if content is not None:
-        for name in ("certificate.der", "key.pem"):
-            (tmp_path / name).write_bytes(content)
-
-    async def connecting():
-        async with connected("opc.tcp://127.0.0.1:1/", "ann", "", tmp_path, tmp_path / "certificate.der"):
-            pass
-
-    with pytest.raises(CycleFailed, match=re.escape(str(tmp_path / "certificate.der"))):
-        asyncio.run(asyncio.wait_for(connecting(), 20))
+        for file in (certificate, tmp_path / "key.pem"):
+            file.write_bytes(content)
+    with pytest.raises(CycleFailed, match=re.escape(str(certificate))):
+        use("opc.tcp://127.0.0.1:1/", "ann", "", tmp_path, certificate)

@@ -9,7 +9,6 @@ from pathlib import Path
 import cantools
 import pytest
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
@@ -434,15 +433,6 @@ def test_the_frames_of_a_board_that_speaks_a_real_files_messages_compile(board, 
             tried += 1
         if tried >= 3:
             break
-
-
-def test_stage_check_names_the_fault_of_a_file_in_one_sentence(board, tmp_path, capsys):
-    (tmp_path / "cut.dbc").write_text('VERSION ""\n\nNS_ :\n    NS_DESC_\n    CM_\n')
-    (tmp_path / "cut.yaml").write_text(
-        "/**/driver:\n  ros__parameters:\n    can:\n      dbc: cut.dbc\n      fd: false\n"
-    )
-    assert main(["stage", "check", str(tmp_path / "cut.yaml")]) == 2
-    assert "cut off" in capsys.readouterr().err
 
 
 def commented(comment, other="another"):
