@@ -10,6 +10,7 @@ out: another run then begins where x turns back or begins anew, and the trend of
 same run and direction belong to one run, so that a cycle may count forward and backward as one.
 """
 
+import hashlib
 import itertools
 import math
 import re
@@ -65,6 +66,12 @@ class Survey:
     runs: tuple[Run, ...]
     source: str = "survey"
     facts: Mapping[str, str] = field(default_factory=dict, compare=False)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the runs' numbers."""
+        numbers = b"".join(np.stack([run.x, run.deviation]).tobytes() for run in self.runs)
+        return hashlib.sha256(numbers).hexdigest()
 
     @property
     def mark(self) -> str:

@@ -76,7 +76,7 @@ def acceptance(work: Work) -> Outcome:
             stroke = _stroke(work, values, straightness)
     except LeftTravel as error:
         return Outcome(False, str(error), {"disturbed_strokes": disturbed})
-    figures = {**stroke.figures, "disturbed_strokes": disturbed}
+    figures = {**stroke.figures, "disturbed_strokes": disturbed, "learning_strokes": work.learning_strokes}
     again = f" ({len(disturbed)} before it, disturbed by the host: {disturbed[0]})" if disturbed else ""
     learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
     pp, rms = with_digits(figures["encoder_pp_um"], 2), with_digits(figures["encoder_rms_um"], 3)
@@ -178,6 +178,7 @@ def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any],
         "survey_difference_um": found.difference * 1e6,
         "survey_difference_allowed_um": found.allowed * 1e6,
         "survey_check": work.check_survey.source,
+        "survey_check_sha256": work.check_survey.digest,
         "survey_check_points": found.points,
         "survey_check_runs": found.runs,
         "survey_checked_from_m": found.span[0],
@@ -264,7 +265,9 @@ def timing_budget(values: Values, latency: NDArray[np.float64], travel: float) -
     driver = node_parameters("driver", values)
     period_ns, due_ns = driver.stage.period_ns, round(driver.stage.drive.delay * driver.stage.period_ns)
     record, straightness = run_stroke(values)
-    size, first, apart = record.time.size, round(_SETTLED_S * 1e9 / period_ns), round(_APART_S * 1e9 / period_ns)
+    size, apart = record.time.size, round(_APART_S * 1e9 / period_ns)
+    # A cycle may be shorter than the time to settle.
+    first = min(round(_SETTLED_S * 1e9 / period_ns), size // 4)
 
     def peak_to_peak_um(stroke: StrokeRecord) -> float:
         pp = evaluate(stroke, straightness).true_pp

@@ -29,6 +29,7 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Work, recorded_reading
@@ -167,6 +168,8 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     write_survey(excitation, excitation_survey(length, low, scale), ("Made up: excites the platform.",))
     stroke = {"motion.start": low, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
     guide = {"guide.file": str(excitation), "guide.runout": min(1.0, scale) * stage.guide.runout}
+    # What is demanded of the user's survey is not demanded of this one.
+    guide |= {f"guide.{name}": getattr(MapParameters(), name) for name in ("min_points", "max_gap")}
     values = with_values(work.values, "stage", {**guide, **stroke})
     try:
         work.machine.stroke(values, bag, work.travel)

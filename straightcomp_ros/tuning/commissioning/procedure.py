@@ -50,8 +50,15 @@ class Procedure:
     def __init__(self, machine: Machine, values: Values, folder: Path, **choices: Any) -> None:
         self._values, self._folder = values, folder
         self._work = Work(machine, values, node_parameters("controller", values).stage, folder, **choices)
-        self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self._files = file_digests(values)
+        # By the contents of its files: a folder may be moved.
+        described = {
+            node: {
+                name: self._files.get(value, value) if isinstance(value, str) else value for name, value in one.items()
+            }
+            for node, one in plain(values).items()
+        }
+        self._identity = hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
 
     def run(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Outcome:
@@ -116,7 +123,9 @@ class Procedure:
 
     def _refuse_changed(self, former: Mapping[str, str], now: Mapping[str, str]) -> None:
         """Raise CommissionRefused if a file of the description has another content than when the record was begun."""
-        if changed := sorted({name for name, _ in former.items() ^ now.items()}):
+        before, after = ({Path(name).name: digest for name, digest in one.items()} for one in (former, now))
+        differ = {name for name, _ in before.items() ^ after.items()}
+        if changed := sorted({name for name in (*former, *now) if Path(name).name in differ}):
             raise CommissionRefused(
                 f"record {self._folder / RECORD}: {', '.join(changed)} was changed since: the description is another "
                 "one; name another folder, or remove the record"
@@ -144,16 +153,16 @@ class Procedure:
             raise CommissionRefused(
                 f"record {path}: cannot be read ({error}); remove it, or name another folder"
             ) from error
-        if identity != self._identity:
-            raise CommissionRefused(
-                f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
-            )
         if files is None:
             raise CommissionRefused(
                 f"record {path}: is of an earlier version, which did not note the content of the survey; name another "
                 "folder, or remove it"
             )
         self._refuse_changed(files, self._files)
+        if identity != self._identity:
+            raise CommissionRefused(
+                f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
+            )
         if record.get("simulated", self._work.machine.simulated) != self._work.machine.simulated:
             kind = "a simulated" if record["simulated"] else "a real"
             raise CommissionRefused(f"record {path}: is of {kind} machine; name another folder, or remove it")

@@ -25,7 +25,7 @@ from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
-from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, forward_and_back, jog
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
@@ -197,10 +197,10 @@ class RunningMachine:
     def _approach(self, motion: MotionParameters) -> None:
         """Move the stage to where its cycle begins, the amplifier off."""
         client = self._client
-        here = Waypoint(0, client.observation().x, 0.0)
-        if not abs(here.position - motion.start) > _ARRIVED:
+        x = client.observation().x
+        if not abs(x - motion.start) > _ARRIVED:
             return
-        points = [here, *trapezoid(here, motion.start, motion.speed, motion.acceleration)]
+        points = jog(motion, x, motion.start - x)
         client.wait(lambda: client.stage_listens, _START_S, "no node subscribes to the stage's trajectory")
         client.move(points)
         self._arrive(motion.start, points[-1].time_ns * 1e-9 + _LATE_S)

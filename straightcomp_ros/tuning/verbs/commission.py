@@ -122,8 +122,8 @@ def _commission(
         accepted = procedure.outcomes[_ACCEPTANCE]
         # A command that goes on after an interrupt has asked for the same before.
         ignored = {
-            "--check-survey": check is not None and accepted.figures.get("survey_check") != check.source,
-            "--learn": options.learn and not accepted.gains,
+            "--check-survey": check is not None and accepted.figures.get("survey_check_sha256") != check.digest,
+            "--learn": options.learn not in (0, accepted.figures.get("learning_strokes")),
         }
         for option in filter(ignored.get, ignored):
             remedy = f"--only {_ACCEPTANCE} repeats it"

@@ -12,7 +12,7 @@ from tiers import nightly
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.model.friction import BLOCKS
-from straightcomp_ros.offline.starts import run_stroke
+from straightcomp_ros.offline.starts import run_stroke, with_values
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance, allowed_cost_um, timing_budget
@@ -174,6 +174,12 @@ def test_a_platform_that_late_commands_lose_costs_infinitely_much(monkeypatch):
     assert found["as_measured_costs_um"] == found["p99_costs_um"] == math.inf
     assert set(found["stall_error_um"].values()) == {math.inf} and found["longest_stall_survived_ms"] == 0
     assert math.isfinite(found["in_time_pp_um"])
+
+
+def test_a_stall_in_a_cycle_that_is_shorter_than_the_settling_is_survived():
+    short = with_values(VALUES, "stage", {"motion.stroke": 0.02, "motion.settle": 0.0, "motion.pause": 0.0})
+    found = timing_budget(short, np.full(1000, 5e-4), 2e-4)
+    assert found["longest_stall_survived_ms"] > 0 and found["stall_error_um"]["1 ms"] < 200.0
 
 
 def test_commands_in_time_cost_nothing_others_may_double_the_error_or_add_a_count_and_none_are_not_judged():

@@ -10,9 +10,11 @@ from roughly_known import values_of, work_on
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters
+from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.tuning.commissioning import MADE, LeftTravel, closed_loop
 from straightcomp_ros.tuning.commissioning.closed_loop import (
     facts_found,
@@ -308,14 +310,18 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(work, monkeypatch, step):
 
 
 def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(work):
+    """Nor is it held to what is demanded of theirs."""
     mine, moved_along = work.folder / "excitation.csv", []
     mine.write_text("a survey that took a day")
 
     def stroke(values, bag, travel):
         moved_along.append(values["stage"]["guide.file"])
+        load_map(node_parameters("driver", values).stage.guide)
         raise LeftTravel("far enough")
 
-    assert not identification(dataclasses.replace(work, machine=SimpleNamespace(stroke=stroke))).passed
+    values = with_values(work.values, "stage", {"guide.min_points": 1000, "guide.max_gap": 1e-4})
+    machine = SimpleNamespace(stroke=stroke)
+    assert not identification(dataclasses.replace(work, values=values, machine=machine)).passed
     assert mine.read_text() == "a survey that took a day"
     assert moved_along == [str(work.folder / "bags" / "excitation.csv")] and "bags" in MADE
 

@@ -12,6 +12,7 @@ from tiers import nightly
 
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.output_files import MARK, making
+from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.commissioning import MADE, RECORD, STEP_FILES, CommissionRefused, procedure
 from straightcomp_ros.tuning.commissioning import machine as machines
 from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
@@ -41,17 +42,22 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(fold
     check = tmp_path / "check.csv"
     rows = [f"{run},{place},{0.01 * place + 0.1 * run}" for run in (1, 2) for place in range(0, 601, 100)]
     check.write_text("\n".join(["run,x_mm,deviation_um", *rows]) + "\n")
-    # Passed without a survey, and without learning; nothing is left to do.
     passed = {name: Outcome(True, "passed") for name in STEPS}
-    done_before(folder, passed)
-    for asked in (("--check-survey", check), ("--learn", 3)):
+
+    def refuses(*asked):
         code, _, said = commission(*asked)
-        assert code == 2 and f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance" in said
-    # The command that was interrupted after its acceptance goes on.
-    learned = Outcome(True, "passed", {"survey_check": str(check)}, gains={"learning.learn": True})
-    done_before(folder, {**passed, "acceptance": learned})
-    code, _, said = commission("--check-survey", check, "--learn", 3)
+        return code == 2 and f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance" in said
+
+    # Passed without a survey, and without learning; nothing is left to do.
+    done_before(folder, passed)
+    assert refuses("--check-survey", check) and refuses("--learn", 3)
+    # The command that was interrupted after its acceptance goes on, wherever its files are now.
+    figures = {"survey_check_sha256": read_survey(check, max_gap=1.0, min_points=4).digest, "learning_strokes": 3}
+    done_before(folder, {**passed, "acceptance": Outcome(True, "passed", figures, gains={"learning.learn": True})})
+    code, _, said = commission("--check-survey", check.rename(tmp_path / "moved.csv"), "--learn", 3)
     assert code == 0 and "next: all is done" in said
+    check.write_text((tmp_path / "moved.csv").read_text().replace(",6.1", ",7.1"))
+    assert refuses("--check-survey", check) and refuses("--learn", 10)
 
 
 def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, commission, monkeypatch):
@@ -355,6 +361,10 @@ def test_a_record_is_of_what_the_files_of_the_description_held_when_it_was_begun
     assert commission(*asked, "--only", "certificate").code == 2
     file.write_text(file.read_text().replace("0.3", "0.1"))
     assert commission(*asked).code == 0
+    # Wherever it is.
+    (tmp_path / "moved").mkdir()
+    moved = file.rename(tmp_path / "moved" / file.name)
+    assert commission("--set", f"{parameter}={moved}").code == 0
 
 
 def test_a_survey_that_is_changed_between_two_steps_ends_the_commission(done, tmp_path):
