@@ -7,7 +7,8 @@
 
 `survey_table.py` says what else the units, names, marks and separators may be. ``run`` and ``direction`` may be left
 out: another run then begins where x turns back or begins anew, and the trend of x gives the direction. Rows with the
-same run and direction belong to one run, so that a cycle may count forward and backward as one.
+same run and direction belong to one run, so that a cycle may count forward and backward as one, with ``direction`` or
+without.
 """
 
 import hashlib
@@ -107,7 +108,7 @@ def _survey_of(
         word = cells.get("direction", "").lower()
         if "direction" in cells and word not in DIRECTIONS:
             raise SurveyError(
-                f"survey {path}, line {line}: direction {word!r}; allowed: forward or backward, fwd or bwd"
+                f"survey {path}, line {line}: direction {word!r}; allowed: forward or backward, fwd or bwd, reverse"
             )
         direction = DIRECTIONS.get(word)
         key = (cells.get("run", cells.get(RUN_COLUMN, "1")), direction)
@@ -115,8 +116,9 @@ def _survey_of(
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
     found = ""
+    if not {"run", "direction"} <= {*table.header}:
+        groups = _split(groups, "run" in table.header)
     if "run" not in table.header:
-        groups = _split(groups)
         found = " (no column 'run': another begins where x turns, if each covers more than half of x)"
     runs = []
     for (name, way), points in groups.items():
@@ -128,8 +130,9 @@ def _survey_of(
     return Survey(tuple(runs), str(path), table.facts)
 
 
-def _split(groups: Groups) -> Groups:
-    """The runs of a file that names none: another one begins where x turns back or begins anew.
+def _split(groups: Groups, named: bool) -> Groups:
+    """The runs of a file that does not name all: another one begins where x turns back or begins anew. One that is
+    ``named`` may be a cycle, once each way.
 
     As they are where one would cover half of x or less: there x does not begin anew, it is wrong.
     """
@@ -145,13 +148,14 @@ def _split(groups: Groups) -> Groups:
             parts[-1].append(point)
             way = step
         whole = max(x for _, x, _ in points) - min(x for _, x, _ in points)
-        if min(abs(part[-1][1] - part[0][1]) for part in parts) <= whole / 2.0:
+        ways: list[Direction] = [direction or ("forward" if part[-1][1] > part[0][1] else "backward") for part in parts]
+        again = named and len({*ways}) < len(ways)
+        if again or min(abs(part[-1][1] - part[0][1]) for part in parts) <= whole / 2.0:
             found[name, direction] = points
             continue  # It is refused as a run that turns back.
-        for part in parts:
-            of_part: Direction = direction or ("forward" if part[-1][1] > part[0][1] else "backward")
+        for part, of_part in zip(parts, ways, strict=True):
             numbers[of_part] += 1
-            found[str(numbers[of_part]), of_part] = part
+            found[name if named else str(numbers[of_part]), of_part] = part
     return found
 
 

@@ -118,18 +118,21 @@ class Table(NamedTuple):
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
-_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
+_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/,]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
 _OWN_UNIT = re.compile(rf"(.*?(?:(?<=\d)-(?=[\s_]))?)(?:[\s_.:-]+|[\s_]*[\[(/,]\s*)({'|'.join(PER_METRE)})\s*[\])]?")
 _NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METRE} - {'in'})}|per)\s*$")
 """What before a unit makes another one of it: the opened bracket of ``(0.1 µm)``, the slope of ``µm/m``."""
 _RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
 """What the column of one run may be called, with its number, its direction or both."""
-DIRECTIONS: dict[str, Direction] = {"forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
+DIRECTIONS: dict[str, Direction] = {
+    **dict.fromkeys(["forward", "fwd"], "forward"),
+    **dict.fromkeys(["backward", "bwd", "reverse"], "backward"),
+}
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
 _COMPUTED = {*["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "sigma", "σ", "ø"]}
 """What names a figure of runs among the columns of runs."""
-_RUN = re.compile(r"(\w+) \(((?:forward |backward )?)run\)")
+_RUN = re.compile(r"(\w+) \(((?:forward |backward )?)run(?: \d+)?\)")
 """What :func:`_of_run` makes of a run's column."""
 TIME_COLUMN = "time_s"
 """Of a recording over time."""
@@ -149,6 +152,8 @@ _LINES_BEFORE = 100
 """Lines in which the header is looked for: instruments write some tens of lines about the measurement before it."""
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 """A number whose mark may separate thousands."""
+_WHOLE = re.compile(r"[+-]?0*[1-9]\d*")
+"""A whole number but zero."""
 _SPACED = re.compile(r"(?<=\d)['\u2019\s](?=\d{3}(?!\d))")
 """What can only separate thousands: a space, of any width, as in France, or an apostrophe, as in Switzerland."""
 OTHER_KINDS = {
@@ -198,14 +203,15 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
     if runs:
-        _check_left_out(header_line, header, deviation)
+        _check_columns_of_runs(header_line, header, deviation)
     rows = _rows(path, lines[first:], delimiter, header)
     numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
         for column in numbers:
             row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")
-    if delimiter != ",":
-        _use_points(rows, numbers)
+    # Between commas a point is the decimal mark, unless a comma stands in a number, in quotes.
+    if delimiter != "," or any("," in row[column] for _, _, row in rows for column in numbers):
+        _use_points(rows, numbers, delimiter)
     if runs:
         header, rows = _a_row_for_each(runs, header, rows)
     found = []
@@ -318,11 +324,11 @@ def _parts_of_run(name: str) -> tuple[str, list[str], list[str]] | None:
 
 
 def _of_run(name: str) -> str:
-    """``deviation_um (forward run)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
+    """``deviation_um (forward run 1)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
     unit, ways, others = _parts_of_run(name) or ("", [], [])
     if not unit or len(ways) > 1 or len(others) > 1 or any(not one.isdigit() for one in others):
         return ""
-    return f"deviation_{unit} ({' '.join([*ways, 'run'])})"
+    return f"deviation_{unit} ({' '.join([*ways, 'run', *others])})"
 
 
 def _columns_of_runs(header: Sequence[str]) -> list[int]:
@@ -334,9 +340,12 @@ def _columns_of_runs(header: Sequence[str]) -> list[int]:
     return [*found] if len(units) == len(directed) == 1 and not other else []
 
 
-def _check_left_out(where: str, header: Sequence[str], unit: str) -> None:
-    """Raise SurveyError for a column beside those of runs that may be another run: it would be missed by nobody."""
+def _check_columns_of_runs(where: str, header: Sequence[str], unit: str) -> None:
+    """Raise SurveyError for two columns of one run, and for a column beside those of runs that may be another run: it
+    would be missed by nobody."""
     for name in header:
+        if _RUN.fullmatch(name) and header.count(name) > 1:
+            raise SurveyError(f"{where}: {name} is given twice; allowed: one column for each run, with its number")
         own, ways, others = _parts_of_run(name) or ("", [], [])
         numbers = [one for one in others if one.isdigit()]
         if f"deviation_{own}" == unit and max(len(ways), len(numbers)) < 2 and not _COMPUTED.intersection(others):
@@ -358,7 +367,7 @@ def _a_row_for_each(
         if row[at].strip()
     ]
     unit, way = header[runs[0]].split()[:2]
-    return [*(header[at] for at in shared), RUN_COLUMN, "" if way == "(run)" else "direction", unit], found
+    return [*(header[at] for at in shared), RUN_COLUMN, "" if way.startswith("(run") else "direction", unit], found
 
 
 def _spelled(name: str) -> str:
@@ -374,7 +383,7 @@ def _plain(cell: str) -> str:
     return _INCH.sub(lambda found: "uin" if found[1] else "in", text)
 
 
-def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int]) -> None:
+def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int], delimiter: str) -> None:
     """Make points of decimal commas, and leave the marks out that separate thousands."""
     cells = [(where, row, column, row[column].strip()) for where, _, row in rows for column in columns]
     texts = [cell for *_, cell in cells]
@@ -391,11 +400,12 @@ def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[in
         )
     for column in columns if len(marks) == 1 and not decimal else ():
         # 890 beside 1.242 in one column: a number of a thousand and more has a mark, or a whole number has none.
+        # "1,242" between commas: thousands in English, or decimals in German.
         marked = next((one for one in cells if one[2] == column and _GROUPED.fullmatch(one[3])), None)
-        if marked and any(at == column and cell.isdigit() and int(cell) for _, _, at, cell in cells):
+        if marked and (delimiter == "," or any(at == column and _WHOLE.fullmatch(cell) for _, _, at, cell in cells)):
             raise SurveyError(
-                f"{marked[0]}: {marked[3]!r} beside whole numbers: its mark may be a decimal mark, or separate "
-                "thousands; allowed: thousands without any mark"
+                f"{marked[0]}: {marked[3]!r}: its mark may be a decimal mark, or separate thousands; allowed: "
+                "thousands without any mark, or decimals in every number, as in 312.0"
             )
     point = "".join(decimal if len(marks) == 2 else marks)
     other = "," if point == "." else "."

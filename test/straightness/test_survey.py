@@ -48,6 +48,7 @@ def read(tmp_path):
         ("Target inches,Straightness (microinch)", 1.0 / 0.0254, 1e6 / 0.0254),
         ("Position / mm,Straightness / µm", 1e3, 1e6),
         ("Target mm, Deviation nm", 1e3, 1e9),
+        ('"Position, mm","Straightness, µm"', 1e3, 1e6),
     ],
 )
 def test_the_unit_in_the_column_name_counts(read, header, x, deviation):
@@ -58,8 +59,8 @@ def test_the_unit_in_the_column_name_counts(read, header, x, deviation):
 
 
 def test_a_backward_run_may_be_listed_as_driven_or_sorted_and_count_with_the_one_before(read):
-    for back in (POSITIONS_MM[::-1], POSITIONS_MM):
-        survey = read(HEADER, *_rows(), *_rows(back, "1,backward,"))
+    for back, way in ((POSITIONS_MM[::-1], "backward"), (POSITIONS_MM, "Reverse")):
+        survey = read(HEADER, *_rows(), *_rows(back, f"1,{way},"))
         assert [(run.name, run.direction) for run in survey.runs] == [("1", "forward"), ("1", "backward")]
         forward, (backward,) = survey.runs[0], survey.in_direction("backward")
         np.testing.assert_array_equal(backward.x, forward.x)
@@ -99,12 +100,12 @@ TURNS = THERE + THERE[-2::-1]
         ("run,direction,x_m,deviation_um", UNITS, "is·the·unit·wrong?·It·would·fit·as·x_mm"),
         ("run,direction,x_mm,deviation_mm", UNITS, "is·the·unit·wrong?·It·would·fit·as·deviation_um"),
         (HEADER, [f"1,forward,{x},0" for x in POSITIONS_MM], "extends·over·0·m"),
-        # An x that is wrong is no turning point, and where runs are named x must not turn within one.
+        # An x that is wrong is no turning point, and a run that is named goes each way once.
         ("x_mm,deviation_um", _rows([*OUT[:15], 270, *OUT[15:]], ""), "more·than·half·of·x x·turns·back:·270·mm"),
         ("x_mm,deviation_um", _rows([*OUT[:15], OUT[14], *OUT[15:]], ""), "x·repeats:·280·mm"),
         ("x_mm,deviation_um", _rows([*OUT, *BACK[:5]], ""), "x·repeats:·600·mm"),
         ("direction,x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], "fwd,"), "x·turns·back:·300·mm"),
-        ("run,x_mm,deviation_um", _rows([*OUT, *BACK], "1,"), "x·repeats:·600·mm"),
+        ("run,x_mm,deviation_um", _rows([*OUT, *BACK, *OUT], "1,"), "x·repeats:·600·mm"),
     ],
 )
 def test_a_fault_is_refused_with_its_place_and_what_is_allowed(read, header, rows, words):
@@ -159,6 +160,13 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(read, pa
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
 
 
+def test_a_named_cycle_goes_both_ways_where_no_column_has_the_direction(read):
+    rows = [row for name in "73" for row in _rows([*OUT, *BACK], f"{name},")]
+    runs = read("run,x_mm,deviation_um", *rows).runs
+    assert [(run.name, run.direction) for run in runs] == [(name, way) for name in "73" for _, way in WAYS[:2]]
+    assert {run.x.size for run in runs} == {len(OUT)}
+
+
 @pytest.mark.parametrize(
     ("header", "back", "expected"),
     [
@@ -168,6 +176,7 @@ def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(read, pa
         ("Position,1 Forward,1 bwd\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
         ("x_mm,Run 1+ (\u00b5m),Run 1- (\u00b5m)", False, WAYS[:2]),
         ("Position,1+,1\u2212\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
+        ("x_mm,1 forward (\u00b5m),1 reverse (\u00b5m)", False, WAYS[:2]),
     ],
 )
 def test_each_run_may_have_a_column_of_its_own(read, header, back, expected):
@@ -252,6 +261,14 @@ def test_a_column_beside_those_of_runs_that_may_be_a_run_is_refused(read, beside
         read(f"x_mm,Run 1 (\u00b5m),{beside} (\u00b5m)", *(f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)))
 
 
+@pytest.mark.parametrize(
+    "names", ["Run 1 (\u00b5m),run 1 [um],Run 2 (\u00b5m)", "1+ (\u00b5m),2+ (\u00b5m),1 fwd (\u00b5m)"]
+)
+def test_two_columns_of_one_run_are_refused(read, names):
+    with pytest.raises(SurveyError, match=r"line 1: deviation_um \(.*run 1\) is given twice"):
+        read(f"x_mm,{names}", *(f"{x},{x % 30},{x % 40},{x % 30}" for x in range(0, 240, 10)))
+
+
 def test_where_directions_are_named_alone_x_that_begins_anew_is_another_run(read):
     rows = [row for _ in range(2) for row in (*_rows(OUT, "fwd,"), *_rows(BACK, "BWD,"))]
     runs = read("direction,x_mm,deviation_um", *rows).runs
@@ -285,6 +302,9 @@ READ = {
     "thousands in the deviation": csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0), x=lambda v: german(v, 1)),
     "decimal commas between tabs": csv(
         "Position [mm]\tStraightness [um]", lambda v: german(v), "\t", lambda v: german(v, 1)
+    ),
+    "decimal commas in quotes between commas": csv(
+        "Position [mm],Straightness [um]", lambda v: f'"{german(v)}"', ",", lambda v: f'"{german(v, 1)}"'
     ),
     "thousands in x": csv("x_um;deviation_um", lambda v: german(v), x=lambda v: german(v * 1e3, 0)),
     "English thousands": csv("x_mm\tdeviation_nm", lambda v: f"{v * 1e3:,.0f}", "\t", lambda v: f"{v:.1f}"),
@@ -325,6 +345,9 @@ def test_a_spreadsheet_has_the_value_that_it_shows_in_every_encoding_of_spreadsh
         csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0)).replace("10;", "10,5;", 1).replace("20;", "20.5;", 1),
         csv("x_mm;deviation_nm", lambda v: german(abs(v) * 1e3, 0)),
         csv("x_mm\tdeviation_nm", lambda v: f"{abs(v) * 1e3:,.0f}", "\t"),
+        csv("x_mm;deviation_nm", lambda v: german(-abs(v) * 1e3, 0)),
+        csv("x_mm;deviation_nm", lambda v: f"{abs(v) * 1e3:+,.0f}"),
+        csv("x_mm,deviation_nm", lambda v: f'"{abs(v) * 1e3 + 1000:,.0f}"', ","),
         csv("x_um;deviation_nm", lambda v: f"{abs(v) * 1e3 + 1000:,.0f}", x=lambda v: german(v * 1e3 + 1000, 0)),
     ],
 )

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import Survey, orient
-from straightcomp_ros.straightness.survey_table import Direction, SurveyError, number, numbered_lines
+from straightcomp_ros.straightness.survey_table import DIRECTIONS, Direction, SurveyError, number, numbered_lines
 from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
@@ -90,7 +90,8 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
         where, text = f"survey {path}, line {line}", raw.strip()
         heading = _BLOCK.fullmatch(text)
         if heading:
-            block = {"reverse": "backward"}.get(heading[1].lower(), heading[1].lower())
+            block = heading[1].lower()
+            block = DIRECTIONS.get(block, block)
             if block in blocks:
                 raise SurveyError(f"{where}: the {block} errors are given twice; allowed: once")
             blocks[block] = []
