@@ -425,13 +425,17 @@ def _align(options: argparse.Namespace) -> None:
     figures |= {"middle_mm": found.middle * 1e3}
     figures |= {"unexplained_before_rms_um": found.before * 1e6, "unexplained_after_rms_um": found.after * 1e6}
     told = found.found and (found.differs or (options.tilt and found.tilt.seen))
-    if told and output is not None:
+    facts = dict(survey.facts)
+    if told:
         taken = f"shift {found.shift.value * 1e3:.4g} mm, scale {found.scale.value:.3g}, sign {found.sign}"
         by = f"straightcomp map align, from {', '.join(Path(source).name for source in options.sources)}: {taken}"
-        facts = {name: text for name, text in survey.facts.items() if name != MARK} | {"aligned by": by} | noted
-        write_survey(output, found.applied(survey, options.tilt), [f"{name}: {text}" for name, text in facts.items()])
+        facts = {name: text for name, text in facts.items() if name != MARK} | {"aligned by": by}
+    # Also where it fits: what stands in the file is then that of these strokes, not of a former call.
+    if found.found and output is not None:
+        comments = [f"{name}: {text}" for name, text in (facts | noted).items()]
+        write_survey(output, found.applied(survey, options.tilt), comments)
     if options.json:
-        print_json({**figures, "output": options.output if told else None})
+        print_json({**figures, "output": options.output if found.found else None})
     else:
         console.print(figures_table(f"Survey {options.survey} in the machine", figures))
     if found.lag is None:
@@ -449,9 +453,9 @@ def _align(options: argparse.Namespace) -> None:
         return
     if not told:
         notes.print("the survey fits: no difference exceeds its 95 % interval; nothing to correct")
-    elif output is not None:
+    if output is not None:
         print_written(output, then=f"straightcomp map build {quote(str(output))}, and name it in stage.guide.file")
-    else:
+    elif told:
         notes.print("nothing is written: -o FILE writes the survey with what exceeds its 95 % interval corrected")
 
 

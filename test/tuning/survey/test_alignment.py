@@ -138,8 +138,11 @@ def test_the_verb_writes_the_corrected_survey_only_when_asked_and_stage_check_na
     written = read_survey("new.csv")
     assert written.mark == "index 4" and written.facts["instrument"] == "probe 7"
     assert "straightcomp map align" in written.facts["aligned by"]
-    code, _, said = verb("map", "align", "new.csv", "strokes.csv", "-o", "again.csv")
-    assert code == 0 and "nothing to correct" in said and not (tmp_path / "again.csv").exists()
+    # A survey that fits is written as it is: a former file of this name would be taken for it.
+    (tmp_path / "again.csv").write_text("former")
+    code, _, said = verb("map", "align", "new.csv", "strokes.csv", "-o", "again.csv", "--force")
+    assert code == 0 and "nothing to correct" in said and "again.csv" in said
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "new.csv").read_bytes()
     # What is left with the map as it is, as a sensor on the workpiece sees it.
     before = StraightnessMap(survey, MapParameters())
     left = [replace(run, deviation=run.deviation - before.deviations(run.x)) for run in stroked(random)]
