@@ -40,6 +40,9 @@ SUMMARY = "build the map of the guide from a survey, convert surveys, export a c
 PURPOSE = "set up"
 _OUTLIERS = 6.0
 """Robust standard deviations beyond which a reading is a spike."""
+_OF_BAG = ("position", "sensor", "unit", "delay", "on_platform")
+_OF_CSV = ("x_column", "deviation_column")
+"""Options that say how one kind of source is read, None where they are not given."""
 
 
 def _build_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,17 +86,19 @@ def _noted(options: argparse.Namespace) -> dict[str, str]:
 
 
 def _add_sensor(parser: argparse.ArgumentParser) -> None:
-    """Declare how the stage's x and the sensor are read from a bag."""
+    """Declare how the stage's x and the sensor are read."""
+    sign = "the reading falls when the slider moves towards +y: its sign is turned over, also in a CSV file"
+    parser.add_argument("--invert", action="store_true", help=sign)
     add = parser.add_argument_group("what to read from a bag").add_argument
     stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}]; formerly --stage)"
-    add("--position", "--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
+    add("--position", "--stage", metavar="TOPIC[:FIELD]", help=stage)
     sensor = "reading of the displacement sensor, e.g. /probe:range or /probe:point.y"
     sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
-    add("--sensor", metavar="TOPIC[:FIELD]", default=DISPLACEMENT.topic, help=sensor)
-    add("--unit", choices=("m", "mm", "um", "nm"), default="m", help="of the readings (default: %(default)s)")
-    add("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
-    add("--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)")
-    add("--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading")
+    add("--sensor", metavar="TOPIC[:FIELD]", help=sensor)
+    add("--unit", choices=("m", "mm", "um", "nm"), help=f"of the readings (default: {Sensor.unit})")
+    add("--delay", type=float, metavar="MS", help=f"age of a reading at its stamp (default: {Sensor.delay:g})")
+    platform = "the sensor rides on the platform: its y is taken off the reading"
+    add("--on-platform", action="store_true", default=None, help=platform)
 
 
 def _build(options: argparse.Namespace) -> None:
@@ -101,7 +106,7 @@ def _build(options: argparse.Namespace) -> None:
 
     Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
     ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `stage.guide.file`."""
-    for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
+    for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     with noted_warnings(UserWarning) as texts:
@@ -160,17 +165,33 @@ def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
 
     if not source.exists():
         raise CommandFailed(f"survey {source} does not exist; give a bag or a CSV file", exit_code=2)
-    if source.is_dir() or STORED.fullmatch(source.name):
+    bag = source.is_dir() or STORED.fullmatch(source.name)
+    for name in _OF_CSV if bag else _OF_BAG:
+        if getattr(options, name, None) is not None:
+            kinds = ("CSV files", "bag") if bag else ("bags", "CSV file, whose header says what its columns are")
+            raise CommandFailed(f"--{name.replace('_', '-')}: for {kinds[0]}; {source} is a {kinds[1]}", exit_code=2)
+    if bag:
+        delay = options.delay or Sensor.delay
+        check_range("--delay", delay, -1000.0, 1000.0)
         try:
-            stage = Field.parsed(options.position, f"position[{STAGE}]")
-            readings = Field.parsed(options.sensor, Sensor().readings.path)
+            stage = Field.parsed(options.position or ENCODER.topic, f"position[{STAGE}]")
+            readings = Field.parsed(options.sensor or DISPLACEMENT.topic, Sensor().readings.path)
         except ValueError as error:
             raise CommandFailed(f"--position or --sensor: {error}", exit_code=2) from error
-        sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
-        return series_of_bag(source, stage, sensor)
+        unit, on_platform = options.unit or Sensor.unit, bool(options.on_platform)
+        return series_of_bag(source, stage, Sensor(readings, unit, options.invert, delay * 1e-3, on_platform))
     own = {quantity: getattr(options, f"{quantity}_column", None) for quantity in ("x", "deviation")}
     names = {quantity: name for quantity, name in own.items() if name is not None}
-    return series_of_csv(source, names) or read_survey(source, names=names)
+    read = series_of_csv(source, names) or read_survey(source, names=names)
+    if not options.invert:
+        return read
+    if isinstance(read, Series):
+        return replace(read, deviation=-read.deviation, inputs={**read.inputs, "sign": "inverted"})
+    return replace(_negated(read), facts={**read.facts, "sign": "inverted"})
+
+
+def _negated(survey: Survey) -> Survey:
+    return replace(survey, runs=tuple(replace(run, deviation=-run.deviation) for run in survey.runs))
 
 
 def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
@@ -221,7 +242,7 @@ def _convert(options: argparse.Namespace) -> None:
     for run in survey.runs:
         check_run(f"survey {source}, run '{run.name}' {run.direction}", run)
     if options.negate:
-        survey = Survey(tuple(replace(run, deviation=-run.deviation) for run in survey.runs))
+        survey = _negated(survey)
     write_survey(output, survey, [f"Converted from {source.name}"])
     x, deviation = survey.runs[0].x, np.concatenate([run.deviation for run in survey.runs])
     figures = {
@@ -393,7 +414,7 @@ def _align(options: argparse.Namespace) -> None:
     The strokes cover most of the survey, best in both directions. A sensor that rides on the platform needs
     --on-platform, which takes the platform's own y off."""
 
-    for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0), ("delay", -1000.0, 1000.0)):
+    for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, noted = output_file(options, "--output"), _noted(options)
     survey = read_survey(options.survey)

@@ -141,6 +141,30 @@ def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, verb):
     assert again["straightness_least_squares_um"] == pytest.approx(first["straightness_least_squares_um"], abs=2e-3)
 
 
+@pytest.mark.parametrize("time", ["", "time_s,"])
+def test_the_sign_of_a_csv_file_is_turned_over_too_and_what_is_only_for_bags_is_refused(tmp_path, verb, time):
+    source, output = tmp_path / "s.csv", tmp_path / "map.csv"
+    stamped = zip(*driven(0.0, LENGTH, rest=0.3 if time else 0.0), strict=True)
+    rows = [f"{f'{t:.3f},' if time else ''}{x * 1e3:.4f},{guide(x) * 1e6:.3f}" for t, x in stamped]
+    source.write_text("\n".join([f"{time}x_mm,deviation_um", *rows]))
+    means = [
+        verb("map", "build", source, "-o", output, "--force", "--json", *word).json["mean_um"]
+        for word in ([], ["--invert"])
+    ]
+    assert means[1] == pytest.approx([-one for one in means[0]]) and "# sign: inverted\n" in output.read_text()
+    for options in (
+        ["--unit", "m"],
+        ["--delay", "0"],
+        ["--on-platform"],
+        ["--sensor", "probe"],
+        ["--position", "axes"],
+    ):
+        code, _, said = verb("map", "build", source, *options)
+        assert code == 2 and f"{options[0]}: for bags" in said
+    code, _, said = verb("map", "build", SAMPLE, "--x-column", "X [mm]")
+    assert code == 2 and "--x-column: for CSV files" in said
+
+
 @pytest.fixture
 def build_other(tmp_path, verb):
     """Builds a map of a survey with other names and types: an axis `carriage`, a sensor without a stamp that counts µm
