@@ -54,8 +54,9 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
 
 
 def as_text(text: str) -> str:
-    """A text that matplotlib draws as it is: names of users may have dollars, between which it reads mathematics."""
-    return text.replace("$", r"\$")
+    """A text that matplotlib draws as it is: names of users may have dollars, between which it reads mathematics, and
+    bytes that are no UTF-8, which it does not draw."""
+    return text.encode(errors="backslashreplace").decode().replace("$", r"\$")
 
 
 def save_whole(figure: Figure, path: Path) -> None:

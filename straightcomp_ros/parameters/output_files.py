@@ -31,7 +31,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
     the link that leads to it; write only where no other user can make one. A pipe or a device gets the content itself.
 
     Args:
-        content: a text is written as UTF-8.
+        content: a text is written as UTF-8; bytes of a file's name that are none, as ``\\udcfc``.
         folder: of the new file until it is whole, on the same file system; that of ``path`` by default.
         private: readable for its owner only, whatever it was before.
 
@@ -39,7 +39,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
         OSError: it cannot be written; ``filename`` is ``path``, and what was there is untouched.
     """
     path = Path(path)
-    data = content.encode() if isinstance(content, str) else content
+    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     target = Path(os.path.realpath(path))
     # Short enough for every file system. Readers of a folder leave out names with a dot.
     part = (folder or target.parent) / f".{target.name[:40]}.{secrets.token_hex(8)}.part"

@@ -34,6 +34,11 @@ def test_text_and_bytes_replace_what_was_there_and_are_written_where_the_caller_
         assert {one.name for one in tmp_path.iterdir()} == {"file", "parts"} and not list(parts.iterdir())
 
 
+def test_a_name_of_a_file_that_is_no_utf8_is_escaped_in_a_text(tmp_path):
+    write_whole(tmp_path / "file", "# source: M_\udcfc.csv, 1 µm\n")
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "# source: M_\\udcfc.csv, 1 µm\n"
+
+
 def test_a_file_keeps_its_mode_and_the_link_that_leads_to_it(tmp_path):
     (tmp_path / "real").write_text("old")
     (tmp_path / "real").chmod(0o640)
