@@ -202,18 +202,17 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
+    rows = _rows(path, lines[first:], delimiter, header)
     if runs:
         _check_columns_of_runs(header_line, header, deviation)
-    rows = _rows(path, lines[first:], delimiter, header)
-    numbers = [at for at, name in enumerate(header) if at in runs or name in (x, deviation, TIME_COLUMN)]
+        header, rows = _a_row_for_each(runs, header, rows)
+    numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
         for column in numbers:
             row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")
     # Between commas a point is the decimal mark, unless a comma stands in a number, in quotes.
     if delimiter != "," or any("," in row[column] for _, _, row in rows for column in numbers):
         _use_points(rows, numbers, delimiter)
-    if runs:
-        header, rows = _a_row_for_each(runs, header, rows)
     found = []
     for where, line, row in rows:
         cells = dict(zip(header, map(str.strip, row), strict=True))
