@@ -24,8 +24,8 @@ from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 
 _AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
-_COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])
-"""Columns of the law's answer, in its order."""
+_COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1], "control_current")
+"""Columns of the law's answer, in its order; at last its command again, for another one with the same stamp."""
 _NOTICED_NS = 2_000_000_000
 """Time before a noted change from which it may have been made: its notice takes two threads their turns."""
 _GAP_NS = 20_000_000
@@ -52,7 +52,7 @@ class Audit:
         different: those of them that differ, in the command or in the law's inner variables.
         unverified: recorded commands that cannot be computed: an input of the law is not in the bag, and the law has
             not restarted since.
-        missing: samples or references of those steps that are not in the bag.
+        missing: samples or references of those steps that are not in the bag, or are there twice with other numbers.
         changed: whether a parameter of the controller changed in the recording: what came then is not verified.
         began_running: whether the recording began while the law was running.
     """
@@ -109,9 +109,9 @@ def audit(
     # A file may have been written in another order; but the recorder's clock may have been set, too.
     received = state.taken(np.argsort(state.log_time, kind="stable"))
     state = received if (np.diff(received.stamp) >= 0).all() else state
-    samples = _rows(streams[ENCODER.topic], "y", "coil_current")
-    references = _rows(streams[REFERENCE.topic], *REFERENCE.layout.columns)
-    currents = _rows(streams[COMMAND.topic], *COMMAND.layout.columns)
+    samples, disputed = _rows(streams[ENCODER.topic], "y", "coil_current")
+    references, unclear = _rows(streams[REFERENCE.topic], *REFERENCE.layout.columns)
+    currents, others = _rows(streams[COMMAND.topic], *COMMAND.layout.columns)
     recorded = zip(*(state.columns[name].tolist() for name in CONTROLLER_STATE.layout.columns), strict=True)
     # Commands are published one by one, states in batches: a command without a state means that the state was lost.
     stateless = sorted(set(currents).difference(state.stamp.tolist()), reverse=True)
@@ -121,13 +121,16 @@ def audit(
     unsure = True  # whether the law may have been running, unrecorded, where it seems to start
     last_ns: int | None = None
     first: Difference | None = None
-    for step, (stamp_ns, numbers) in enumerate(zip(state.stamp.tolist(), recorded, strict=True)):
+    steps_of = zip(state.stamp.tolist(), state.log_time.tolist(), recorded, strict=True)
+    for step, (stamp_ns, logged_ns, numbers) in enumerate(steps_of):
         while stateless and stateless[-1] < stamp_ns:
             followed = False
             stateless.pop()
-        sample = samples.get(stamp_ns)
+        # Of two samples or references with one stamp, nothing says which one the law took.
+        sample = samples.get(stamp_ns) if stamp_ns not in disputed else None
         age_ns = round(numbers[-1] * 1e9) if math.isfinite(numbers[-1]) else -1
-        reference = references.get(stamp_ns - age_ns) if age_ns >= 0 else None
+        given_ns = stamp_ns - age_ns
+        reference = references.get(given_ns) if age_ns >= 0 and given_ns not in unclear else None
         if sample is None or reference is None:
             followed, last_ns = False, stamp_ns
             missing += 1
@@ -140,9 +143,11 @@ def audit(
         answer = servo.step(stamp_ns, y, coil_current, extrapolated(*reference, age_ns * 1e-9))
         followed = followed or starts_anew
         current = currents.get(stamp_ns)
-        if not followed or current is None or stamp_ns > valid_ns:
+        # Stamps may follow no clock (lockstep); the notice has the recorder's.
+        if not followed or current is None or logged_ns > valid_ns:
             continue
-        pairs = zip(_COLUMNS, (*current, *numbers[:-1]), answer or (math.nan,) * len(_COLUMNS), strict=True)
+        given = (*current, *numbers[:-1], *others.get(stamp_ns, current))
+        pairs = zip(_COLUMNS, given, (*answer, answer[0]) if answer else (math.nan,) * len(given), strict=True)
         # The texts are equal where the bits are, and for every NaN, which means "none" whatever its bits.
         found = next((Difference(step, stamp_ns, *pair) for pair in pairs if pair[1].hex() != pair[2].hex()), None)
         if found and unsure:
@@ -157,7 +162,15 @@ def audit(
     )
 
 
-def _rows(stream: StreamColumns, *columns: str) -> dict[int, tuple[float, ...]]:
-    """Numbers by stamp; a repeated message has the same numbers."""
-    numbers = zip(*(stream.columns[name].tolist() for name in columns), strict=True)
-    return dict(zip(stream.stamp.tolist(), numbers, strict=True))
+def _rows(stream: StreamColumns, *columns: str) -> tuple[dict[int, tuple[float, ...]], dict[int, tuple[float, ...]]]:
+    """Numbers by stamp of the first message of each, which the driver takes; and those of a later message with the same
+    stamp and other bits."""
+
+    def by_stamp(messages: StreamColumns) -> dict[int, tuple[float, ...]]:
+        numbers = zip(*(messages.columns[name].tolist() for name in columns), strict=True)
+        return dict(zip(messages.stamp.tolist(), numbers, strict=True))
+
+    first = stream.by_stamp()
+    same = first.taken(np.searchsorted(first.stamp, stream.stamp))
+    other = [stream.columns[name].view(np.int64) != same.columns[name].view(np.int64) for name in columns]
+    return by_stamp(first), by_stamp(stream.taken(np.flatnonzero(np.any(other, axis=0))))

@@ -9,7 +9,7 @@ from bag_of_rows import bag_of_rows
 from rewritten_bag import rewritten
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
-from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import note_changes
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE, STREAMS
@@ -75,6 +75,25 @@ def test_one_bit_in_a_command_or_a_sample_and_other_parameters_are_found(bag, tm
     assert not audit(linear).passed
 
 
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize(("stream", "different"), [(COMMAND, 2), (ENCODER, 0), (REFERENCE, 0)])
+def test_of_two_messages_with_one_stamp_both_commands_are_compared_and_no_input_is_guessed(
+    bag, tmp_path, stream, different, first
+):
+    """A second controller answers before the first or after it. A message that comes again as it was is no other."""
+    rows = []
+    for each in (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE):
+        own = read_streams(bag, LAYOUTS)[each.topic]
+        for place, (stamp, *numbers) in enumerate(zip(own.stamp.tolist(), *own.columns.values(), strict=True)):
+            rows.append((each, stamp, numbers))
+            if each is stream and place in (600, 700, 800):
+                other = [number + 1e-6 * (place > 600) for number in numbers]
+                rows.insert(len(rows) - first, (each, stamp, other))
+    found = audit(bag_of_rows(tmp_path / "new", rows, read_attachments(bag)["parameters.yaml"].decode()))
+    assert (found.different, found.passed, found.commands >= 700) == (different, not different, True)
+    assert (found.unverified == 0) == (stream is COMMAND)
+
+
 def test_what_came_after_a_change_of_the_controller_is_unverifiable_and_the_change_is_said(tmp_path):
     values = {"controller": {"control.law": "smc"}, "stage": {**CYCLE, "motion.settle": 4.0}}
     before, simulation, stamps = by_node(values), Simulation(values), []
@@ -95,6 +114,10 @@ def test_what_came_after_a_change_of_the_controller_is_unverifiable_and_the_chan
     assert found.passed and found.changed and found.unverified + found.commands == len(stamps)
     assert 0 < 7000 - found.commands < 5000
     assert not audit(rewritten(bag, tmp_path / "broken", one_bit_more("command", 700, 0))).passed
+    # In lockstep the stamps may run at a third of the recorder's pace, which is that of the notice.
+    change = one_bit_more("command", 3000, 0)
+    slow = audit(rewritten(bag, tmp_path / "slow", lambda topic, at, numbers: (*change(topic, at, numbers), 3 * at)))
+    assert slow.passed and slow.commands == 1001
     with pytest.warns(UserWarning, match="changed while .*'controller.control.law' linear"):
         evaluate_bag(bag)
 
