@@ -26,6 +26,8 @@ ARRIVED = 1e-6
 """Distance in m from a stroke's resting ends within which the stage counts as standing: above its jitter."""
 SHORTEST_STROKE = 0.05e-3
 """Travel in m below which a movement is no stroke: half of the shortest jog."""
+_WHOLE = 0.9
+"""Fraction of the longest travel from which a movement is whole: others were broken off, lead to the start, or jog."""
 _LEAST_JUMP = 1e-3
 """Change of x from sample to sample, in m, below which it is no jump."""
 AT_LIMIT = 1.0 - 1e-9
@@ -257,6 +259,12 @@ def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator
             if away.size:
                 direction: Direction = "forward" if way[start] > 0.0 else "backward"
                 yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
+
+
+def whole(travels: ArrayLike) -> NDArray[np.bool_]:
+    """Which movements with these travels (n,) go all the way, as the longest does."""
+    travels = np.asarray(travels)
+    return np.asarray(travels >= _WHOLE * np.max(travels, initial=0.0))
 
 
 def runs_of(mask: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -58,15 +58,15 @@ def test_a_guide_that_moved_has_a_place_and_if_it_moved_at_once_its_bolts_are_lo
     assert cause == "guide" or found.since == date(2026, 3, 2)
 
 
-def of_two_strokes_a_day(make_levels, guide, maps):
-    """Months whose days have a stroke forward, then one backward, with these profiles (2 n, m) and maps."""
-    sound = make_levels()
-    twice = {name: np.repeat(values, 2) for name, values in sound.columns.items()}
-    forward = np.tile([True, False], DAYS)
+def of_strokes(make_levels, guide, maps):
+    """Months whose days have as many strokes, forward and backward in turn, with these profiles (k n, m) and maps."""
+    sound, each = make_levels(), len(guide) // DAYS
+    columns = {name: np.repeat(values, each) for name, values in sound.columns.items()}
+    forward = np.arange(len(guide)) % 2 == 0
     noise = 0.005 * np.random.default_rng(4).standard_normal(guide.shape)
     profiles = {"guide_change_um": guide + noise, "error_bins_um": np.zeros(guide.shape)}
     settings = {"software": ["1"] * len(maps), "map": maps}
-    return levels_of(np.repeat(sound.day, 2), forward, twice, sound.x, profiles, settings)
+    return levels_of(np.repeat(sound.day, each), forward, columns, sound.x, profiles, settings)
 
 
 def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels):
@@ -74,7 +74,7 @@ def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels
     renewed = 2 * BEGIN + 1
     guide = np.outer(0.5 * (np.arange(2 * DAYS) >= renewed), bump(600, 700))
     maps = [*["a"] * renewed, *["c"] * (2 * DAYS - renewed)]
-    levels = of_two_strokes_a_day(make_levels, guide, maps)
+    levels = of_strokes(make_levels, guide, maps)
     profiles = levels.profiles["guide_change_um"]
     assert not np.isfinite(profiles[:BEGIN]).any() and np.isfinite(profiles[BEGIN:]).all()
     assert profiles[BEGIN].max() == pytest.approx(0.5, abs=0.05), "a mean of both maps"
@@ -86,8 +86,19 @@ def test_a_stroke_without_map_and_sensor_leaves_the_guide_s_history_as_it_is(mak
     guide[-3] = np.nan
     maps = ["a"] * (2 * DAYS)
     maps[-3] = ""
-    (found,) = advice_of(of_two_strokes_a_day(make_levels, guide, maps))
+    (found,) = advice_of(of_strokes(make_levels, guide, maps))
     assert found.cause == "bolt"
+
+
+@pytest.mark.parametrize("loose", [0.0, 0.5])
+def test_jogs_say_nothing_of_the_guide_and_hide_nothing(make_levels, loose):
+    """Beside a straight edge that is not parallel a jog, whose mean is taken out over its own x, looks like a step."""
+    x = (np.arange(100) + 0.5) * 0.01
+    guide = 10.0 * (x - x.mean()) + loose * np.outer(np.repeat(STEP, 6), bump(600, 700))
+    jogs = (np.arange(6 * DAYS) % 6 >= 2) & (np.repeat(STEP, 6) > 0.0)
+    guide[jogs] = np.where(bump(300, 420) > 0.0, 10.0 * (x - 0.36), np.nan)
+    found = advice_of(of_strokes(make_levels, guide, ["a"] * (6 * DAYS)))
+    assert [(one.cause, abs(one.place.first - 600) <= 20) for one in found] == [("bolt", True)] * (loose > 0.0)
 
 
 def test_what_changed_with_an_update_names_it(make_levels):

@@ -33,7 +33,7 @@ def test_strokes_without_a_sensor_or_with_another_map_are_refused(pool):
     old = find_survey("config/survey_synthetic.csv")
     with pytest.raises(MaintenanceError, match="displacement sensor: record 'displacement'"):
         proposed_map(table_of(StrokeRow, pool[BASE]), old, 7.0)
-    with pytest.raises(MaintenanceError, match=r"0 strokes forward .* 20 with another map"):
+    with pytest.raises(MaintenanceError, match=r"0 whole strokes forward .* 20 with another map"):
         proposed_map(rows(pool, map_checksum="another"), old, 7.0)
 
 
@@ -53,3 +53,19 @@ def test_only_strokes_with_that_map_make_the_proposal(pool):
     assert provenance["made by"].startswith("straightcomp history map")
     assert provenance["proposed from"].startswith(f"{len(ours)} strokes")
     assert provenance["changes"].startswith("map survey_synthetic.csv, BLAKE2b")
+
+
+def test_jogs_make_no_proposal_and_change_none(pool):
+    """A straight edge is not parallel, and the mean of a stroke is taken out over its own x."""
+    old = find_survey("config/survey_synthetic.csv")
+    sound = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist()
+    for row in sound:
+        row["guide_change_um"] = [0.1 * place for place in range(len(row["guide_change_um"]))]
+    jogs = [row | {"bins_from_mm": 300, "guide_change_um": [0.1 * n - 0.55 for n in range(12)]} for row in sound]
+    alone, beside, only = (
+        pyarrow.Table.from_pylist(of, schema_of(StrokeRow)) for of in (sound, jogs + sound, sound[:8] + jogs)
+    )
+    expected, found = proposed_map(alone, old, 7.0), proposed_map(beside, old, 7.0)
+    assert found.strokes == expected.strokes == 20 and found.change == pytest.approx(expected.change, abs=1e-12)
+    with pytest.raises(MaintenanceError, match=r"4 whole strokes forward .* 20 shorter ones, 0 with another map"):
+        proposed_map(only, old, 7.0)

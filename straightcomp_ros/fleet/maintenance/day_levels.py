@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.record import whole
 from straightcomp_ros.fleet.history.rows import BIN_MM
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class DayLevels:
     columns: Mapping[str, Array]  # by name of FIGURES, (n,) median of the day; NaN where no stroke has it
     x: Array  # (m,) m, middles of the bins
     # By name of the columns over x, (n, m) median of the day in µm; NaN where not known. That of the guide is known of
-    # the strokes with the last map alone: another map is another zero.
+    # the whole strokes with the last map alone: another map, or another travel, is another zero.
     profiles: Mapping[str, Array]
     # By name of SETTINGS, (n,) of the last stroke of the day, empty where unknown.
     settings: Mapping[str, Sequence[str]]
@@ -158,7 +159,7 @@ def levels_of(
         return found
 
     last = (first + counts - 1).tolist()
-    profiles = {**profiles, GUIDE_BINS: _with_last_map(profiles[GUIDE_BINS], settings["map"])}
+    profiles = {**profiles, GUIDE_BINS: _comparable(profiles[GUIDE_BINS], settings["map"])}
     return DayLevels(
         day=days,
         columns={name: levels(values) for name, values in columns.items()},
@@ -168,12 +169,16 @@ def levels_of(
     )
 
 
-def _with_last_map(profiles: Array, maps: Sequence[str]) -> Array:
-    """Profiles (N, m) of the guide, NaN up to the last stroke whose map is not that of the last one with a profile."""
+def _comparable(profiles: Array, maps: Sequence[str]) -> Array:
+    """Profiles (N, m) of the guide with one zero, the others NaN: up to the last stroke whose map is not that of the
+    last one with a profile, and of jogs, whose mean is that of their own x."""
     seen = np.flatnonzero(np.isfinite(profiles).any(axis=1)).tolist()
     others = [place for place in seen if maps[place] != maps[seen[-1]]]
     kept = profiles.copy()
     kept[: others[-1] + 1 if others else 0] = np.nan
+    known = np.isfinite(kept)
+    # From the first bin with a reading to the last.
+    kept[~whole(np.where(known.any(axis=1), known.shape[1] - known.argmax(1) - known[:, ::-1].argmax(1), 0))] = np.nan
     return kept
 
 

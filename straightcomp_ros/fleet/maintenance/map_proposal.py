@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judgement import IN_ORDER, WRONG_GUIDE
 from straightcomp_ros.analysis.map_building import BuiltMap, Choices, build
+from straightcomp_ros.analysis.record import whole
 from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -75,16 +76,20 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
             "sensor: record 'displacement' with the strokes, or survey the guide; encoders alone do not see it move"
         )
     ours = [row for row in seen if row["map_checksum"] == checksum]
+    travels = [len(row["guide_change_um"]) for row in ours]
+    jogs = len(ours) - np.count_nonzero(whole(travels))
+    ours = [row for row, is_whole in zip(ours, whole(travels).tolist(), strict=True) if is_whole]
     x = before.report.x
     runs: list[Run] = []
     ways: tuple[Direction, ...] = ("forward", "backward")
     for way in ways:
         changes = [_at(row, x) for row in ours if row["direction"] == way]
         if len(changes) < _RUNS:
-            other = len(seen) - len(ours)
+            other = len(seen) - len(ours) - jogs
             raise MaintenanceError(
-                f"{len(changes)} strokes {way} with a displacement sensor and the map {old} in the last {days:g} days, "
-                f"{other} with another map; allowed: >= {_RUNS} each way; give more days, or the map of these strokes"
+                f"{len(changes)} whole strokes {way} with a displacement sensor and the map {old} in the last {days:g} "
+                f"days, {jogs} shorter ones, {other} with another map; allowed: >= {_RUNS} each way; give more days, "
+                "or the map of these strokes"
             )
         groups = np.array_split(np.array(changes), _RUNS)
         runs += [

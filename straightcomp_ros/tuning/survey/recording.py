@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMap, Choices, build
-from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of
+from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.survey import Run, Survey, check_run
@@ -31,8 +31,6 @@ from straightcomp_ros.straightness.survey_table import (
 
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """The slider's x in the topics of our own graph."""
-_WHOLE = 0.9
-"""Fraction of the longest run's travel from which a run is whole: others were broken off, or lead to the start."""
 _STOP = 0.2
 """Time in s from which a stand between two moves of a run is a stop for a measurement."""
 _FEWEST_STOPS = 5
@@ -169,8 +167,8 @@ def recognise(series: Series, step: float, limit: float) -> tuple[tuple[Passage,
     groups = [list(group) for _, group in groupby(moves, key=lambda move: move[0].direction)]
     travels = [abs(float(series.x[group[-1][0].stop - 1] - series.x[group[0][0].start])) for group in groups]
     passages: list[Passage] = []
-    for group, travel in zip(groups, travels, strict=True):
-        if travel >= _WHOLE * max(travels):
+    for group, is_whole in zip(groups, whole(travels).tolist(), strict=True):
+        if is_whole:
             name = str(1 + sum(passage.run.direction == group[0][0].direction for passage in passages))
             passages.append(_passage(series, group, name, step, limit))
     return tuple(passages), len(groups) - len(passages)
