@@ -57,6 +57,8 @@ def attached_map(
 
 _OTHER_RATE = 0.02
 """Deviation of the stamps' rate from the described one that is no clock's: crystals differ by less than 0.001."""
+_SEEN = 0.5
+"""Fraction of the travel that must be in the record: a small error of less than that says nothing of the rest."""
 _NAMED = 5
 """Changed parameters that a warning names."""
 _TRUTH = {"true_x": "true_x", "true_y": "true_y", "guide": "guide_deviation"}
@@ -134,8 +136,28 @@ class BagEvaluation:
             return Verdict(INTERRUPTED, f"{self.lost_files} could not be recovered; the figures are those of the rest")
         if reason := self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else "":
             return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before")
-        reason = self._unjudged_harm(begin_ns, until_ns)
-        return Verdict(STARVED, f"the computer was busy: {reason}") if reason else None
+        if reason := self._unjudged_harm(begin_ns, until_ns):
+            return Verdict(STARVED, f"the computer was busy: {reason}")
+        reason = self._too_little(begin_ns, until_ns)
+        return Verdict(STARVED, f"too little was recorded to judge: {reason}") if reason else None
+
+    def _too_little(self, begin_ns: int, until_ns: int) -> str:
+        """That less than half of the travel is in the record: in its gaps the error is not known, and of a stream that
+        is thinner than the encoder's it is another one. Empty if the record has more."""
+        if self.encoder is None:
+            return ""
+        stamps = self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64)
+        moving = self.encoder.moving(begin_ns, until_ns)[np.searchsorted(self.encoder.stamps, stamps)]
+        travelled = np.abs(np.diff(self.record.x))[moving[:-1] & moving[1:]]
+        taken = samples_between(stamps, self.encoder.stamps)[moving[:-1] & moving[1:]]
+        seen, whole = float((travelled / taken).sum()), float(travelled.sum())
+        if not seen < _SEEN * whole:
+            return ""
+        without = f"without reference: {self.lost_references}, without command: {self.lost_commands}"
+        return (
+            f"{seen / whole:.0%} of the travel is in samples with all of their streams; allowed: {_SEEN:.0%} (samples "
+            f"lost: {self.lost_samples}, {without}); record every message of each stream"
+        )
 
     def _unjudged_harm(self, begin_ns: int, until_ns: int) -> str:
         """How the samples in motion that are not in the record, for want of reference, command or truth, enlarge the
@@ -214,6 +236,10 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     on = np.isfinite(samples.columns["coil_current"])
     first = int(on.argmax())
     encoder, x, on = samples.stamp[first:], samples.columns["x"][first:], on[first:]
+    if truth and len(truth) > 1 and np.median(np.diff(truth.stamp)) > 1.5 * np.median(np.diff(encoder)):
+        count = f"{len(truth)} messages for {len(samples)} samples"
+        warnings.warn(f"'{TRUTH.topic}' has {count}: it is left out, the run is judged by its encoders", stacklevel=2)
+        truth = None
     common = encoder
     for own in (reference, command, *([truth] if truth else [])):
         common = np.intersect1d(common, own.stamp, assume_unique=True)
@@ -331,6 +357,10 @@ def samples_taken(stamps: Stamps, pauses: Stamps | Sequence[int] = ()) -> int:
     """Samples that the clock took from the first of these stamps (n,) in ns to the last, counted from one to the next:
     the stamps of a board with a clock of its own lie on no common grid for a whole run. In the pauses of the recording
     behind the samples ``pauses`` (p,), stamps in ns, none counts."""
-    steps = np.diff(stamps)
-    taken = np.maximum(1, np.round(steps / np.median(steps)))
+    taken = samples_between(stamps, stamps)
     return 1 + int(np.where(np.isin(stamps[:-1], pauses), 1, taken).sum())
+
+
+def samples_between(stamps: Stamps, encoder: Stamps) -> Array:
+    """Periods (n - 1,), at least 1, from each of these ``stamps`` (n,) in ns to the next, by those of the encoder."""
+    return np.asarray(np.maximum(1.0, np.round(np.diff(stamps) / np.median(np.diff(encoder)))))

@@ -72,6 +72,11 @@ def without(missing, since, until, change=lambda _, *sample: sample):
     return lambda topic, stamp, numbers: None if left_out(topic, stamp) else change(topic, stamp, numbers)
 
 
+def thinned(stream, every):
+    """One of so many messages of a stream."""
+    return when(lambda topic, stamp: topic == stream.topic and round(stamp / S / T) % every, lambda *_: None)
+
+
 def begins_at_zero(topic, stamp, numbers):
     return (stamp if stamp < 0.01 * S else stamp + 1_790_000_000 * S), numbers, stamp + 1_790_000_000 * S
 
@@ -102,6 +107,10 @@ DAY = 86400.0
         # At rest: set back so far, no stroke may be left of what was put in another order.
         (jump_from(2.25, -1.0), ""),
         *nightly((jump_from(*jump), "") for jump in ((0.01, 1.0), (2.25, DAY))),
+        # Less than half of the travel in the record: of bursts, or of a stream that someone throttled.
+        (when(lambda _, stamp: stamp % (0.95 * S) >= 0.06 * S, lambda *_: None), "starved"),
+        (thinned(REFERENCE, 20), "starved"),
+        *nightly([(thinned(COMMAND, 20), "starved")]),
         # Stopped in motion, streams end some milliseconds apart.
         (ends(0.99, 1.0), "in_order"),
     ],
@@ -135,6 +144,20 @@ def test_the_stream_that_ends_before_the_motion_is_named(tmp_path, judged):
     found = judged(rewritten(SMC, tmp_path / "b", without(TRUTH.topic, 1.0, 9.0)))[1]
     assert found["verdict"] == "interrupted"
     assert TRUTH.topic in found["reason"] and REFERENCE.topic not in found["reason"]
+
+
+def test_a_truth_that_is_thinner_than_the_encoder_is_left_out(tmp_path, judged):
+    """At its rate a line of 137 Hz would be one of 37."""
+
+    def hum(topic, stamp, numbers):
+        if topic in (ENCODER.topic, TRUTH.topic):
+            numbers[1] += 1e-6 * np.sin(2.0 * np.pi * 137.0 * stamp / S)
+        return stamp, numbers
+
+    bag = rewritten(rewritten(SMC, tmp_path / "a", hum), tmp_path / "b", thinned(TRUTH, 20))
+    found = judged(bag)[1]
+    assert found["verdict"] == "oscillates" and " 137 Hz" in found["reason"] and found["true_pp_um"] is None
+    assert "'truth' has 450 messages" in found["warnings"][0]
 
 
 def test_a_pause_of_the_recording_at_rest_is_no_jump_no_loss_and_no_stall(tmp_path, judged):
