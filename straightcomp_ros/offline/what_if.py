@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
-from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.record import SHORTEST_STROKE, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
@@ -104,15 +105,19 @@ def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path
 
 
 def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
-    """The recorded motion of the stage, and the time in ns at which its trajectory starts."""
+    """The recorded motion of the stage, and the time in ns at which its trajectory starts. In a pause of the recording
+    the stage stands for :data:`PAUSE`, however long it was."""
     x = record.x if record.true_x is None else record.true_x
-    step, last = max(round(_WAYPOINT_EVERY / float(np.median(np.diff(record.time)))), 1), len(x) - 1
+    steps = np.diff(record.time)
+    skipped = np.where(np.abs(np.diff(x)) < SHORTEST_STROKE, np.maximum(steps - PAUSE, 0.0), 0.0)
+    time = record.time - np.append(0.0, np.cumsum(skipped))
+    step, last = max(round(_WAYPOINT_EVERY / float(np.median(steps))), 1), len(x) - 1
     places = np.unique(np.append(np.arange(0, len(x), step), last))
     before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, last)
-    speed = (x[after] - x[before]) / np.maximum(record.time[after] - record.time[before], 1e-9)
+    speed = (x[after] - x[before]) / np.maximum(time[after] - time[before], 1e-9)
     speed[0] = speed[-1] = 0.0
-    corners = zip(record.time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True)
-    waypoints = [Waypoint(_APPROACH_NS + round(time * 1e9), position, speed) for time, position, speed in corners]
+    corners = zip(time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True)
+    waypoints = [Waypoint(_APPROACH_NS + round(at * 1e9), position, speed) for at, position, speed in corners]
     return Trajectory([Waypoint(0, 0.0, 0.0), *waypoints]), -_APPROACH_NS
 
 

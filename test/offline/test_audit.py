@@ -203,6 +203,16 @@ def test_the_recorded_parameters_give_the_recorded_figures_and_another_law_chang
     assert changed.metrics.uncompensated_pp == pytest.approx(recorded.metrics.uncompensated_pp, rel=1e-3)
 
 
+def test_a_pause_of_the_recording_is_not_simulated(bag, tmp_path):
+    forward, backward = evaluate_bag(bag).record.motion.strokes
+    night = lambda at: 8 * 3600 * 10**9 * (at > (forward.stop + backward.start) // 2 * PERIOD_NS)  # noqa: E731
+    paused = rewritten(bag, tmp_path / "new", lambda _, at, numbers: (at + night(at), numbers, at + night(at)))
+    with pytest.warns(UserWarning, match="paused for 28800"):
+        recorded, again = what_if(paused, {})
+    assert recorded.verdict.in_order and again.verdict.in_order
+    assert again.metrics.true_pp == pytest.approx(recorded.metrics.true_pp, rel=0.2)
+
+
 def test_the_command_audits_and_asks_what_if(bag, tmp_path, verb):
     found = verb("replay", bag, "--json")
     assert (found.code, found.json["different"]) == (0, 0)
