@@ -17,7 +17,7 @@ from straightcomp_ros.analysis import interruption
 from straightcomp_ros.analysis.interruption import ENDS_APART, PAUSE, EncoderRun, LatchedFault, Stall, Stamps
 from straightcomp_ros.analysis.judged_motion import HARM, encoder_count
 from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, STARVED, Verdict
-from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of
+from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of, speed_at_end
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
@@ -235,6 +235,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     assert samples and reference and command
     on = np.isfinite(samples.columns["coil_current"])
     first = int(on.argmax())
+    before = np.flatnonzero(np.isfinite(samples.columns["x"][: first + 1]))
+    on_at = speed_at_end((samples.stamp[before] - samples.stamp[0]) * 1e-9, samples.columns["x"][before])
     encoder, x, on = samples.stamp[first:], samples.columns["x"][first:], on[first:]
     if truth and len(truth) > 1 and np.median(np.diff(truth.stamp)) > 1.5 * np.median(np.diff(encoder)):
         count = f"{len(truth)} messages for {len(samples)} samples"
@@ -285,6 +287,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         goes_on=answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9,
         silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
         ended=" and ".join(ended),
+        on_at=on_at,
     )
     for pause in np.searchsorted(encoder, run.pauses).tolist():
         begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))

@@ -111,6 +111,7 @@ class EncoderRun(NamedTuple):
     left_on: bool  # whether the samples end so with the amplifier on
     pauses: Stamps  # (p,) ns, of the last sample before each pause of the recording
     ended: str  # which streams end at `judged_ns`, if the motion goes on
+    on_at: float  # speed in m/s at the first sample, if the amplifier was switched on there
 
     @property
     def end_ns(self) -> int:
@@ -148,6 +149,8 @@ class EncoderRun(NamedTuple):
         found += [f"no sample came for {steps[one] * 1e-9:.3f} s after {at(int(self.stamps[one]))}" for one in holes]
         if off := np.count_nonzero(moving & self.off):
             found.append(f"the amplifier was off for {off} samples of the motion")
+        if self.on_at >= MOVING and self.strokes and within[self.strokes[0].start]:
+            found.append(f"the amplifier was switched on with the stage moving at {self.on_at * 1e3:.3g} mm/s")
         if begin_ns <= self.end_ns < until_ns and self.end_ns > self.judged_ns:
             left = f"{np.count_nonzero(moving & (self.stamps > self.judged_ns))} more of the motion have none"
             found.append(f"after {at(self.judged_ns)} no sample has {self.ended}, {left}")
@@ -168,10 +171,11 @@ def encoder_run(
     goes_on: bool = False,
     silent: bool = False,
     ended: str = "reference and command",
+    on_at: float = 0.0,
 ) -> EncoderRun:
     """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on. Whether the
     machine ``goes_on`` after the last of them, or is ``silent``: the recording is cut off, or goes on without samples
-    for longer than a host stalls. ``ended`` names the streams that end at ``judged_ns``."""
+    for longer than a host stalls. ``ended`` names the streams that end at ``judged_ns``; ``on_at`` as of the result."""
     gaps = np.flatnonzero(np.diff(stamps) >= PAUSE * 1e9)
     stands = np.abs(x[gaps + 1] - x[gaps]) < SHORTEST_STROKE
     # An encoder that fails reads NaN.
@@ -181,10 +185,10 @@ def encoder_run(
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
     for one in placed:
         stands &= (gaps + 1 < one.start) | (gaps >= one.stop)
-    lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
+    lost_at = speed_at_end(time, x) if goes_on or silent else 0.0
     left_on = silent and bool(on[-1])
     pauses = stamps[gaps[stands]]
-    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, left_on, pauses, ended)
+    return EncoderRun(stamps, ~on & on.any(), judged_ns, placed, known[jumps], lost_at, left_on, pauses, ended, on_at)
 
 
 def latched_faults(reports: Mapping[str, Sequence[Report]], begin_ns: int) -> tuple[LatchedFault, ...]:

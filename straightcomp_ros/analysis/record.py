@@ -274,7 +274,9 @@ def runs_of(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 def speed_at_end(time: Array, x: Array) -> float:
     """Speed in m/s at the last of the samples ``time`` (n,) in s and ``x`` (n,) in m, by a parabola through those of
-    :data:`SPEED_SPAN`, at least five: at the last sample of a whole stroke the stage stands."""
+    :data:`SPEED_SPAN`, at least five: at the last sample of a whole stroke the stage stands. 0 where it has fewer."""
+    if time.size < 5:
+        return 0.0
     steps = np.diff(time)
     count = max(5, round(SPEED_SPAN / float(np.median(steps))))
     if time.size < count or (steps[1 - count :] > 1.5 * np.median(steps)).any():

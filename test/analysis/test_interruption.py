@@ -97,6 +97,8 @@ DAY = 86400.0
     ("change", "verdict"),
     [
         (when(lambda topic, stamp: S <= stamp < 1.05 * S, off), "interrupted"),
+        (when(lambda _, stamp: stamp < FORWARD * S, off), "interrupted"),
+        (when(lambda _, stamp: stamp < 0.1 * S, off), "in_order"),
         (ends(1.0, 0.999), "interrupted"),
         (X_JUMPS, "interrupted"),
         (begins_at_zero, "clock_jumped"),
