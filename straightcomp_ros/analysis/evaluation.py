@@ -135,7 +135,7 @@ class BagEvaluation:
         if self.lost_files:
             return Verdict(INTERRUPTED, f"{self.lost_files} could not be recovered; the figures are those of the rest")
         if reason := self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else "":
-            return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before")
+            return Verdict(INTERRUPTED, f"{reason}; the figures are those of a part of the motion")
         if reason := self._unjudged_harm(begin_ns, until_ns):
             return Verdict(STARVED, f"the computer was busy: {reason}")
         reason = self._too_little(begin_ns, until_ns)

@@ -155,7 +155,7 @@ class RecordedReference:
         """Whether each x (n,) in m lies between recorded positions so near to each other that r is known there."""
         after = np.searchsorted(self._x, x)
         inside = (after > 0) & (after < self._x.size)
-        places = np.where(inside, after, 1)
+        places = np.where(inside, after, 0)
         return np.asarray(inside & (self._x[places] - self._x[places - 1] <= _NEAR))
 
     def deviations(self, x: ArrayLike) -> Array:

@@ -64,6 +64,11 @@ def test_without_truth_delays_or_an_amplifier_that_is_on_the_bag_is_a_run_all_th
     assert len(found.record.x) == 10 and not found.amplifier_on.any()
 
 
+def test_a_stage_that_stands_has_a_record_too(tmp_path):
+    rows = [(stream, START_NS + n * PERIOD_NS, sample(20)[stream]) for n in range(COUNT) for stream in sample(20)]
+    assert np.ptp(evaluate_bag(bag_of_rows(tmp_path / "bag", rows)).record.x) == 0.0
+
+
 def test_what_is_missing_of_each_stream_is_counted_up_to_its_last(tmp_path):
     left_out = {REFERENCE: {12, 20, 38, 39}, COMMAND: {12, 15, 16, 39}, ENCODER: {25, 30}, TRUTH: {33}}
     found = evaluate_bag(recorded(tmp_path / "bag", left_out=left_out))
