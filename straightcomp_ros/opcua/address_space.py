@@ -57,9 +57,11 @@ class Alarms:
         if seen.stroke_error_pp > self._error_limit:
             error_um, limit_um = seen.stroke_error_pp * 1e6, self._error_limit * 1e6
             found["ErrorLimit"] = f"{error_um:.3f} µm over the last stroke; limit {limit_um:g} µm"
-        before, self._lost = self._lost, seen.lost_samples
-        if before is not None and seen.lost_samples > before:
-            self._loss, self._loss_until = f"{seen.lost_samples - before} samples lost", now + 10.0
+        # Without samples the controller has not reported, and 0 lost says nothing.
+        if seen.samples:
+            before, self._lost = self._lost, seen.lost_samples
+            if before is not None and seen.lost_samples > before:
+                self._loss, self._loss_until = f"{seen.lost_samples - before} samples lost", now + 10.0
         found["MaintenanceDue"] = maintenance
         found["SampleLoss"] = self._loss if now < self._loss_until else ""
         return {name: text for name, text in found.items() if text}

@@ -129,7 +129,6 @@ class GuardedSession(InternalSession):
     """
 
     iserver: GuardedServer
-    _items = 0
 
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
@@ -180,15 +179,15 @@ class GuardedSession(InternalSession):
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
         self.check_own(params.SubscriptionId)
-        self._items += len(params.ItemsToCreate)
-        _refuse(ua.StatusCodes.BadTooManyMonitoredItems, self._items > _MOST_MONITORED_ITEMS)
+        every = self.subscription_service.subscriptions
+        items = sum(len(every[number].monitored_item_srv._monitored_items) for number in self._own_subscriptions())
+        too_many = items + len(params.ItemsToCreate) > _MOST_MONITORED_ITEMS
+        _refuse(ua.StatusCodes.BadTooManyMonitoredItems, too_many)
         return await super().create_monitored_items(params)
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
         self.check_own(params.SubscriptionId)
-        results = await super().delete_monitored_items(params)
-        self._items -= sum(result.is_good() for result in results)
-        return results
+        return await super().delete_monitored_items(params)
 
     def _own_subscriptions(self) -> list[int]:
         every = self.subscription_service.subscriptions

@@ -170,6 +170,18 @@ async def around(url):
     return results
 
 
+async def screens(url, count):
+    """A client whose screens show 15 values, and one that is not there, each by a subscription of its own."""
+    made, results = await connect(url), {}
+    items = [made.get_node(path("Live.X"))] * 15 + [made.get_node(path("Live.None"))]
+    for screen in range(int(count)):
+        subscription = await made.create_subscription(500, None)
+        tried = {f"screen {screen}": items, f"too much beside screen {screen}": items * 12}
+        results |= {name: await outcome(subscription.subscribe_data_change(many)) for name, many in tried.items()}
+        await subscription.delete()
+    return results
+
+
 async def leave(url, count):
     """Give commands and be gone before the answers."""
     for _ in range(int(count)):

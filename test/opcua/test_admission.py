@@ -3,6 +3,7 @@
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,9 +82,12 @@ def test_whatever_is_reached_from_outside_is_encrypted_and_less_is_refused(given
 
 def test_alarms_come_and_go():
     alarms = Alarms(error_limit=1e-6)
-    well = Observation(nodes={"driver": "plain"}, fresh=True, stroke_error_pp=0.5e-6, lost_samples=7)
-    assert alarms.active(well, State.IDLE, 0.0) == {}
-    bad = Observation(nodes={"driver": "absent"}, faults={"driver": "coil"}, stroke_error_pp=1.5e-6, lost_samples=9)
+    well = Observation(nodes={"driver": "plain"}, fresh=True, stroke_error_pp=0.5e-6, samples=100, lost_samples=7)
+    # At the start, and after a silence, the controller has not reported: what it has lost before is old.
+    for seen in (Observation(), well, Observation(), well):
+        assert alarms.active(seen, State.STOPPED, 0.0) == {}
+    bad = replace(well, nodes={"driver": "absent"}, faults={"driver": "coil"}, fresh=False, stroke_error_pp=1.5e-6)
+    bad = replace(bad, lost_samples=9)
     found = alarms.active(bad, State.IDLE, 1.0)
     assert set(found) == {"Fault", "NodeMissing", "NoSamples", "ErrorLimit", "SampleLoss"}
     assert "2 samples" in found["SampleLoss"]

@@ -152,6 +152,12 @@ def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
     assert len(results) == 3 and not plain.commands
 
 
+def test_a_client_changes_its_screen_as_often_as_it_likes_and_shows_no_more_than_is_allowed_at_once(plain):
+    results = probed("screens", plain.url, 20)
+    assert {results.pop(f"screen {number}") for number in range(20)} == {"done"}
+    assert len(results) == 20 and set(results.values()) == {"BadTooManyMonitoredItems"}
+
+
 def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain):
     plain.commands.clear()
     plain.slowness = 1.0
