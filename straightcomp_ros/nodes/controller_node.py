@@ -148,6 +148,7 @@ class ControllerComponent:
         self._publish_command.finish()
         self._publish_state.finish()
         if self._learning is not None:
+            self._worker.wait()
             try:
                 self._learning.save()
             except OSError as error:

@@ -6,6 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
+from straightcomp_ros.runtime.loops import WorkerThread
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
 
 MANAGED = {
@@ -110,6 +114,17 @@ def test_a_controller_keeps_what_it_learned_while_the_file_cannot_be_written(sin
     assert participant.change("controller", "cleanup")
     assert file.read_bytes() == written
     assert single.stop(["controller"])["controller"] == 0
+
+
+def test_a_controller_saves_what_it_learned_when_the_last_pass_has_been_learned():
+    done, worker = [], WorkerThread(pytest.fail)
+    worker.run(lambda: time.sleep(0.2))
+    worker.run(lambda: done.append("learned"))
+    learning = SimpleNamespace(save=lambda: done.append("saved"))
+    ends = dict.fromkeys(("_publish_command", "_publish_state"), Mock())
+    controller_node.ControllerComponent.deactivate(SimpleNamespace(_worker=worker, _learning=learning, **ends))
+    worker.close()
+    assert done == ["learned", "saved"]
 
 
 UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean 'realtime.priority'")
