@@ -3,7 +3,7 @@
 import shutil
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from datetime import datetime
 from itertools import groupby, islice
 from pathlib import Path
@@ -20,15 +20,12 @@ BREAK: Message = ("", b"", 0, 0)
 """Marks between two messages that those between them were left out on purpose: they do not count as lost."""
 
 
-def _messages(entries: Sequence[Message]) -> int:
-    return len(entries) - entries.count(BREAK)
-
-
 class Intake:
     """Messages on their way to the bag. One thread adds, another takes from ``queue``.
 
     Args:
-        limit: messages that may wait for the disk; beyond it they are dropped and counted.
+        limit: messages that may wait for the disk; beyond it they are dropped and counted. A snapshot drops none: its
+            messages are in memory already.
         snapshot_s: 0 records all; otherwise the messages of the last ``snapshot_s`` seconds stay in memory, and only
             :meth:`snapshot` sends them to the disk.
 
@@ -53,7 +50,8 @@ class Intake:
         if self._keep_ns:
             memory = self._memory
             memory.append((topic, data, received_ns, source_ns))
-            while received_ns - memory[0][2] > self._keep_ns:
+            # After a step of the clock neither those from before it, nor those of its future, are the last seconds.
+            while abs(received_ns - memory[0][2]) > self._keep_ns:
                 memory.popleft()
         elif len(self.queue) < self._limit:
             self.queue.append((topic, data, received_ns, source_ns))
@@ -62,13 +60,10 @@ class Intake:
 
     def snapshot(self) -> int:
         """Send what is in memory to the disk; returns how many messages that is."""
-        room = max(self._limit - len(self.queue), 0)
-        kept = list(self._memory)[-room:] if room else []
-        sent = _messages(kept)
-        self.dropped += _messages(self._memory) - sent
-        self._memory.clear()
-        self.queue += [BREAK, *kept]
-        return sent
+        memory, self._memory = self._memory, deque()
+        self.queue.append(BREAK)
+        self.queue += memory
+        return len(memory) - memory.count(BREAK)
 
     def interrupt(self) -> None:
         """Do not count what is missing before the next message as lost."""
@@ -254,7 +249,8 @@ class Recorder:
             self.failure = error
 
     def _write(self, intake: Intake) -> None:
-        waiting = (intake.queue.popleft() for _ in range(len(intake.queue)))
+        # Not all of a long snapshot at once: the disk is looked at in between.
+        waiting = (intake.queue.popleft() for _ in range(min(len(intake.queue), self._options.queue_limit)))
         # After counting those that wait: the topic of each of them was announced before it came.
         self._add_topics(self._topics)
         for interruption, messages in groupby(waiting, lambda message: message is BREAK):

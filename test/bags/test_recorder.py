@@ -30,7 +30,7 @@ def test_messages_wait_in_their_order_those_of_a_pause_are_ignored_and_those_bey
     assert (intake.received, intake.dropped) == (10, 2)
 
 
-def test_a_snapshot_has_the_last_seconds_only_and_of_them_the_newest_for_which_there_is_room():
+def test_a_snapshot_has_all_of_the_last_seconds_and_those_only():
     intake = Intake(limit=510, snapshot_s=0.5)
     for number in range(3000):
         intake.add(*message(number))
@@ -38,11 +38,17 @@ def test_a_snapshot_has_the_last_seconds_only_and_of_them_the_newest_for_which_t
     assert list(intake.queue) == [BREAK, *(message(number) for number in range(2499, 3000))]
     for number in range(3000, 3010):
         intake.add(*message(number))
-    assert (intake.snapshot(), intake.dropped) == (8, 2)
-    assert list(intake.queue)[502:] == [BREAK, *(message(number) for number in range(3002, 3010))]
-    intake.add(*message(3010))
-    # The queue is full: all is dropped, and counted.
-    assert (intake.snapshot(), intake.dropped, intake.received) == (0, 3, 3011)
+    # More than may wait for the disk, but they are in memory all the same.
+    assert (intake.snapshot(), intake.dropped, intake.received) == (10, 0, 3010)
+    assert list(intake.queue)[502:] == [BREAK, *(message(number) for number in range(3000, 3010))]
+
+
+@pytest.mark.parametrize("step", [-3600_000, -300, 3600_000])
+def test_a_snapshot_keeps_no_more_than_its_seconds_where_the_clock_is_set(step):
+    intake = Intake(limit=10_000, snapshot_s=0.5)
+    for number in [*range(4_000_000, 4_003_000), *range(4_003_000 + step, 4_006_000 + step)]:
+        intake.add(*message(number))
+    assert intake.snapshot() == 501
 
 
 def test_a_pause_within_a_snapshot_is_an_interruption_and_no_message():
@@ -58,8 +64,7 @@ def test_a_pause_within_a_snapshot_is_an_interruption_and_no_message():
     assert list(intake.queue) == [BREAK, *map(message, range(10, 14)), BREAK, *map(message, (20, 21))]
     intake.interrupt()
     intake.add(*message(30))
-    # The queue is full: one message is dropped.
-    assert (intake.snapshot(), intake.dropped, intake.received) == (0, 1, 8)
+    assert (intake.snapshot(), intake.dropped, intake.received) == (1, 0, 8)
     # A pause before the oldest message of the memory is of no use any more.
     intake.queue.clear()
     intake.add(*message(30))
