@@ -137,7 +137,7 @@ class Recorder:
     Attributes:
         intake: takes the messages; before :meth:`start` it ignores them.
         folder: of the bag that is being written, or was last.
-        failure: why the recording stopped by itself; :meth:`stop` saves what came before.
+        failure: why the recording stopped by itself; :meth:`stop` saves what came before, and raises it.
         written: messages in the present bag.
     """
 
@@ -200,19 +200,30 @@ class Recorder:
         self._splitting.set()
 
     def stop(self) -> None:
-        """Write what has come and finish the bag; without one, nothing. Raises BagError when the disk is full."""
+        """Write what has come and finish the bag; without one, nothing. Raises BagError or OSError when that fails, or
+        the recording had stopped by itself."""
         if self._thread is None:
             return
         intake, self.intake = self.intake, self._closed_intake()
         self._stopping.set()
         self._thread.join()
         self._thread = None
-        with self._bag as bag:  # finishes the bag even where the disk is too full for these
-            self._describe(bag, True)
-            counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
-            for name, numbers in (("logger", counts), ("losses", self._losses.by_topic())):
-                bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
-            self._add_topics(self._expected)
+        try:
+            with self._bag as bag:  # finishes the bag even where the disk is too full for these
+                self._describe(bag, True)
+                counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
+                for name, numbers in (("logger", counts), ("losses", self._losses.by_topic())):
+                    bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
+                self._add_topics(self._expected)
+        except Exception as error:
+            raise self._in_words(error) from None
+        if self.failure is not None:
+            raise self.failure
+
+    def _in_words(self, error: Exception) -> Exception:
+        # Memory may be short, and what describes the recording may fail in ways of its own.
+        known = isinstance(error, OSError | BagError)
+        return error if known else BagError(f"bag {self.folder} cannot be written: {error!r}")
 
     def _add_topics(self, topics: Iterable[Topic]) -> None:
         for topic in topics:
@@ -244,9 +255,10 @@ class Recorder:
                     self._bag.split()
                 self._bag.flush_older(FLUSH_AGE)
                 self._bag.sync_older(self._options.sync_interval)
-            self._write(intake)
-        except (OSError, BagError) as error:
-            self.failure = error
+            while intake.queue:
+                self._write(intake)
+        except Exception as error:  # A thread that ends without a word would leave a bag that looks whole.
+            self.failure = self._in_words(error)
 
     def _write(self, intake: Intake) -> None:
         # Not all of a long snapshot at once: the disk is looked at in between.

@@ -26,7 +26,7 @@ from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
 from straightcomp_ros.parameters.yaml_text import dump_yaml
 from straightcomp_ros.runtime.graph_client import RemoteParameters
-from straightcomp_ros.runtime.guarded_node import Refused
+from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, Refused
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.other_topics import OtherTopics, stored
@@ -261,8 +261,15 @@ class LoggerComponent:
         self._described = values
 
     def _watch(self) -> None:
-        if self._recorder.failure:
-            self.node.fail(self._recorder.failure)
+        failure = self._recorder.failure
+        if failure is None:
+            return
+        try:
+            # Finish the bag here: close() would report the failure once more.
+            self._recorder.stop()
+        except RUN_FAILURES as error:
+            failure = error
+        self.node.fail(failure)
 
     def _counters(self) -> dict[str, object]:
         recorder = self._recorder

@@ -167,6 +167,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         return code
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._failure = None
         assert self._component is not None
         code = self._attempt(self._component.activate)
         self.active = code is TransitionCallbackReturn.SUCCESS

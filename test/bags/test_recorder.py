@@ -183,5 +183,24 @@ def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
     recorder.keep_free(10**18)
     recorder._thread.join(30)
     assert re.search(r"\d+ bytes are free on its disk; allowed: >= 10{18} \(min_free_bytes\)", str(recorder.failure))
-    recorder.stop()
+    with pytest.raises(BagError, match="min_free_bytes"):
+        recorder.stop()
     assert (tmp_path / "run" / "metadata.yaml").exists()
+
+
+@pytest.mark.parametrize("words", ["MemoryError", "'/unknown' was not added"])
+def test_what_ends_the_writing_is_raised_when_the_bag_is_finished(tmp_path, words):
+    def describe(bag, at_end):
+        if words == "MemoryError":
+            raise MemoryError
+
+    recorder = Recorder(RecorderParameters(str(tmp_path / "run"), min_free_bytes=0), [], describe)
+    recorder.start()
+    if words == "MemoryError":
+        recorder._thread.join(30)
+        assert isinstance(recorder.failure, BagError)
+    # Written last, after the stop was asked for.
+    recorder.intake.add("/unknown", b"", 0, 0)
+    with pytest.raises(BagError, match=f"run.*{words}"):
+        recorder.stop()
+    assert not recorder.recording and (tmp_path / "run" / "metadata.yaml").exists()
