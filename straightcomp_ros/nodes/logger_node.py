@@ -104,8 +104,8 @@ class LoggerComponent:
         self._silent: dict[str, Topic] = {}
         """Topics that have had no message yet."""
         self._remote = RemoteParameters(node, parameters.nodes.split())
-        self._described: Mapping[str, Mapping[str, object]] = {}
-        """The nodes' parameters that the bag has; empty before it has any."""
+        self._described: tuple[BagWriter, Mapping[str, Mapping[str, object]]] | None = None
+        """The last bag that has the nodes' parameters, and those."""
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
         self._recorder = recorder = Recorder(parameters, stamped, self._describe)
         for stream in STREAMS:
@@ -197,7 +197,6 @@ class LoggerComponent:
 
     def _start(self) -> str:
         """Record to a new bag."""
-        self._described = {}
         folder = self._recorder.start()
         self._others.repeat(self._recorder.intake.add)
         return f"recording to {folder}"
@@ -248,8 +247,8 @@ class LoggerComponent:
         """Attach the nodes' parameters and map as soon as all nodes have answered, at the latest when the bag ends, and
         then note what changes."""
         values = dict(self._remote.values)
-        if self._described:
-            note_changes(bag, time.time_ns(), self._described, values)
+        if self._described is not None and self._described[0] is bag:
+            note_changes(bag, time.time_ns(), self._described[1], values)
         elif self._remote.complete or at_end:
             text = dump_yaml({name: {"ros__parameters": own} for name, own in values.items()})
             bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", text.encode())
@@ -258,7 +257,7 @@ class LoggerComponent:
                 self.node.get_logger().warning(refusal)
         else:
             return
-        self._described = values
+        self._described = bag, values
 
     def _watch(self) -> None:
         failure = self._recorder.failure
