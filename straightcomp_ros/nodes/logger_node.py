@@ -52,7 +52,7 @@ class FaultIncidents:
         self._node, self._number, self._recording = node, number, recording
         self._process: subprocess.Popen[bytes] | None = None
         self._due: tuple[float, str] | None = None
-        self._seen = ""
+        self._folder, self._seen = Path(), ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(0.5, self._pack_when_due)
 
@@ -66,6 +66,8 @@ class FaultIncidents:
         if self._process is not None and self._process.poll() is not None:
             if self._process.returncode:
                 self._node.get_logger().warning(f"the incident was not packed: exit code {self._process.returncode}")
+            else:
+                self._keep_newest()
             self._process = None
         bag = self._recording()
         if self._due is None or time.monotonic() < self._due[0] or self._process is not None:
@@ -73,18 +75,23 @@ class FaultIncidents:
         fault, self._due = self._due[1], None
         if bag is None:
             return
-        folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
+        self._folder = folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
         file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
         try:
             folder.mkdir(exist_ok=True)
-            for old in sorted(folder.glob("*.zip"))[: -self._number + 1 or None]:
-                old.unlink()
             words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]
             self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         except OSError as error:
             self._node.get_logger().warning(f"the incident of {fault} was not packed: {error}")
             return
         self._node.get_logger().info(f"packing the incident of {fault}: {file}")
+
+    def _keep_newest(self) -> None:
+        try:
+            for old in sorted(self._folder.glob("*.zip"))[: -self._number]:
+                old.unlink()
+        except OSError as error:
+            self._node.get_logger().warning(f"an old incident was not removed: {error}")
 
 
 _FETCH_INTERVAL_NS = 20_000_000
