@@ -134,6 +134,7 @@ class LoggerComponent:
         """Record the messages that arrive from now on."""
         self._drop()
         if self._recorder.recording:
+            self._others.repeat(self._recorder.intake.add)
             self.node.get_logger().info(f"recording to {self._recorder.folder}")
 
     def deactivate(self) -> None:

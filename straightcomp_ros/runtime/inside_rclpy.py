@@ -62,12 +62,13 @@ def raw_take(subscription: Subscription) -> Callable[[], tuple[bytes, Mapping[st
     since the epoch; it returns None if there is no message.
 
     Cyclone DDS stamps the reception at the take (ros2/rmw_cyclonedds#167). A message arrived after it was sent, after
-    the last take that found none, and before this one: for such a middleware the earliest possible time is returned.
+    the subscription began and the last take that found none, and before this one: for such a middleware the earliest
+    possible time is returned.
     """
     take, kind = subscription.handle.take_message, subscription.msg_type
     if middleware(rclpy.get_rmw_implementation_identifier()).stamps_arrival:
         return lambda: take(kind, True)
-    none_waited_ns = 0
+    none_waited_ns = time.time_ns()
 
     def take_and_date() -> tuple[bytes, Mapping[str, int]] | None:
         nonlocal none_waited_ns

@@ -37,6 +37,7 @@ class OtherTopics:
         self._settled = set(ours)
         self._queues: dict[str, RawQueue] = {}
         self._latched: dict[str, tuple[bytes, int]] = {}
+        """Of each latched topic: its last message, and when that was sent."""
         if pattern.pattern:
             node.create_timer(_LOOK_EVERY_S, self._look)
             self._look()
@@ -53,9 +54,12 @@ class OtherTopics:
         return count
 
     def repeat(self, add: Add) -> None:
-        """Pass on the last message of each latched topic again, as a new subscriber would get it."""
+        """Pass on what the latched topics have again, as a new subscriber would get it: with the next calls of
+        :meth:`fetch` what their publishers keep, at once the last message where no publisher is there any more."""
         for name, (data, source_ns) in self._latched.items():
-            if data:
+            if self._queues[name].connected:
+                self._queues[name].renew()
+            elif data:
                 add(name, data, time.time_ns(), source_ns)
 
     def _look(self) -> None:

@@ -13,7 +13,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from rclpy.duration import Duration
@@ -195,8 +195,12 @@ class RawQueue:
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile) -> None:
         self._unspun = unspun
-        self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos, raw=True)
-        self._take, self.wait = raw_take(self._subscription), waiter(unspun, self._subscription)
+        self._subscribe = partial(unspun.create_subscription, kind, topic, lambda _: None, qos, raw=True)
+        self._open()
+
+    def _open(self) -> None:
+        self._subscription = self._subscribe()
+        self._take, self.wait = raw_take(self._subscription), waiter(self._unspun, self._subscription)
 
     @property
     def connected(self) -> bool:
@@ -209,6 +213,11 @@ class RawQueue:
         while (message := take()) is not None:
             messages.append(message)
         return messages
+
+    def renew(self) -> None:
+        """Subscribe anew: the messages that latched publishers keep come again, also those that wait here."""
+        self.close()
+        self._open()
 
     def close(self) -> None:
         """End the subscription."""

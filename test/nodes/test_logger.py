@@ -4,11 +4,14 @@ import itertools
 import re
 import time
 import zipfile
+from collections import Counter
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from mcap.reader import make_reader
 from participant import Participant
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, Range
@@ -18,6 +21,8 @@ from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.contract import ENCODER, SAFETY_STATE
+from straightcomp_ros.nodes import logger_node
+from straightcomp_ros.nodes.logger_node import FaultIncidents
 from straightcomp_ros.runtime.other_topics import definition_by_files, stored
 
 pytestmark = pytest.mark.keeps_time
@@ -51,14 +56,20 @@ def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(single, pa
 def test_what_comes_while_the_logger_is_inactive_is_not_lost(single, participant, tmp_path):
     bag, numbers = tmp_path / "bag", itertools.count()
     encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
-    single.start("logger", {"autostart": False, "output": str(bag), "topics": "encoder", "nodes": "logger"})
+    recipe = participant.node.create_publisher(String, "/recipe", LATCHED)
+    recipe.publish(String(data="steel"))
+    topics = {"topics": "encoder", "other_topics": "/recipe", "nodes": ""}
+    single.start("logger", {"autostart": False, "output": str(bag), **topics})
 
     def publish_until(enough):
         participant.until(
             lambda: encoder.publish(ENCODER.layout.pack(10**18 + 500_000 * next(numbers), 0, 0, 0, 0)) or enough()
         )
 
-    assert participant.change("logger", "configure") and participant.change("logger", "activate")
+    assert participant.change("logger", "configure")
+    participant.until(recipe.get_subscription_count)
+    participant.spin(0.5)
+    assert participant.change("logger", "activate")
     publish_until(lambda: size(bag / "bag_0.mcap") > 5000)
     assert participant.change("logger", "deactivate")
     for _ in range(1000):
@@ -68,6 +79,11 @@ def test_what_comes_while_the_logger_is_inactive_is_not_lost(single, participant
     publish_until(lambda: size(bag / "bag_0.mcap") > before + 5000)
     assert single.stop(["logger"])["logger"] == 0
     assert read_metadata(bag)["losses"] == {"/encoder": "0"}
+    # What is latched still holds, and comes with each activation.
+    assert all(b"steel" in data for data in read_messages(bag, "/recipe").data[:2])
+    # Of no nodes' parameters there is one description too.
+    with open(bag / "bag_0.mcap", "rb") as file:
+        assert Counter(one.name for one in make_reader(file).iter_attachments())["parameters.yaml"] == 1
 
 
 def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, tmp_path):
@@ -78,16 +94,29 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, 
     assert (bag / "metadata.yaml").exists()
 
 
+def test_a_logger_whose_recording_failed_before_it_was_activated_does_not_stay_active(single, participant, tmp_path):
+    bag = tmp_path / "bag"
+    single.start("logger", {"autostart": False, "output": str(bag), "min_free_bytes": 10**18})
+    assert participant.change("logger", "configure")
+    participant.until(lambda: "min_free_bytes" in single.log("logger").read_text())
+    assert (bag / "metadata.yaml").exists()
+    participant.change("logger", "activate")
+    participant.until(lambda: participant.state("logger") == "unconfigured")
+    assert single.stop(["logger"])["logger"] == 0
+
+
 def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_newest_incident(single, tmp_path):
     bag, incidents = tmp_path / "bag", tmp_path / "bag_incidents"
     parameters = {"output": str(bag), "nodes": "logger", "record_at_start": False, "topics": "encoder|command"}
     with Participant() as caller:
         state = caller.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
-        caller.node.create_publisher(String, "/recipe", LATCHED).publish(String(data="steel"))
+        latched = [caller.node.create_publisher(String, name, LATCHED) for name in ("/recipe", "/gone", "/two", "/two")]
+        for number, publisher in enumerate(latched):
+            publisher.publish(String(data=f"steel {number}"))
         probe = caller.node.create_publisher(Range, "/probe", 10)
         # Reliable, where the logger asks for best effort: what is stored is how a topic is offered.
         encoder = caller.node.create_publisher(JointState, "/encoder", LATCHED)
-        single.start("logger", {**parameters, "other_topics": "/recipe|/probe", "incidents": 1})
+        single.start("logger", {**parameters, "other_topics": "/recipe|/gone|/two|/probe", "incidents": 1})
         assert not caller.trigger("logger/stop").success
         assert caller.trigger("logger/start").message.endswith(str(bag))
         assert not caller.trigger("logger/start").success
@@ -108,7 +137,12 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
         for number, fault in enumerate(("x_jump", "tripped")):
             values = [KeyValue(key="time_ns", value=str(number))]
             state.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name=fault, values=values))
-            publish_until(lambda fault=fault: list(incidents.glob(f"*{fault}.zip")))
+            publish_until(lambda fault=fault: [fault in one.name for one in incidents.glob("*.zip")] == [True])
+        # A refused start leaves the bag's description as it is.
+        assert not caller.trigger("logger/start").success
+        caller.node.destroy_publisher(latched[1])
+        before = size(bag / "bag_1.mcap")
+        publish_until(lambda: size(bag / "bag_1.mcap") > before + 5000)
         assert re.match(r"\d+ messages are in", caller.trigger("logger/stop").message)
         assert (bag / "metadata.yaml").exists()
         assert caller.trigger("logger/start").message.endswith("bag_2")
@@ -121,7 +155,7 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
     assert found["relative_file_paths"] == ["bag_0.mcap", "bag_1.mcap"]
     topics = {entry["topic_metadata"]["name"]: entry for entry in found["topics_with_message_count"]}
     # Those that no node sent are listed too.
-    assert set(topics) == {"/encoder", "/command", "/recipe", "/probe"}
+    assert set(topics) == {"/encoder", "/command", "/recipe", "/gone", "/two", "/probe"}
     assert topics["/encoder"]["message_count"] == len(read_messages(bag, "/encoder").data) > 0
     assert topics["/command"]["message_count"] == 0
     for name in ("/recipe", "/encoder"):
@@ -135,8 +169,25 @@ def test_recording_obeys_services_stores_how_topics_are_offered_and_keeps_the_ne
     assert ["1000001" in one for one in kept] == [False, True]
     # Sent once, before any bag was begun: each has it, as a late subscriber has.
     for folder in ("bag", "bag_2"):
-        (recipe,) = read_messages(tmp_path / folder, "/recipe").data
-        assert b"steel" in recipe
+        for name, sent in (("/recipe", {b"0"}), ("/gone", {b"1"}), ("/two", {b"2", b"3"})):
+            data = read_messages(tmp_path / folder, name).data
+            assert len(data) == len(sent) and {re.search(rb"steel (\d)", one)[1] for one in data} == sent
+
+
+def test_an_incident_that_is_not_packed_costs_no_older_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(logger_node, "_AFTER_S", 0.0)
+    older = tmp_path / "bag_incidents" / "2026_01_01-00_00_00_x_jump.zip"
+    older.parent.mkdir()
+    older.touch()
+    log = (node := Mock()).get_logger.return_value
+    # There is no such bag.
+    incidents = FaultIncidents(node, 1, lambda: tmp_path / "bag")
+    incidents._on_safety_state(DiagnosticStatus(name="tripped"))
+    end = time.monotonic() + 120.0
+    while not log.warning.called and time.monotonic() < end:
+        incidents._pack_when_due()
+        time.sleep(0.05)
+    assert "was not packed" in log.warning.call_args[0][0] and older.exists()
 
 
 def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():

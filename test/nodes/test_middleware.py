@@ -176,21 +176,23 @@ def test_a_message_that_cannot_be_sent_is_named(node, pair):
 
 
 @pytest.mark.parametrize(
-    ("sent_ns", "came_ns"), [(900, 1000), (1300, 1300), (9000, 2000)], ids=["long ago", "since", "by a clock ahead"]
+    ("sent_ns", "nones", "came_ns"),
+    [(900, 1, 1000), (1300, 1, 1300), (9000, 1, 2000), (400, 0, 500)],
+    ids=["long ago", "since", "by a clock ahead", "before the subscription"],
 )
 def test_where_reception_is_stamped_at_the_take_a_message_came_between_its_sending_and_the_take(
-    monkeypatch, sent_ns, came_ns
+    monkeypatch, sent_ns, nones, came_ns
 ):
-    """None had come at 1000, one was taken at 2000."""
-    waiting = [None, (b"data", {"source_timestamp": sent_ns, "received_timestamp": 2000, "other": 7})]
+    """Subscribed at 500; none had come at 1000, if that was looked for; one was taken at 2000."""
+    waiting = nones * [None] + [(b"data", {"source_timestamp": sent_ns, "received_timestamp": 2000, "other": 7})]
     subscription = SimpleNamespace(
         handle=SimpleNamespace(take_message=lambda kind, raw: waiting.pop(0)), msg_type="any kind"
     )
-    clock = iter((1000, 2000))
+    clock = iter((500, *nones * [1000], 2000))
     monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
     monkeypatch.setattr(inside_rclpy.time, "time_ns", lambda: next(clock))
     take = inside_rclpy.raw_take(subscription)
-    assert take() is None
+    assert [take() for _ in range(nones)] == nones * [None]
     assert take() == (b"data", {"source_timestamp": sent_ns, "received_timestamp": came_ns, "other": 7})
 
 
