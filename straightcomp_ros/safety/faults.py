@@ -122,8 +122,8 @@ class Fault(enum.Enum):
     BOARD = Description(
         14,
         10.0,
-        "the board reports a fault, restarted, or does not switch on",
-        "the board's own monitoring; its supply",
+        "the board reports a fault, restarted, or does not switch on or off",
+        "the board's own monitoring; its supply; a contactor that is welded",
         "the reason has the board's code: docs/can.md",
     )
     TRIPPED = Description(

@@ -20,6 +20,11 @@ _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
 _UNNAMED = Fault.BOARD, "the board reports: a fault"
 _BEAT = "no heartbeat"
+_UNREADY: dict[State | None, str] = {
+    State.ON: "the board has not switched its amplifier off yet",
+    State.FAULT: "the board has not cleared its fault yet",
+}
+"""Why the amplifier must not be switched on while the board reports this."""
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -54,6 +59,7 @@ class CanHardware(Hardware):
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = 0
+        self._within = f"within {parameters.answer_timeout * 1e3:g} ms"
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
         self._seen = self._upsets()
@@ -61,6 +67,7 @@ class CanHardware(Hardware):
     def start(self, now_ns: int) -> None:
         # After a pause without reading, there may be another board.
         self._receiver.restart()
+        self._await_answer()
         self._link.start()
 
     def wait(self, timeout_ns: int) -> None:
@@ -95,13 +102,14 @@ class CanHardware(Hardware):
         if not self._wanted:
             # The board switches on at an edge, so it must have seen "off" before.
             self._send(self._newest_number)
-            self._wanted, self._was_on = True, False
+            self._wanted, self._was_on, self._resetting = True, False, False
             self._seen = self._upsets()
             self._await_answer()
 
     def disable(self) -> None:
         self._wanted = self._was_on = False
         self._current = 0.0
+        self._await_answer()
         self._send(self._newest_number)
 
     def reset_fault(self) -> None:
@@ -240,9 +248,15 @@ class CanHardware(Hardware):
             found = self._finding(now_ns, reported)
             if found is not None:
                 self._latch(found)
-        elif reported is State.ON:
+        elif reported is not State.ON:
+            # Should it switch on by itself, it has this long to obey.
+            self._await_answer()
+        else:
             # The frame that said "off" may be lost.
             self._send(self._newest_number)
+            # Not by an older state: that may come in frames of its own, or not at all.
+            if self.fault is None and self._receiver.status_ns > self._deadline_ns:
+                self._latch((Fault.BOARD, f"the board did not switch off {self._within}"))
 
     def _finding(self, now_ns: int, reported: State | None) -> Finding | None:
         """The fault of a board that is to be on."""
@@ -257,8 +271,7 @@ class CanHardware(Hardware):
         elif self._was_on:
             return Fault.BOARD, "the board switched the amplifier off"
         elif now_ns > self._deadline_ns:
-            within_ms = self._parameters.answer_timeout * 1e3
-            return Fault.BOARD, f"the board did not switch on within {within_ms:g} ms"
+            return Fault.BOARD, f"the board did not switch on {self._within}"
         return None
 
     def _silence(self, now_ns: int) -> Finding | None:
@@ -286,7 +299,9 @@ class CanHardware(Hardware):
         if heartbeat and receiver.node_state != operational:
             return f"the board's heartbeat says state {receiver.node_state}, not {operational} (operational)"
         silence = self._silence(now_ns)
-        return silence[1] if silence is not None else ""
+        if silence is not None:
+            return silence[1]
+        return "" if self._wanted else _UNREADY.get(receiver.amplifier, "")
 
     def _latch(self, found: Finding) -> None:
         """Switch off, unless a fault was latched before, which now gets its name."""

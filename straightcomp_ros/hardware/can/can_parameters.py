@@ -150,7 +150,9 @@ class CanParameters:
         "latches a fault",
         "(0, 10] s",
     )
-    answer_timeout: float = parameter(0.1, "Longest wait for the board to switch on or to clear a fault", "(0, 10] s")
+    answer_timeout: float = parameter(
+        0.1, "Longest wait for the board to switch on or off, or to clear a fault", "(0, 10] s"
+    )
     strike_limit: int = parameter(
         16, "Error counter that latches a fault: a bad frame adds 4, a good one subtracts 1", "[4, 1000]"
     )

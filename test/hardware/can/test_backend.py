@@ -27,12 +27,13 @@ TIMEOUT = 0.005
 
 
 class World:
-    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, and frames be ``unreceived``."""
+    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, and frames be ``unreceived``. A
+    ``welded`` board reads each "off" as "on"."""
 
     def __init__(self, parameters):
         self.now = START
         self.to_board = self.to_host = True
-        self.board = None
+        self.welded, self.board = False, None
         self.unreceived, self._programs = set(), contextlib.ExitStack()
         self.parameters = parameters
         self.wire = parameters.make_wire()
@@ -60,6 +61,8 @@ class World:
 
     def _from_host(self, identifier, payload, *, fd):
         if self.to_board and self.board:
+            if self.welded:
+                payload = self.wire.command.pack(self.wire.command.unpack(payload)._replace(enable=True))
             self.board.receive(identifier, payload, self.now)
         return True
 
@@ -298,6 +301,46 @@ def test_an_off_that_was_lost_is_said_again(running):
     assert running.board.amplifier is State.OFF
 
 
+def test_a_board_that_stays_on_is_a_fault_once_a_state_after_its_time_says_so(running):
+    running.welded, within = True, running.host._parameters.answer_timeout
+    running.host.disable()
+    with pytest.raises(HardwareError, match="has not switched its amplifier off"):
+        running.host.enable()
+    running.run(within - 0.001)
+    # At the end of its time it says nothing.
+    running.to_host = False
+    running.run(0.004)
+    assert running.host.fault is None
+    running.to_host = True
+    running.run(0.001)
+    for _ in range(2):
+        assert f"did not switch off within {within * 1e3:g} ms" in running.host.fault[1]
+        running.host.reset_fault()
+        running.run(within - 0.001)
+        assert running.host.fault is None and running.board.amplifier is State.ON
+        running.run(0.002)
+    running.welded = False
+    running.run(0.001)
+    assert running.board.amplifier is State.OFF
+    running.off_again()
+
+
+def test_a_board_that_is_on_when_its_driver_starts_is_switched_off_without_a_fault(running):
+    running.to_host = False
+    running.host = CanHardware(running.parameters, STAGE, lambda: running.now, running._link)
+    running.host.start(running.now)
+    # The bus opens long after.
+    for _ in range(1000):
+        running.now += PERIOD
+        running.host.read(running.now)
+        running.command(running.board.command_alive + 1, True)
+        running.board.cycle(running.now)
+    assert running.board.amplifier is State.ON
+    running.to_host = True
+    running.run(0.3)
+    assert running.host.fault is None and running.board.amplifier is State.OFF
+
+
 @pytest.mark.parametrize("enable", [0b00, 0b11])
 def test_patterns_that_are_no_switch_and_damaged_frames_trip_the_board(running, enable):
     frames = running.wire.command
@@ -384,10 +427,23 @@ def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_ove
     running.host.reset_fault()
     within = running.host._parameters.answer_timeout
     running.run(within)
+    with pytest.raises(HardwareError, match="has not cleared its fault"):
+        running.host.enable()
     assert {(command.enable, command.reset) for command in commands} == {(False, True)}
     assert len(commands) == 1 + round(within * 2000) and running.host.fault is None
     running.run(0.001)
     assert "command timeout" in running.host.fault[1]
+
+
+def test_a_board_that_is_off_is_switched_on_right_after_a_reset_and_no_command_says_on_and_reset(running):
+    running._receive(Frame(running.now, 0x40, ERROR, bytes(8)), running.now)
+    running.run(0.02)
+    assert running.host.fault and running.board.amplifier is State.OFF
+    commands = running.caught()
+    running.host.reset_fault()
+    running.host.enable()
+    running.host.write(0.1, running.now)
+    assert [(one.enable, one.reset) for one in commands] == [(False, True), (False, True), (True, False)]
 
 
 def test_what_is_not_ready_says_what_is_missing(world):
