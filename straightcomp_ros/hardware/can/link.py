@@ -20,13 +20,17 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.frame_log import FrameLog
 from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, Frame
-from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE, HubBus, frame_of, message_of
 from straightcomp_ros.parameters.declaration import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
 _AT_ONCE = 256
 _PAUSE_S = 0.0005
 _SAME_CLOCK_NS = 5_000_000_000
+"""Longest time between a frame and its reading; beyond it the system's clock was set."""
+_SYSTEM_STAMPS = ("socketcan", "virtual", INTERFACE)
+"""Interfaces that stamp by the system's clock. An adapter's own drifts: python-can's kvaser and vector compare it with
+the system's only as they open."""
 
 
 def check_interface(parameters: CanParameters) -> None:
@@ -185,9 +189,7 @@ class Link:
         while frame is not None:
             # recv_frame() of the hub's interface does not filter, and an error frame has no identifier.
             if frame.identifier in self._identifiers or frame.flags & ERROR:
-                self._receive(frame, self._arrival(frame.stamp_ns))
-                if self.log:
-                    self.log.put(message_of(frame))
+                self._take(frame)
             taken += 1
             if taken >= _AT_ONCE:
                 # A babbling node must not keep the other nodes from running.
@@ -197,10 +199,15 @@ class Link:
             frame = _next_frame(bus, 0.0)
         return taken
 
-    def _arrival(self, stamp_ns: int) -> int:
-        """When the frame was on the bus: the adapter's stamp if it is of the system's clock, else now."""
-        now_ns, late_ns = self._clock(), time.time_ns() - stamp_ns
-        return now_ns - late_ns if 0 <= late_ns < _SAME_CLOCK_NS else now_ns
+    def _take(self, frame: Frame) -> None:
+        """Pass on and log a frame with its time on the bus: its stamp if that is of the system's clock, else now."""
+        now_ns, system_ns = self._clock(), time.time_ns()
+        late_ns = system_ns - frame.stamp_ns
+        if not (self._parameters.interface in _SYSTEM_STAMPS and 0 <= late_ns < _SAME_CLOCK_NS):
+            frame, late_ns = frame._replace(stamp_ns=system_ns), 0
+        self._receive(frame, now_ns - late_ns)
+        if self.log:
+            self.log.put(message_of(frame))
 
 
 def filter_of(identifier: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from waiting import comes_true
 from straightcomp_ros.hardware.can import link as link_module
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
+from straightcomp_ros.hardware.can.frame_log import RecordedBus
 from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link, filter_of
@@ -49,10 +50,11 @@ class Bus:
 class World:
     """A link on buses from a list; the host's clock runs ten seconds ahead of the system's."""
 
-    def __init__(self, monkeypatch, buses):
+    def __init__(self, monkeypatch, buses, **changes):
         self.buses, self.arrived = list(buses), []
         monkeypatch.setattr(link_module, "opened_bus", self.open)
-        self.link = Link(CanParameters(interface="virtual", fd=True), [OURS], self._receive, self.clock)
+        parameters = CanParameters(**{"interface": "virtual", "fd": True} | changes)
+        self.link = Link(parameters, [OURS], self._receive, self.clock)
 
     def open(self, parameters, filters):
         self.filters = filters
@@ -77,8 +79,8 @@ class World:
 def world(monkeypatch):
     with contextlib.ExitStack() as stack:
 
-        def make(*buses):
-            made = World(monkeypatch, buses)
+        def make(*buses, **changes):
+            made = World(monkeypatch, buses, **changes)
             stack.callback(made.link.close)
             made.link.start()
             return made
@@ -117,12 +119,26 @@ def test_an_identifier_of_29_bits_is_sent_and_filtered_as_such():
             assert frame_of(message) == frame
 
 
-@pytest.mark.parametrize(("ago_ns", "used"), [(4_000_000_000, True), (6_000_000_000, False), (-(10**9), False)])
-def test_an_arrival_is_the_adapters_time_if_that_is_the_systems_and_else_now(world, ago_ns, used):
-    host = world(Bus(frame(ago_ns=ago_ns))).opened()
+@pytest.mark.parametrize(
+    ("ago_ns", "interface", "used"),
+    [
+        (4_000_000_000, "virtual", True),
+        (6_000_000_000, "virtual", False),
+        (-(10**9), "virtual", False),
+        (4_000_000_000, "kvaser", False),  # its own timer, set once
+        (10**18, "pcan", False),  # since the computer was started
+    ],
+)
+def test_arrival_and_log_have_the_stamp_of_a_frame_if_that_is_the_systems_and_else_now(
+    world, tmp_path, ago_ns, interface, used
+):
+    host = world(Bus(frame(ago_ns=ago_ns)), interface=interface, log=str(tmp_path / "run.log")).opened()
     host.link.wait(0.0)
     ((_, arrival_ns),) = host.arrived
-    assert arrival_ns == pytest.approx(host.clock() - (ago_ns if used else 0), abs=1e9)
+    host.link.close()
+    (logged,) = RecordedBus(tmp_path / "run.log")
+    for stamp_ns, now_ns in ((arrival_ns, host.clock()), (logged.timestamp * 1e9, time.time_ns())):
+        assert stamp_ns == pytest.approx(now_ns - (ago_ns if used else 0), abs=1e9)
 
 
 def test_a_babbling_node_is_read_in_portions(world):
