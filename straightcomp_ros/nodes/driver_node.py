@@ -198,8 +198,9 @@ class DriverComponent:
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
         self._node.streams.publish_records()
-        if self._hardware.fault and self._safety.fault is None:
-            self._trip(*self._hardware.fault)
+        if self._hardware.fault:
+            self._safety.follow(now_ns())
+            self._panel.report()
         return len(samples)
 
     def _look_at_reference(self, samples: list[Sample]) -> None:

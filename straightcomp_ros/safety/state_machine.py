@@ -27,6 +27,8 @@ class SafetyMachine:
         self._on = False
         self.fault: Latched | None = None
         """The first fault since the last reset; those after it are its consequences."""
+        self._hardwares = False
+        """Whether that fault is the hardware's own."""
         self.trips = 0
         """Number of all faults, with those after the first."""
 
@@ -59,10 +61,21 @@ class SafetyMachine:
             self.disable()
             self.fault = Latched(fault, reason, time_ns)
 
+    def follow(self, time_ns: int) -> None:
+        """Latch the hardware's own fault, and take over the words that it gets later."""
+        found = self._hardware.fault
+        if found is None:
+            return
+        if self.fault is None:
+            self.trip(*found, time_ns)
+            self._hardwares = True
+        elif self._hardwares:
+            self.fault = Latched(*found, self.fault.time_ns)
+
     def reset(self) -> None:
         """Clear the fault; the amplifier stays as it is."""
         self._hardware.reset_fault()
-        self.fault = None
+        self.fault, self._hardwares = None, False
 
     @property
     def reason(self) -> str:

@@ -2,6 +2,7 @@
 
 import random
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -69,6 +70,22 @@ def test_the_first_fault_is_the_reason_and_the_next_ones_only_count(hardware, mo
         safety.trip(Fault.TWO_CONTROLLERS, "a reason", 6)
     assert safety.fault == (Fault.X_JUMP, "x went away", 5) and safety.reason == "x_jump: x went away"
     assert (requests, safety.trips) == (["off"], 5001)
+
+
+def test_a_fault_of_the_hardware_gets_the_name_that_comes_later_and_another_one_keeps_its_own():
+    hardware = Mock(fault=None)
+    safety = SafetyMachine(hardware)
+    for first in (None, "x went away"):
+        hardware.fault = None
+        safety.follow(4)
+        if first:
+            safety.trip(Fault.X_JUMP, first, 4)
+        for time_ns, words in ((5, "a fault"), (6, "command timeout"), (7, "command timeout")):
+            hardware.fault = Fault.BOARD, words
+            safety.follow(time_ns)
+            assert safety.fault == ((Fault.X_JUMP, first, 4) if first else (Fault.BOARD, words, 5))
+        safety.reset()
+    assert safety.trips == hardware.disable.call_count == 2
 
 
 def test_each_fault_has_a_number_of_its_own_above_zero_and_its_row_in_the_documented_table():
