@@ -282,10 +282,14 @@ class Wire:
                     text = f"{raw} does not fit signal {self._place(role)}; allowed: {least} to {largest}"
                     raise RefusedParameter(f"wire.{role}.{name}", text)
         for role in (role for role in ("amplifier", *_SWITCHES) if role in self._signals):
-            given = [raw for raw in self._values()[role].values() if raw != -1]
+            values, (least, largest) = self._values()[role], limits(self._signals[role])
+            given = [raw for raw in values.values() if raw != -1]
             if len(set(given)) < len(given):
                 text = f"{self._place(role)} has one value for two meanings: {given}; allowed: different ones"
                 raise RefusedParameter(f"wire.{role}", text)
+            if values.get(State.OFF) == -1 and len(given) > largest - least:
+                text = f"-1 leaves no value of {self._place(role)} for off; allowed: a signal with more than {given}"
+                raise RefusedParameter("wire.amplifier.off_value", text)
         if self.meaning.amplifier.fault_value < 0:
             together = self._names.get("fault") == self._names["amplifier"]
             if not together or self._pages["fault"] != self._pages["amplifier"]:

@@ -154,6 +154,13 @@ EDITED = [
         {"wire/amplifier/on_value": -1},
         "amplifier.on_value'.*>= 0",
     ),
+    (
+        FOREIGN_FILE,
+        "3@0+ (1,0) [0|3]",
+        "3@0+ (1,0) [2|3]",
+        {},
+        r"amplifier.off_value': -1 leaves no value of 'AMP_STATE' .*allowed: a signal with more than \[2, 3\]",
+    ),
     (FOREIGN_FILE, " 801 ", " 1960 ", {"node": 127}, NODE),
     (SPLIT_FILE, "35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", UNPROTECTED_Y, COUNTS),
 ]
