@@ -36,6 +36,8 @@ _SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
 _UNREADABLE = (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError)
 _LINES = (".log", ".asc", ".trc", ".csv")
 """Endings of logs with a line for each frame."""
+_MARKED: dict[str, Callable[[TextIO], Any]] = {".log": can.CanutilsLogReader, ".trc": can.TRCReader}
+"""Readers that take a mark of UTF-8 for a part of the first line."""
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", ".log", "a log of candump"),
     (rb"[ ;\t]*(date\s|base\s+(hex|dec)\b)", ".asc", "an ASC log of Vector"),
@@ -171,8 +173,12 @@ class RecordedBus:
         try:
             with self._file.open("rb") as opened:
                 _refuse_another_kind(self._file.suffix.lower(), opened.read(4096))
-            asc = ".asc" in (suffix.lower() for suffix in self._file.suffixes[-2:])
-            return can.ASCReader(_plain_asc(self._file)) if asc else can.LogReader(self._file)
+            ending = Path(self._file.name.lower().removesuffix(".gz")).suffix
+            if ending == ".asc":
+                return can.ASCReader(_plain_asc(self._file))
+            if ending in _MARKED:
+                return _MARKED[ending](_opened(self._file, "rt", encoding="utf-8-sig"))
+            return can.LogReader(self._file)
         except NotImplementedError as error:
             raise HardwareError("MDF needs asammdf; install it by pip, or export the log as .blf or .asc") from error
         except (OSError, ValueError, BLFParseError, struct.error) as error:
@@ -222,12 +228,17 @@ def _refuse_another_kind(suffix: str, head: bytes) -> None:
             return
 
 
+def _opened(file: Path, mode: str, **options: str) -> Any:
+    opener: Callable[..., Any] = gzip.open if file.suffix.lower() == ".gz" else open
+    return opener(file, mode, **options)
+
+
 def _plain_asc(file: Path) -> TextIO:
     """The lines of an ASC log as python-can reads them: in UTF-8, without the date, which has the words of some
     language, and with times from the beginning. "relative" ones count from the line before, whatever that holds."""
     plain = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
     relative, now = False, Decimal(0)
-    with gzip.open(file) if file.suffix.lower() == ".gz" else file.open("rb") as opened:
+    with _opened(file, "rb") as opened:
         for content in opened:
             line = decoded(content)
             relative = relative or re.match(r"\s*base\s+\w+\s+timestamps\s+relative", line, re.IGNORECASE) is not None

@@ -1,5 +1,6 @@
 """Recorded buses: what the driver's link writes, what a crash leaves of it, and a driver that is fed from it."""
 
+import gzip
 import itertools
 import shutil
 import time
@@ -223,6 +224,18 @@ def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, capsys
         assert f'"sent": {frames}' in printed.out
         # A silence of a second is said, and kept.
         assert ("a silence of 1.2 s after frame 4" in " ".join(printed.err.split())) == (channel == "can1")
+
+
+@pytest.mark.parametrize("ending", [".log", ".log.gz", ".trc", ".csv"])
+def test_a_log_may_begin_with_the_mark_of_utf_8(tmp_path, ending):
+    file = tmp_path / f"bus{ending}"
+    plain = tmp_path / f"bus{ending.removesuffix('.gz')}"
+    with can.Logger(plain) as logger:
+        for number in range(10):
+            logger(can.Message(START_S + number, 0x181, is_extended_id=False, data=b"12"))
+    content = b"\xef\xbb\xbf" + plain.read_bytes()
+    file.write_bytes(gzip.compress(content) if ending.endswith(".gz") else content)
+    assert len(list(RecordedBus(file))) == 10
 
 
 @pytest.mark.parametrize("ending", [".log", ".blf", ".asc", ".csv"])
