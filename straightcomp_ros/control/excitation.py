@@ -156,10 +156,11 @@ class Injection:
         weight = min(1.0, (self._next + 1) / self._fade, (self._end - self._next - 1) / self._fade)
         asked = command + weight * self._currents[self._next]
         self._next += 1
-        if abs(asked) <= self._limit:
-            return asked
-        self.clipped += 1
-        return math.copysign(self._limit, asked)
+        if abs(asked) > self._limit:
+            self.clipped += 1
+            return math.copysign(self._limit, asked)
+        # NaN too, which the driver refuses.
+        return asked
 
 
 @dataclass(frozen=True, eq=False)

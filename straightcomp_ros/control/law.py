@@ -53,7 +53,7 @@ class Law:
         start: ``start(y)`` gives the law's state at rest at y (m), with nothing integrated; a NamedTuple of floats.
         step: ``step(gains, state, y, r, r_dot, r_ddot, current)`` gives (next state, Command) for one sample: encoder
             reading y in m, reference r in m with its rate in m/s and acceleration in m/s², measured control
-            current of the coils in A (NaN where none is measured).
+            current of the coils in A (not finite where none is measured).
         compiled: whether the step is `compilable`; otherwise :meth:`step` calls the Python function.
         unrest: path of the number in a compiled law's state that says for how long the platform has not come to rest,
             such as ``.rest.restless``; an excitation keeps it at zero.

@@ -159,12 +159,12 @@ def predicted(
 
 @compilable
 def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
-    """The prediction, corrected by the measured current of the coils (A; NaN: none).
+    """The prediction, corrected by the measured current of the coils (A; not finite: none).
 
     A late or lost command shows there long before it shows in the position. The difference is assumed to have begun
     with the command, so that its mean over the period is ``current_share`` of its value at the end.
     """
-    if math.isnan(current):
+    if not math.isfinite(current):
         return prior
     gained = (current - prior.current) * g.current_share * g.period * g.current_gain
     return Estimate(prior.y + 0.5 * g.period * gained, prior.velocity + gained, prior.disturbance, current)
@@ -191,5 +191,8 @@ def current_for(g: Loop, y: float, acceleration: float) -> float:
 
 @compilable
 def limited(g: Loop, current: float) -> float:
-    """The current within the limit, A. The observer is given the limited command: nothing can wind up."""
-    return max(-g.current_limit, min(g.current_limit, current))
+    """The current within the limit, A. The observer is given the limited command: nothing can wind up.
+
+    In this order of the arguments NaN stays NaN, which the driver refuses; in the other it would become the limit.
+    """
+    return min(max(current, -g.current_limit), g.current_limit)

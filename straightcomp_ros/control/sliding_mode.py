@@ -189,7 +189,8 @@ def step(
     wanted = equivalent + switching
     asked, memory = filtered(g.filters, state.memory, wanted, y - r)
     equivalent += asked - wanted
-    command = max(-g.current_limit, min(g.current_limit, asked))
+    # In this order NaN stays NaN, see `limited` of observer.py.
+    command = min(max(asked, -g.current_limit), g.current_limit)
     # More ∫(y − r) means less current.
     if command == asked or (y - r) * asked > 0.0:
         integral += g.period * (y - r)

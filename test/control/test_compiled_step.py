@@ -6,8 +6,10 @@ import random
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.model.plant import advance
 from straightcomp_ros.stage.description import StageParameters
@@ -43,6 +45,19 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
     law.reset(0)
     assert repr(answer) == repr(law.step(0.0, 0.0, 0.0, 0.0, 0.0))
     assert len(law._run.signatures) == before == 1
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_an_infinite_current_is_none_measured_and_a_state_that_is_no_number_is_not_answered_by_the_limit(name):
+    law, other = (make_law(ControlParameters(law=name), STAGE) for _ in range(2))
+    for sample in samples(20):
+        for current in (math.inf, -math.inf):
+            assert repr(law.step(*sample[:4], current)) == repr(other.step(*sample[:4], math.nan))
+    state, broken = law.function(law.gains, law.start(0.0), math.nan, 0.0, 1e-5, 0.0, 0.0)
+    law.step(math.nan, 0.0, 1e-5, 0.0, 0.0)
+    injection = Injection(np.ones(4), fade=1, limit=STAGE.actuator.current_limit, travel=1.0)
+    answers = broken, law.function(law.gains, state, 0.0, 0.0, 1e-5, 0.0, 0.0)[1], law.step(0.0, 0.0, 1e-5, 0.0, 0.0)
+    assert all(math.isnan(injection.step(answer.current, 0.0)) for answer in answers)
 
 
 MODULES = ("parameters.node_parameters", "runtime.managed")
