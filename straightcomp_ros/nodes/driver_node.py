@@ -205,10 +205,10 @@ class DriverComponent:
 
     def _look_at_reference(self, samples: list[Sample]) -> None:
         unreferenced = self._hardware.unreferenced
+        if not samples:
+            return  # what another reference makes of x is seen in the next one; a board that restarts says so itself
         if unreferenced and self._safety.condition is State.ON:
             self._trip(Fault.NOT_REFERENCED, f"x is not referenced: {unreferenced}")
-        if not samples:
-            return  # what another reference makes of x is seen in the next one
         if not self._unreferenced and self._newest is not None:
             self._zero_watch.look([self._newest], referenced=True)
         self._zero_watch.look(samples, referenced=not unreferenced)

@@ -72,8 +72,8 @@ class Report(NamedTuple):
     """A frame of the board. What is not in the frame is None, except for ``good``.
 
     ``alive`` counts the frames of one identifier, ``counter`` the samples; ``x``, ``y`` and the coil ``current`` are in
-    m and A, of the sample that the frame belongs to; ``fault`` is the board's own code; ``good`` says whether both
-    readings may be used, ``referenced`` whether x is counted from its reference.
+    m and A, of the sample that the frame belongs to, NaN for a current beyond its limits; ``fault`` is the board's own
+    code; ``good`` says whether both readings may be used, ``referenced`` whether x is counted from its reference.
     """
 
     alive: int | None = None
@@ -319,6 +319,12 @@ class Frames:
         return turned
 
     @property
+    def turn(self) -> tuple[float, float]:
+        """Where x in m begins, and where it ends, as the count of its signal rises."""
+        (scale, offset), (least, largest) = self._line("x"), self._ends("x")
+        return least * scale + offset, largest * scale + offset
+
+    @property
     def x_modulus(self) -> float:
         """Distance in m after which x repeats itself; 0 if it does not."""
         return 2 ** self.fields["x"].length * self.step("x") if self.wraps else 0.0
@@ -340,7 +346,8 @@ class Frames:
 
         Shift and mask of each, 0 for a field that the frame does not have; moduli that are less than the bits hold;
         decoders of floats and of meanings; sign bit, scale and offset of numbers; what stands for a field that is
-        absent; ends of a good reading; whether the fault code alone says that there is a fault.
+        absent; ends of a good reading, and which field says what beyond them; whether the fault code alone says that
+        there is a fault.
         """
         bits, counted, decoders, numbers, absent, ends = [], [], [], [], [], []
         for at, field in enumerate(self._order):
@@ -358,8 +365,13 @@ class Frames:
                 decoders.append((at, partial(_float_of, signal.length, scale, offset)))
             elif _sign(signal) or field in self.factors:
                 numbers.append((at, _sign(signal), scale, offset))
+            beyond: tuple[int, Any] | None = None
             if self.kind is Report and field in ("x", "y") and ("good" in shown or "good" not in self.fields):
-                ends.append((at, *sorted(raw * scale + offset for raw in self._ends(field))))
+                beyond = _GOOD, False
+            elif self.kind is Report and field == "current":
+                beyond = at, math.nan
+            if beyond:
+                ends.append((at, *sorted(raw * scale + offset for raw in self._ends(field)), *beyond))
         by_code = "amplifier" in shown and self.values["amplifier"][State.FAULT] < 0
         return bits, counted, decoders, numbers, absent, ends, by_code
 
@@ -395,9 +407,9 @@ class Frames:
             values[at] = ((values[at] ^ sign) - sign) * scale + offset
         for at, stands_for in absent:
             values[at] = stands_for
-        for at, least, largest in ends:
+        for at, least, largest, told, beyond in ends:
             if not least <= values[at] <= largest:
-                values[_GOOD] = False
+                values[told] = beyond
         return _NEW(self.kind, values)
 
     def _page_table(self, whole: int) -> tuple[Any, ...]:

@@ -18,7 +18,7 @@ from straightcomp_ros.hardware.interface import Sample, State, Truth
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.stage.description import StageParameters
 
-_REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth", "remote")
+_REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "current", "foreign", "truth", "remote")
 _ERRORS = ("error_frames", "error_passive", "bus_off")
 _BAD_FRAME = 4
 _CONTROLLER, _BUS_OFF = 0x04, 0x40
@@ -33,7 +33,7 @@ class Receiver:
         current: newest coil current; for a board that does not measure it, set it to the commanded one.
         samples: new samples, oldest first: number, sample, and an emulated board's truth.
         amplifier: state in the newest good frame; None before the first.
-        referenced: whether x is counted from its reference; None if the board does not say.
+        referenced: whether x is counted from its reference; None while the board has not said it since its restart.
         ambiguous: x may be one of several positions on the stage's travel, whole turns of its counter apart.
         board_fault: the board's code of why it switched off; None before the first.
         newest_ns: time of arrival of the newest usable sample.
@@ -48,7 +48,7 @@ class Receiver:
 
     def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
         self.wire = wire = parameters.make_wire()
-        period_ns = stage.period_ns
+        self._period_ns = period_ns = stage.period_ns
         self.clock = SampleClock(period_ns)
         self._modulus = wire.sample_modulus
         slow = wire.counting is not None and wire.counting not in wire.parts
@@ -62,7 +62,11 @@ class Receiver:
         self.amplifier: State | None = None
         self.board_fault: int | None = None
         self.referenced: bool | None = None
-        self.ambiguous = self._homed = False
+        self._said: dict[int, tuple[int | None, ...] | None] = {}
+        """By identifier the newest frame's counter, and what its page does not say; None of a sample."""
+        self.ambiguous = False
+        self._homed_ns: int | None = None
+        """When x became referenced, while no good reading has come since."""
         self._x_modulus = wire.sample.x_modulus
         if self._x_modulus:
             low, high = reach(stage.motion)
@@ -95,9 +99,14 @@ class Receiver:
         self.identifiers = list(self._handlers)
 
     def restart(self) -> None:
-        """Forget the board's samples, as after its restart; counters stay."""
+        """Forget the board's samples and its reference, as after its restart; counters stay."""
+        self._begin_anew()
+        self.referenced = self._homed_ns = None
+
+    def _begin_anew(self) -> None:
         self.sequence.reset()
         self.sets.reset()
+        self._said.clear()
         self.amplifier = None
         self.error_counter = 0
 
@@ -123,7 +132,7 @@ class Receiver:
             self.error_counter += _BAD_FRAME
             if self.error_counter >= self._error_limit:
                 self.error_limit_hits += 1
-                self.restart()
+                self._begin_anew()
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
         """Count an error that the interface reports, by the identifier and the payload of Linux's error frame."""
@@ -136,9 +145,17 @@ class Receiver:
     def _receive(self, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         report = frames.unpack(payload)
         if report.x is not None:
+            self._said[frames.identifier] = None
             self._take_sample(report, arrival_ns)
             return
-        self._take_reference(report)
+        # Pages may count together, or each by itself.
+        said = report.alive, *[value is None for value in report]
+        if report.alive is not None and said == self._said.get(frames.identifier):
+            # The task that fills these frames may have stopped, with its last one in the mailbox.
+            self.sequence.repeated += 1
+            return
+        self._said[frames.identifier] = said
+        self._take_reference(report, arrival_ns)
         self._take_status(report, arrival_ns)
         placed = None if report.counter is None else self.sequence.place(report.counter, arrival_ns)
         if placed is not None:
@@ -168,10 +185,10 @@ class Receiver:
             raise FrameError("implausible")
         last, x, y = self._accepted, report.x, report.y
         assert x is not None and y is not None
-        self._take_reference(report)
+        self._take_reference(report, arrival_ns)
         ambiguous = False
         if self._x_modulus:
-            x, ambiguous = self._unwrapped(x, ahead)
+            x, ambiguous = self._unwrapped(x, ahead, arrival_ns)
         alive = report.alive or 0
         if last is not None and self._alive_modulus and (alive - last - ahead) % self._alive_modulus:
             # Frames and samples do not count alike.
@@ -190,27 +207,30 @@ class Receiver:
         if not report.good:
             self.counts["encoders"] += 1
             return
-        self._good = x, y, index
+        self._good, self._homed_ns = (x, y, index), None
         self.ambiguous = ambiguous
         if self.clock.settled:
             self._deliver(x, y, index, arrival_ns)
 
-    def _unwrapped(self, x: float, ahead: int) -> tuple[float, bool]:
+    def _unwrapped(self, x: float, ahead: int, arrival_ns: int) -> tuple[float, bool]:
         """The position of the stage, and whether it may be another one, from what its counter says.
 
         The turn of the counter follows from the last sample if the stage cannot have moved by half a turn since. Else
-        it is known where only one turn is on the travel, and after homing, which ends in the turn of the reference.
+        it is known where only one turn is on the travel, and after homing, which ends in the turn of the reference: or
+        a little before it, where the counter begins at the reference.
         """
-        turn = self._x_modulus
-        if self._homed:
-            self._homed = False
-            return x, False
+        turn, (least, largest) = self._x_modulus, self._travel
         if self._good is not None:
             last_x, _, number = self._good
             ahead += (self.sequence.index or 0) - number
             if self._x_noise + self._x_step * ahead < 0.5 * turn:
                 return last_x + math.remainder(x - last_x, turn), self.ambiguous
-        least, largest = self._travel
+        if self._homed_ns is not None:
+            way = self._x_noise + self._x_step * (1.0 + (arrival_ns - self._homed_ns) / self._period_ns)
+            if way < 0.5 * turn:
+                begin, end = self.wire.sample.turn
+                begin -= math.copysign(way, end - begin)
+                least, largest = max(least, min(begin, end)), min(largest, max(begin, end))
         turns = range(math.ceil((least - x) / turn), math.floor((largest - x) / turn) + 1)
         return (x + turns[0] * turn, False) if len(turns) == 1 else (x, True)
 
@@ -224,11 +244,11 @@ class Receiver:
         near_y: bool = abs(y - last_y) <= self._y_noise + self._y_step * ahead
         return near_x and near_y
 
-    def _take_reference(self, report: Report) -> None:
+    def _take_reference(self, report: Report, arrival_ns: int) -> None:
         """A board that becomes referenced counts x from another zero, and in the turn of the reference."""
         if report.referenced is not None:
             if report.referenced and self.referenced is False:
-                self._good, self._homed = None, True
+                self._good, self._homed_ns = None, arrival_ns
             self.referenced = report.referenced
 
     def _take_status(self, report: Report, arrival_ns: int) -> None:
@@ -237,7 +257,10 @@ class Receiver:
         if report.fault is not None:
             self.board_fault = report.fault
         if report.current is not None:
-            self.current = report.current
+            if math.isnan(report.current):
+                self.counts["current"] += 1
+            else:
+                self.current = report.current
 
     def _deliver(self, x: float, y: float, index: int, arrival_ns: int) -> None:
         stamp_ns = self.clock.stamp(index)

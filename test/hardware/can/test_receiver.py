@@ -1,6 +1,8 @@
 """The receiver: each fault of a bad bus is counted, no wrong sample is used, and what it makes of single frames."""
 
+import math
 import random
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -120,6 +122,8 @@ def test_a_boot_up_forgets_the_counter_of_the_board_before(either):
     either.samples(500)
     either.receive(either.receiver.wire.heartbeat.identifier, b"\0")
     assert either.receiver.boot_ups == 1 and either.receiver.amplifier is None
+    # It may be another board, or have lost it.
+    assert either.receiver.referenced is None
     either.number, either.start_ns = 0, START + 5600 * PERIOD
     assert either.samples(300).newest(100) == list(range(200, 300))
 
@@ -166,6 +170,41 @@ def test_readings_that_the_board_says_are_bad_are_counted_and_not_delivered(boar
     assert board.sample()[0] == BLOCK + 1 and board.receiver.sequence.lost == 0
 
 
+@pytest.mark.parametrize("current", [math.inf, math.nan, -1e30, 32.767])
+def test_a_current_beyond_its_limits_is_counted_and_the_last_one_stays(current):
+    board = Board(FOREIGN).samples(2 * BLOCK)
+    board.sample(current=2000)
+    frames = board.receiver.wire.sample
+    payload = frames.pack(Report(board.number % frames.alive_modulus, None, 0.0, 0.0, 0.1, None, None, True, None))
+    begin = frames.fields["current"].start // 8
+    payload = payload[:begin] + struct.pack(">f", current) + payload[begin + 4 :]
+    board.receive(frames.identifier, frames.crc.sealed(payload))
+    assert board.newest(1) == [board.number] and board.receiver.samples[-1][1].current == pytest.approx(0.2)
+    assert board.refused() == {"current": 1}
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_status_whose_count_stands_still_is_counted_and_not_taken(tmp_path, together):
+    text = share_path("config/board_motorola.dbc").read_text()
+    counted = ' SG_ STATUS_CNT : 3|4@0+ (1,0) [0|15] "" PC\n SG_ STATUS_CRC'
+    (tmp_path / "board.dbc").write_text(text.replace(" SG_ STATUS_CRC", counted))
+    protection = FOREIGN.wire.protection
+    protection = replace(protection, status=replace(protection.status, alive="STATUS_CNT"))
+    wire = replace(FOREIGN.wire, protection=protection)
+    receiver = Receiver(replace(FOREIGN, dbc=str(tmp_path / "board.dbc"), wire=wire), SLOW_STAGE)
+    status, said = receiver.wire.status, Report(amplifier=State.ON, fault=0)
+    for turn in range(40):
+        # Pages count together, or each by itself.
+        alive = (turn if together else turn // len(status.pages)) % status.alive_modulus
+        payload = status.pack(said._replace(alive=alive), turn)
+        receiver.receive(status.identifier, payload, START + turn)
+    assert receiver.sequence.repeated == 0 and (receiver.amplifier, receiver.board_fault) == (State.ON, 0)
+    taken_ns = receiver.status_ns
+    for late_ns in range(100, 103):
+        receiver.receive(status.identifier, payload, START + late_ns)
+    assert receiver.sequence.repeated == 3 and START + 38 <= receiver.status_ns == taken_ns
+
+
 def test_a_bad_frame_adds_four_errors_a_good_one_takes_one_off_and_the_limit_begins_anew():
     board = Board(strike_limit=11).settled()
     bad = board.receiver.wire.sample.identifier, bytes(16)
@@ -179,7 +218,7 @@ def test_a_bad_frame_adds_four_errors_a_good_one_takes_one_off_and_the_limit_beg
     assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (10, 0)
     board.receive(*bad)
     assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (0, 1)
-    assert board.receiver.amplifier is None and not board.receiver.clock.settled
+    assert board.receiver.amplifier is None and not board.receiver.clock.settled and board.receiver.referenced
     for _ in range(20):
         board.sample()
     assert board.receiver.error_counter == 0
@@ -268,13 +307,18 @@ TURN = 2**22
 """Counts of an encoder of 22 bits: 0.42 m, of which the stage's travel has several."""
 
 
+def board_with(folder, x):
+    """The package's board with another signal of x, which wraps."""
+    file = folder / "board.dbc"
+    text = share_path("config/straightcomp.dbc").read_text()
+    file.write_text(text.replace("18|26@1- (1E-007,0) [-3.3554431|3.3554431]", x))
+    return CanParameters(fd=True, dbc=str(file), wire=replace(shipped_wire(True), x_wraps=True), y_speed=0.02)
+
+
 @pytest.fixture(scope="module")
 def narrow(tmp_path_factory):
-    """The package's board with a counter of x of 22 bits."""
-    file = tmp_path_factory.mktemp("narrow") / "board.dbc"
-    text = share_path("config/straightcomp.dbc").read_text()
-    file.write_text(text.replace("18|26@1- (1E-007,0) [-3.3554431|3.3554431]", "18|22@1- (1E-007,0) [-0.2|0.2]"))
-    return CanParameters(fd=True, dbc=str(file), wire=replace(shipped_wire(True), x_wraps=True), y_speed=0.02)
+    """A counter of x of 22 bits."""
+    return board_with(tmp_path_factory.mktemp("narrow"), "18|22@1- (1E-007,0) [-0.2|0.2]")
 
 
 class WrappedMachine:
@@ -285,7 +329,7 @@ class WrappedMachine:
         self.frames, self.number, self.periods = self.receiver.wire.sample, 0, 0
         self.travel = round(stage.motion.stroke / COUNT)
         self.at = self.draw.randrange(self.travel)
-        self.zero, self.referenced, self.wrong, self.used = 0, True, 0, 0
+        self.zero, self.referenced, self.good, self.wrong, self.used = 0, True, True, 0, 0
         self.watch, self.shift = ZeroWatch(stage), 0
 
     def samples(self, count, speed=0):
@@ -293,7 +337,7 @@ class WrappedMachine:
             self.number, self.periods = self.number + 1, self.periods + 1
             self.move(speed)
             x = self.frames.wrapped((self.at - self.zero) * COUNT)
-            report = Report(self.number % 15, self.number, x, 0.0, 0.0, State.ON, 0, True, self.referenced)
+            report = Report(self.number % 15, self.number, x, 0.0, 0.0, State.ON, 0, self.good, self.referenced)
             self.receiver.samples.clear()
             arrival_ns = START + self.periods * PERIOD
             self.receiver.receive(self.frames.identifier, self.frames.pack(report), arrival_ns)
@@ -363,3 +407,23 @@ def test_a_turn_of_the_counter_that_is_alone_on_the_travel_needs_no_homing(narro
         machine.at = at
         machine.samples(3 * BLOCK)
         assert machine.used and not machine.wrong and not machine.receiver.ambiguous
+
+
+@pytest.mark.parametrize("good", [True, False])
+@pytest.mark.parametrize(
+    ("counts", "stroke", "ambiguous"), [(3, 1.76, False), (-3, 1.76, True), (-3, 0.3, False), (TURN // 2, 1.76, False)]
+)
+def test_after_homing_x_is_in_the_turn_of_its_reference_or_just_before_a_counter_that_begins_there(
+    tmp_path, counts, stroke, ambiguous, good
+):
+    stage = replace(SLOW_STAGE, motion=replace(SLOW_STAGE.motion, stroke=stroke))
+    machine = WrappedMachine(board_with(tmp_path, "18|22@1+ (1E-007,0) [0|0.4]"), 1, stage)
+    machine.at, machine.referenced = 0, False
+    machine.samples(BLOCK)
+    # The first frame with a reference may have no good reading.
+    machine.referenced, machine.zero, machine.good = True, -counts, good
+    machine.samples(1)
+    machine.good = True
+    machine.samples(1)
+    assert machine.receiver.ambiguous is ambiguous
+    assert ambiguous or machine.receiver.samples[-1][1].x == pytest.approx(counts * COUNT)
