@@ -52,7 +52,7 @@ class CanHardware(Hardware):
     ) -> None:
         self._parameters = parameters
         self._clock = clock
-        self._stage, self.motion = stage.motion, PacedMotion(stage.motion)
+        self._stage, self._rate, self.motion = stage.motion, stage.rate, PacedMotion(stage.motion)
         self._receiver = Receiver(parameters, stage)
         self._wire = wire = self._receiver.wire
         self._stage_frames = EmulatorFrames(wire) if parameters.simulated_stage else None
@@ -181,11 +181,13 @@ class CanHardware(Hardware):
 
     @property
     def _no_word(self) -> str:
-        return ": ".join(filter(None, ("nothing has come from the board yet", self._link.problem)))
+        return ": ".join(filter(None, ("nothing has come from the board yet", self.link_problem)))
 
     @property
     def link_problem(self) -> str:
-        return self._link.problem
+        rate = self._receiver.clock.other_rate
+        other = f"the board samples at about {rate:.0f} Hz, 'stage.rate' is {self._rate:g} Hz" if rate else ""
+        return self._link.problem or other
 
     @property
     def newest_arrival_ns(self) -> int:

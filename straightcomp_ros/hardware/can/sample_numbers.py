@@ -13,7 +13,8 @@ lost.
 
 Frames are late by a varying amount, but never early. The stamps therefore follow a line through the promptest frame of
 each block. A first-order correction of its offset and an integral correction of its rate make it follow a quartz that
-is off by 100 ppm and more. The line bends but never jumps: stamps rise by about a period each.
+is off by 100 ppm and more. The line bends but never jumps: stamps rise by about a period each. A board at another rate
+shows in the first block, by the promptest frames of its halves; the line then begins anew with the next one.
 """
 
 from __future__ import annotations
@@ -133,6 +134,10 @@ class SampleClock:
     """Line ``stamp(index)`` in ns through the times of arrival; :attr:`settled` after the first block.
 
     A stamp is late by the shortest time from sampling to arrival. ``period_ns`` is the nominal sampling period.
+
+    Attributes:
+        other_rate: Hz, at which the board seems to sample if that is not the nominal rate, which keeps the line from
+            settling; else 0.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -140,11 +145,12 @@ class SampleClock:
         self.reset()
 
     def reset(self) -> None:
-        self.settled = False
+        self.settled, self.other_rate = False, 0.0
         self._origin_index = self._origin_ns = self._lost_blocks = 0
         self._place = self._rate = self._bend = 0.0
         self._slope = self._nominal
-        self._least = float("inf")
+        self._least = [float("inf")] * 2
+        """Lateness of the promptest frame in each half of the block, ns."""
 
     def stamp(self, index: int) -> int:
         """Time of the sample ``index`` in ns."""
@@ -156,20 +162,29 @@ class SampleClock:
 
     def observe(self, index: int, arrival_ns: int) -> None:
         """Take the time of arrival of a sample; samples come in order, some may be missing."""
-        if not self.settled and self._least == float("inf"):
+        if not self.settled and self._least[0] == float("inf"):
             self._origin_index, self._origin_ns = index, arrival_ns
         step = index - self._origin_index
         late = arrival_ns - self._origin_ns - self._place - step * self._slope
         # As seen from the end of the block, when the line has been bent.
         late -= (BLOCK - step) * self._bend
-        if late < self._least:
-            self._least = late
+        half = step >= BLOCK // 2
+        if late < self._least[half]:
+            self._least[half] = late
         if step >= BLOCK - 1:
             self._end_block(index)
 
     def _end_block(self, index: int) -> None:
-        late, self._least = self._least, float("inf")
+        (first, second), self._least = self._least, [float("inf")] * 2
+        late = min(first, second)
         if not self.settled:
+            if abs(second - first) > _LOST_PERIODS * self._nominal:
+                # 6 %, or the host stood still throughout one half: the next block tells.
+                self.reset()
+                period_ns = self._nominal + (second - first) / (BLOCK // 2)
+                # None passes between frames that are read at once.
+                self.other_rate = 1e9 / period_ns if period_ns > 0.0 else 0.0
+                return
             self._place += late
             self.settled = True
             return

@@ -460,6 +460,18 @@ def test_what_is_not_ready_says_what_is_missing(world):
     assert host.state is State.OFF and host.heartbeat_losses == 0
 
 
+def test_a_board_at_another_rate_than_the_stage_s_is_named_and_not_switched_on():
+    world = World(FD)
+    slow = replace(STAGE, rate=1000.0)
+    world.board = Board(FD, SimulatedParameters(command_timeout=TIMEOUT), slow, GUIDE, world._from_board)
+    world.board.start(world.now)
+    world.run(0.5)
+    assert not world.samples
+    assert world.host.link_problem == "the board samples at about 1000 Hz, 'stage.rate' is 2000 Hz"
+    with pytest.raises(HardwareError, match="at about 1000 Hz"):
+        world.host.enable()
+
+
 def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason():
     world, trajectory = World(FD), Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
     real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: world.now, world._link)
