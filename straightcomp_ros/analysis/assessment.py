@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
-from straightcomp_ros.analysis.judged_motion import STILL
 from straightcomp_ros.analysis.metrics import LINES, evaluate, standstill_figures, stroke_figures
 from straightcomp_ros.analysis.record import Array, MetricsError, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
@@ -49,7 +48,6 @@ class Assessment:
         self.strokes = [stroke_figures(one, reference, direction) for one, direction in strokes]
         self.standstills = standstill_figures(record, reference)
         self.straightness = [one.to_display() for one in statements(evaluation, sensor)]
-        self.uncompensated = float(np.ptp(moving.r)) <= STILL
         # Of the compensation error as the encoder sees it, while the stage moves.
         self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
         # Samples that the clock took and the bag lacks.
@@ -67,7 +65,8 @@ class Assessment:
             self.amplifier_off = [one for one in _intervals(time, off) if one.start <= last and one.end >= first]
         self.stick_slips = [event for one, _ in strokes for event in stick_slips(one.time, one.x, one.y, one.r)]
         known = evaluation.parameters, evaluation.map, evaluation.stalls, evaluation.latency, evaluation.guide
-        self.verdict = partial or verdict_of(judged_motion(record, reference, *known))
+        judged = judged_motion(record, reference, *known)
+        self.uncompensated, self.verdict = judged.still, partial or verdict_of(judged)
 
     def figures(self) -> dict[str, Any]:
         """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""

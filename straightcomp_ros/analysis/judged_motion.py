@@ -2,7 +2,7 @@
 
 A run is judged by what its stage was promised (:mod:`straightcomp_ros.offline.promise`): the error of the described
 machine under the same law, and a map as good as its described noise. An error of half of what a platform that stands
-still would leave is too large whatever was promised.
+still would leave, on the whole guide of the map, is too large whatever was promised.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ FEW_COUNTS = 3.0
 """Counts of the encoder, p-p, which the best law leaves: no less is asked for on a nearly straight guide."""
 _OF_A_COUNT = 1.0 / math.sqrt(12.0)
 """RMS of rounding in counts."""
-STILL = 0.1e-6
-"""Travel in m of a reference that asks for nothing: the run is uncompensated. Twenty times less than the best guide."""
+_STILL = 0.1e-6
+"""Travel in m of a reference that asks for nothing: the run is uncompensated, unless its map asks for more elsewhere.
+Twenty times less than the best guide."""
 _STILL_SHARE = 0.01
 """The same relative to the true guide's deviation."""
 
@@ -79,6 +80,7 @@ def bounds_of(
     if straightness is not None:
         runout = float(parameters.get("feedforward", {}).get("stage.guide.runout", shipped.guide.runout))
         bounds["span"] = (straightness.span[0] - runout, straightness.span[1] + runout)
+        bounds["map_pp"] = peak_to_peak(straightness.evaluate(straightness.report.x)[0])
     if "controller" in parameters:
         for name in ("friction", "sensor_noise", "map_noise"):
             known = parameters["controller"].get(f"stage.uncertainty.{name}", getattr(shipped.uncertainty, name))
@@ -163,6 +165,7 @@ class JudgedMotion:
     current_limit: float = math.inf  # largest |i_c| that the law may command and the D/A converter can
     stop: float = math.inf  # the platform's mechanical stop at ± this position
     span: tuple[float, float] = (-math.inf, math.inf)  # of x in which the map's reference follows the guide or runs out
+    map_pp: float = 0.0  # m, p-p of the map's reference over the whole guide; 0: flat, or not known
     late: str = ""  # that commands came later than described, as of `late_commands`
     by_encoder: bool = False  # whether y and the error are the encoder's
     unseen: bool = False  # whether the error is hardly in the encoder's readings
@@ -211,8 +214,9 @@ class JudgedMotion:
     @property
     def still(self) -> bool:
         """Whether the reference asks for nothing: the run is uncompensated."""
-        guide = self.fit.guide_pp if self.fit else 0.0
-        return self.travel <= max(STILL, self.count, _STILL_SHARE * guide)
+        asked = max(_STILL, self.count, _STILL_SHARE * (self.fit.guide_pp if self.fit else 0.0))
+        # Of a map with more than that a short motion may follow a gentle piece; only a centred reference stands still.
+        return self.travel <= asked and (self.map_pp <= asked or self.travel == 0.0)
 
     @cached_property
     def promised(self) -> Promise | None:
@@ -227,10 +231,11 @@ class JudgedMotion:
             return math.inf
         if self.pp <= least:
             return least
-        largest = max(ACCURATE * self.uncompensated, least)
         if not self.promised:
-            return min(largest, max(self.uncompensated, self.count))
-        return min(largest, max(least, self._allowed.pp))
+            return min(max(ACCURATE * self.uncompensated, least), max(self.uncompensated, self.count))
+        # A sound law leaves more than half of the little that a gentle piece of the guide asks for.
+        whole = ACCURATE * max(self.uncompensated, self.map_pp)
+        return max(least, min(whole, self._allowed.pp))
 
     @cached_property
     def rms(self) -> float:

@@ -81,6 +81,7 @@ def promised(smooth: float, as_mapped: float = 0.0, largest: float = 0.0, rms: f
 PAUSED = np.cumsum(np.select([TIME < 3.0, TIME < 5.0], [0.5, 0.0], -0.5)) * T
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
 NEARLY = 0.02 * R
+GENTLE, JOG = 5e-9 * np.sin(TIME), {"fit": None, "map_pp": 20e-6}
 LIMITED, DESTABILISED = {"current_limit": 0.9}, {"modes": (80.0,), "destabilised": lambda: True}
 DRY = {"y": R, "current": 0.05 * np.sign(np.gradient(R)), "current_stiffness": 40.0}
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
@@ -282,7 +283,13 @@ CASES = {
         ("inaccurate", "", motion(1.3 * NEARLY, NEARLY, fit=None)),
     ],
     "an uncompensated run is in order and says so": [
-        ("in_order", "uncompensated", motion(SMALL, 1e-9 * np.sin(TIME), fit=OTHER))
+        ("in_order", "uncompensated", motion(SMALL, 1e-9 * np.sin(TIME), fit=OTHER)),
+        ("in_order", "uncompensated", motion(8.0 * SMALL, 0.0 * R, fit=OTHER, map_pp=20e-6)),
+    ],
+    "a short motion on a gentle piece of a map is compensated, and is judged by its promise": [
+        ("inaccurate", "", motion(8.0 * SMALL, GENTLE, promise=promised(0.29), **JOG)),
+        ("in_order", "^(?!.*uncompensated)", motion(8.0 * SMALL, GENTLE, promise=promised(0.31), **JOG)),
+        ("inaccurate", "", motion(8.0 * SMALL, GENTLE, **JOG)),
     ],
 }
 
