@@ -90,6 +90,7 @@ class BagEvaluation:
     # (m,) m, the guide's deviation by the displacement sensor at the same samples, up to a constant, NaN where it was
     # not recorded; None without a sensor.
     guide: Array | None = None
+    read: NDArray[np.bool_] | bool = True  # (m,) at which of them it read: between them is interpolation
     # Stamps in ns of the driver's records that have a latency, as many.
     latency_stamps: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
     encoder: EncoderRun | None = None  # as the encoder saw the stage move; None for a run that was not recorded
@@ -119,6 +120,11 @@ class BagEvaluation:
     def lost_samples(self) -> int:
         """Samples that the clock took and the bag does not have."""
         return self.expected_samples - self.received_samples
+
+    @property
+    def readings(self) -> Array | None:
+        """The sensor's, each at the sample nearest to it; NaN at the others."""
+        return None if self.guide is None else np.where(self.read, self.guide, np.nan)
 
     @cached_property
     def at_current_limit(self) -> NDArray[np.bool_]:
@@ -267,9 +273,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         **({name: column(truth, theirs) for name, theirs in _TRUTH.items()} if truth else {}),
     )
     guide, sensor = None, unique.get(DISPLACEMENT.topic)
+    read = np.full(common.size, sensor is None)
     if sensor and len(sensor) > 1:
         values, known = FieldValues(sensor.stamp, sensor.columns["deviation"], True).at(common)
-        guide = np.where(known, values, np.nan)
+        nearest = np.searchsorted(common[:-1] + np.diff(common) // 2, sensor.stamp)
+        close = np.abs(sensor.stamp - common[nearest]) <= np.median(np.diff(common))
+        values[nearest[close]], read[nearest[close]] = sensor.columns["deviation"][close], True
+        guide = np.where(known | read, values, np.nan)
     columns = driver.columns if driver else {}
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     state = driver.stamp if driver else encoder[:0]
@@ -308,6 +318,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         begin_ns=int(common[0]),
         coil_current=column(samples, "coil_current"),
         guide=guide,
+        read=read,
         latency_stamps=state[recorded],
         encoder=run,
         seen_error=_reference_at(encoder, x, reference, record, straightness) - samples.columns["y"][first:],

@@ -69,8 +69,8 @@ def judged_motion(
 ) -> JudgedMotion:
     """What is judged of ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if
     that is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
-    :func:`late_commands`, ``sensor`` the guide's deviation (n,) in m by a displacement sensor at the record's samples,
-    up to a constant, NaN where it has none. MetricsError if the stage does not move."""
+    :func:`late_commands`, ``sensor`` the readings (n,) in m of the guide's deviation by a displacement sensor at the
+    record's samples, up to a constant, NaN where it has none. MetricsError if the stage does not move."""
     run = record.moving
     truth, seen, first, last = run.true_error(reference), run.r - run.y, run.time[0], run.time[-1]
     return JudgedMotion(
@@ -140,13 +140,17 @@ def _guide_fit(
         known = moving[:0] if sensor is None else moving[np.isfinite(sensor[moving])]
         if sensor is None or known.size < _READINGS * _PIECES:
             return None
-        # Means over pieces of x each way have little of the sensor's noise: its spread says how much.
+        # Means over pieces of x each way have little of the sensor's noise, and all have the same: the spread says how
+        # much, of as many readings in each.
         x, readings = record.x[known], sensor[known]
-        piece = np.minimum(((x - x.min()) / np.ptp(x) * _PIECES).astype(np.intp), _PIECES - 1)
-        piece += _PIECES * np.isin(known, record.motion.samples("backward"))
-        (middle, guide), square = group_means(x, readings, piece), group_means(x, readings**2, piece)[1]
-        followed = guide + group_means(x, record.followed(reference)[known], piece)[1]
-        noise = float(np.sqrt(np.mean(np.maximum(square - guide**2, 0.0)) * guide.size / known.size))
+        apart, back = readings + record.followed(reference)[known], np.isin(known, record.motion.samples("backward"))
+        piece = np.empty(known.size, np.intp)
+        for way in (False, True):
+            ours = np.flatnonzero(back == way)
+            piece[ours[np.argsort(x[ours])]] = np.arange(ours.size) * _PIECES // ours.size + _PIECES * way
+        (middle, guide), followed = group_means(x, readings, piece), group_means(x, apart, piece)[1]
+        spread = np.maximum(group_means(x, apart**2, piece)[1] - followed**2, 0.0)
+        noise = float(np.sqrt(np.mean(spread) * guide.size / (known.size - guide.size)))
         x, (guide, left) = middle, (least_squares_residual(middle, one) for one in (guide, followed))
     cause = causes.of_map(x, left, reference.deviations, straightness)
     return GuideFit(peak_to_peak(guide), peak_to_peak(left), cause, noise)

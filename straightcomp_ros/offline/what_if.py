@@ -61,7 +61,7 @@ def what_if(
     record = evaluation.record
     parameters = parameters_of(bag, attachments, given)
     partial = evaluation.partial()
-    late = evaluation.stalls, evaluation.latency, evaluation.guide
+    late = evaluation.stalls, evaluation.latency, evaluation.readings
     verdict = partial or verdict_of(judged_motion(record, record.reference, parameters, evaluation.map, *late))
     runs = [Run(record.law, evaluate(record, record.reference), verdict)]
     with tempfile.TemporaryDirectory() as folder:

@@ -366,6 +366,14 @@ def test_a_sensor_shows_the_guide_from_five_readings_on_at_each_of_200_places(ma
         sensor[np.delete(moving, np.linspace(0, moving.size - 1, readings).astype(int))] = np.nan
         assert (judged_motion(record, cosine_map, {}, sensor=sensor).fit is not None) == said
     assert judged_motion(record, cosine_map, {}).fit is None
+    # The guide is the map's: what is left is the sensor's noise.
+    sensor[moving] = np.nan
+    some = np.linspace(0, moving.size - 1, 1000).astype(int)
+    sensor[moving[some]] = cosine_map.deviations(record.x[moving[some]]) + np.random.default_rng(1).normal(
+        0.0, 1e-6, 1000
+    )
+    found = judged_motion(record, cosine_map, {}, sensor=sensor)
+    assert 0.5 * found.largest_of_map < found.fit.left_pp < found.largest_of_map
 
 
 def guide_map(deviation, step: float) -> StraightnessMap:

@@ -224,6 +224,13 @@ def test_the_guide_has_changed_where_the_sensor_saw_it(coarse):
         assert np.abs(change[~inside] - np.median(change)).max() < 0.05
 
 
+def test_a_sensor_of_too_few_readings_does_not_judge_the_guide_by_what_lies_between_them(coarse):
+    assert set(np.diff(np.flatnonzero(np.isfinite(coarse.readings)))) == {10} and np.isfinite(coarse.guide[:-10]).all()
+    seen = {"record": replace(coarse.record, true_x=None, true_y=None, guide=None)}
+    assert columns_of(coarse, "verdict", **seen, read=True) == ["wrong_guide"] * 2
+    assert "wrong_guide" not in columns_of(coarse, "verdict", **seen)
+
+
 def test_strokes_in_simulated_time_have_the_date_at_which_their_bag_was_made(evaluation, rows):
     zero = date_of_zero(BAG, evaluation.begin_ns)
     dated = rows_of(evaluation, recorded_facts(BAG, "key", evaluation)[1], zero)

@@ -165,9 +165,9 @@ def _verdict(evaluation: BagEvaluation, reference: RecordedReference, stroke: St
     time = evaluation.record.time
     start, stop = np.searchsorted(time, (time[stroke.start] - _AROUND, time[stroke.stop - 1] + _AROUND)).tolist()
     part = evaluation.record.part(slice(start, stop))
-    guide = None if evaluation.guide is None else evaluation.guide[start:stop]
+    readings = None if evaluation.readings is None else evaluation.readings[start:stop]
     known = evaluation.parameters, evaluation.map, evaluation.stalls
-    return verdict_of(judged_motion(part, reference, *known, sensor=guide))
+    return verdict_of(judged_motion(part, reference, *known, sensor=readings))
 
 
 def _bandwidth(evaluation: BagEvaluation, part: StrokeRecord, coils: Array) -> float | None:
