@@ -99,8 +99,10 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     """The described motion, with the place, the length and the speed of the record's strokes where they differ."""
     x = record.x[record.motion.window]
     half = max(1, round(0.5 * SPEED_SPAN / float(np.median(np.diff(record.time)))))
-    moved = np.abs(record.x[2 * half :] - record.x[: -2 * half]) / (record.time[2 * half :] - record.time[: -2 * half])
-    start, stroke, speed = float(x.min()), float(np.ptp(x)), max(float(np.quantile(moved, 0.999)), MOVING)
+    moving = record.motion.samples()
+    before, after = np.maximum(moving - half, 0), np.minimum(moving + half, record.time.size - 1)
+    speeds = np.abs(record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
+    start, stroke, speed = float(x.min()), float(np.ptp(x)), max(float(np.quantile(speeds, 0.999)), MOVING)
     reached = min(described.speed, math.sqrt(described.acceleration * stroke))
     same_place = abs(start - described.start) < _SAME * stroke and abs(stroke / described.stroke - 1.0) < _SAME
     if same_place and abs(speed / reached - 1.0) < _SAME:

@@ -176,6 +176,11 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
     first, most = found.largest(Left(0.0, 0.0)), found.largest(Left(1.0, 1.0))
     assert 0.0 < first.pp <= most.pp < 1e-6 and 0.0 < first.rms <= most.rms < 0.1e-6
     assert found.largest(first) == first
+    # A rest of ten minutes between the strokes does not make them slower.
+    turn, columns = record.motion.strokes[1].start, record.columns()
+    columns |= {name: np.insert(of, turn, np.full(1_200_000, of[turn])) for name, of in columns.items()}
+    columns["time"] = np.arange(columns["x"].size) * 5e-4
+    assert promise_of(replace(record, **columns), by_node(values), straightness).smooth == found.smooth
     assert promise_of(record, {"driver": {}}, straightness) is promise_of(record, by_node(values), None) is None
     assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
 
