@@ -44,8 +44,8 @@ class Assessment:
             raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
         reference, time = record.reference, (evaluation.stamps - evaluation.stamps[0]) * 1e-9
         strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
-        self.metrics = evaluate(record, reference)
-        self.strokes = [stroke_figures(one, reference, direction) for one, direction in strokes]
+        self.metrics = evaluate(record, reference, evaluation.map)
+        self.strokes = [stroke_figures(one, reference, direction, evaluation.map) for one, direction in strokes]
         self.standstills = standstill_figures(record, reference)
         self.straightness = [one.to_display() for one in statements(evaluation, sensor)]
         # Of the compensation error as the encoder sees it, while the stage moves.

@@ -102,7 +102,7 @@ def _whose(assessment: Assessment) -> str:
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     record = assessment.record
-    x, of_guide, after = straightness_over(record, record.reference)
+    x, of_guide, after = straightness_over(record, assessment.evaluation.map or record.reference)
     seen = "map and encoder" if record.guide is None else "true"
     figure = page.line_figure("slider position x / mm", f"deviation / µm ({seen})")
     curves: tuple[tuple[str, Array, str, Direction | None], ...] = (

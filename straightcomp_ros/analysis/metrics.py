@@ -97,8 +97,9 @@ class StrokeFigures(Figures):
     after_minimum_zone: float
 
 
-def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
-    """The figures of ``record``, with the map that its reference was made from.
+def evaluate(record: StrokeRecord, straightness: ReferenceMap, map_of_guide: ReferenceMap | None = None) -> Metrics:
+    """The figures of ``record``, with the map that its reference was made from, and ``map_of_guide`` where that is
+    another one: the reference may have been centred.
 
     MetricsError if the stage does not move, or a number within the window is not finite.
     """
@@ -116,8 +117,8 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         # In whole nanoseconds: a sum of floats is beside a sample's time by its last bit.
         begin = np.searchsorted(stamps, stamps[one.stop - 1] + round(RESTING * 1e9))
         resting += np.diff(record.current[begin : following.start]).tolist()
-    _, before, after = straightness_over(record, straightness)
-    of_encoder = record.guide_by(straightness) + record.y
+    _, before, after = straightness_over(record, map_of_guide or straightness)
+    of_encoder = record.guide_by(map_of_guide or straightness) + record.y
     return Metrics(
         **errors,
         residual_pp=peak_to_peak(after),
@@ -131,9 +132,11 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     )
 
 
-def stroke_figures(stroke: StrokeRecord, reference: ReferenceMap, direction: Direction) -> StrokeFigures:
-    """Figures of a record of one ``stroke``."""
-    time, (x, y, guide) = stroke.time, stroke.best_known(reference)
+def stroke_figures(
+    stroke: StrokeRecord, reference: ReferenceMap, direction: Direction, map_of_guide: ReferenceMap | None = None
+) -> StrokeFigures:
+    """Figures of a record of one ``stroke``; maps as of :func:`evaluate`."""
+    time, (x, y, guide) = stroke.time, stroke.best_known(map_of_guide or reference)
     lines = {
         f"{name}_{line}": value
         for name, deviation in (("before", guide), ("after", guide + y))

@@ -90,8 +90,9 @@ class StrokeRecord:
         return straightness.evaluate(self.x if self.true_x is None else self.true_x)[0]
 
     def guide_by(self, straightness: ReferenceMap) -> Array:
-        """The guide's deviation (n,) in m at the measured x, up to a constant."""
-        return -self.r if straightness.directed else straightness.deviations(self.x)
+        """The guide's deviation (n,) in m at the measured x, up to a constant; of two tables by r, unless it was
+        centred."""
+        return -self.r if straightness.directed and np.ptp(self.r) else straightness.deviations(self.x)
 
     def true_error(self, straightness: ReferenceMap) -> Array | None:
         """r(true x) − true y, (n,) in m; None without truth."""

@@ -173,10 +173,13 @@ Samples = tuple[Array, Array, Array]
 
 def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[Statement]:
     """Of a run, before and after compensation, for each direction and line. ``sensor`` is the standard uncertainty in m
-    of a recorded displacement sensor, which then takes the place of the map."""
+    of a recorded displacement sensor, which then takes the place of the map. None where nothing tells the guide: there
+    is no map, and the reference was centred."""
     record, readings, found = evaluation.record, evaluation.guide, list[Statement]()
     by_sensor = sensor is not None and readings is not None and bool(np.isfinite(readings).any())
-    guide = readings if by_sensor and readings is not None else record.guide_by(record.reference)
+    guide = readings if by_sensor and readings is not None else record.guide_by(evaluation.map or record.reference)
+    if not (by_sensor or evaluation.map or np.ptp(record.moving.r)):
+        return []
     count = evaluation.parameters.get("driver", {}).get("stage.encoder.y_resolution")
     encoder = Input("encoder", None if count is None else float(count) / math.sqrt(12.0))
     points = np.arange(record.x.min(), record.x.max() + _SENSOR_POINTS, _SENSOR_POINTS)

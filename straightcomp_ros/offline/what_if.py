@@ -63,7 +63,7 @@ def what_if(
     partial = evaluation.partial()
     late = evaluation.stalls, evaluation.latency, evaluation.readings
     verdict = partial or verdict_of(judged_motion(record, record.reference, parameters, evaluation.map, *late))
-    runs = [Run(record.law, evaluate(record, record.reference), verdict)]
+    runs = [Run(record.law, evaluate(record, record.reference, evaluation.map), verdict)]
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))
         values = _recorded_values(parameters, evaluation, survey)

@@ -1,6 +1,7 @@
 """The uncertainty of a straightness holds what it claims, and its budget names what it is made of."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,20 @@ def test_what_a_run_does_not_tell_is_named_and_left_out(make_record, assessed):
     assert after["measured_um"] == pytest.approx(0.1, abs=0.02)
     assert after["value_um"] == pytest.approx(0.0, abs=0.03)
     assert assessed(make_record()).as_json()["straightness"][3]["unknown"] == ["repeatability", "encoder", "map"]
+
+
+def test_a_centred_reference_is_not_the_guide(make_record, assessed, cosine_map):
+    record = make_record(truth=False)
+    centred = replace(record, y=record.y - record.r, r=np.zeros_like(record.r))
+    by_map, followed = (assessed(one, map=cosine_map).as_json() for one in (centred, record))
+    for name in ("uncompensated_pp_um", "straightness_before_least_squares_forward_um"):
+        assert by_map[name] == pytest.approx(followed[name])
+    assert by_map["residual_pp_um"] == pytest.approx(by_map["uncompensated_pp_um"], rel=0.02)
+    before, after = (by_map["straightness"][row] for row in (0, 3))
+    assert before == followed["straightness"][0] and after["measured_um"] == pytest.approx(
+        before["measured_um"], rel=0.02
+    )
+    assert assessed(centred).as_json()["straightness"] == []
 
 
 def test_a_recorded_sensor_takes_the_place_of_the_map(make_record, assessed, cosine_map):

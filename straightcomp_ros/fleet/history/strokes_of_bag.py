@@ -121,9 +121,9 @@ def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], 
     own."""
     record, reference, (begin, end) = evaluation.record, evaluation.record.reference, times
     part, coils = record.part(stroke.samples), evaluation.coil_current[stroke.samples]
-    x, y, guide = part.best_known(reference)
+    x, y, guide = part.best_known(evaluation.map or reference)
     workpiece = residual_of_stroke(part.time, x, guide + y)
-    figures = stroke_figures(part, reference, stroke.direction).to_display()
+    figures = stroke_figures(part, reference, stroke.direction, evaluation.map).to_display()
     del figures["start_s"]
     first, last = np.searchsorted(evaluation.stamps, (begin, end + 1)).tolist()
     stamps = evaluation.stamps[first:last]
