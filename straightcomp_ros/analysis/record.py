@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -266,6 +266,17 @@ def whole(travels: ArrayLike) -> NDArray[np.bool_]:
     """Which movements with these travels (n,) go all the way, as the longest does."""
     travels = np.asarray(travels)
     return np.asarray(travels >= _WHOLE * np.max(travels, initial=0.0))
+
+
+def whole_ways(strokes: Sequence[Stroke], x: Array) -> tuple[list[list[Stroke]], list[list[Stroke]]]:
+    """Of a motion's strokes, at least one, over ``x`` (n,) in m, the ways that are whole, and the others: successive
+    strokes in one direction are one way."""
+    ways = [list(group) for _, group in itertools.groupby(strokes, key=lambda one: one.direction)]
+    travels = [abs(float(x[way[-1].stop - 1] - x[way[0].start])) for way in ways]
+    found: tuple[list[list[Stroke]], list[list[Stroke]]] = [], []
+    for way, is_whole in zip(ways, whole(travels).tolist(), strict=True):
+        found[not is_whole].append(way)
+    return found
 
 
 def runs_of(mask: NDArray[np.bool_]) -> NDArray[np.intp]:

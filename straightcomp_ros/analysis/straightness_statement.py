@@ -1,7 +1,8 @@
 """Straightness as ISO 230-1 states it: about three lines, each with its expanded uncertainty and the budget behind it.
 
 The values are those of an instrument: the guide by the map (or a displacement sensor that was recorded), the platform
-by the encoder, never the truth of a simulation. A value is the mean over the strokes of one direction.
+by the encoder, never the truth of a simulation. A value is the mean over the strokes of one direction, of which those
+with stops on the way are whole strokes, and much shorter ones are left out.
 
 A peak-to-peak value is a difference of extremes, so that errors do not only spread it, they move it: errors in the
 measured curve make it larger, and what the measurement cannot see makes the true one larger than the measured. Both are
@@ -36,7 +37,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import LINES, about_lines
-from straightcomp_ros.analysis.record import Array, group_means
+from straightcomp_ros.analysis.record import Array, group_means, whole_ways
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, zone_along
 from straightcomp_ros.straightness.survey_runs import cubic_spline
@@ -92,7 +93,7 @@ class Contribution(NamedTuple):
 
 class Statement(NamedTuple):
     """The straightness ``when`` (before or after compensation) about ``line``, in m; ``measured`` is the mean over
-    ``strokes`` strokes."""
+    ``strokes`` strokes, without ``left_out`` shorter ones."""
 
     when: str
     direction: Direction
@@ -100,6 +101,7 @@ class Statement(NamedTuple):
     strokes: int
     measured: float
     budget: tuple[Contribution, ...]
+    left_out: int = 0
 
     @property
     def value(self) -> float:
@@ -125,7 +127,7 @@ class Statement(NamedTuple):
         """As a person reads it: lengths in µm, the budget as a list."""
         lengths = ("measured", "value", "standard_uncertainty", "expanded_uncertainty")
         return {
-            **{name: getattr(self, name) for name in ("when", "direction", "line", "strokes")},
+            **{name: getattr(self, name) for name in ("when", "direction", "line", "strokes", "left_out")},
             **{f"{name}_um": getattr(self, name) * 1e6 for name in lengths},
             "coverage_factor": COVERAGE_FACTOR,
             "unknown": self.unknown,
@@ -161,6 +163,7 @@ def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             known = f"{one['share_um']:.3f}" if one["counts"] else f"({one['share_um']:.3f})"
             cells[f"u_{one['contribution']}_um"] = "?" if one["standard_uncertainty_um"] is None else known
         what = f"{statement['when']}, {statement['direction']}, {statement['line'].replace('_', ' ')}"
+        what += f", without {statement['left_out']} shorter strokes" if statement.get("left_out") else ""
         figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
         shown = {f"{name}_um": f"{figure:.3f}" for name, figure in figures.items()}
         rows.append({"straightness": what, **shown, **cells})
@@ -183,17 +186,20 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
     count = evaluation.parameters.get("driver", {}).get("stage.encoder.y_resolution")
     encoder = Input("encoder", None if count is None else float(count) / math.sqrt(12.0))
     points = np.arange(record.x.min(), record.x.max() + _SENSOR_POINTS, _SENSOR_POINTS)
+    of_run = whole_ways(record.motion.strokes, record.x)
     for direction in ("forward", "backward"):
-        strokes = [one.samples for one in record.motion.strokes if one.direction == direction]
+        strokes, shorter = ([way for way in ways if way[0].direction == direction] for ways in of_run)
+        moving = [np.concatenate([np.arange(one.start, one.stop) for one in way]) for way in strokes]
         for when, curve in (("before", guide), ("after", guide + record.y)):
             after = when == "after"
             source = Input("sensor", sensor, points) if by_sensor else map_input(evaluation.map, seen=not after)
-            known = [one.start + np.flatnonzero(np.isfinite(curve[one])) for one in strokes]
+            known = [at[np.isfinite(curve[at])] for at in moving]
             series = [(record.time[at], record.x[at], curve[at]) for at in known if at.size > 2 * _PIECES]
             if series:
                 # By the map, the guide is the same in all strokes.
                 inputs = [*([encoder] if after else []), source]
-                found += stated(when, direction, series, inputs, repeats=after or by_sensor)
+                made = stated(when, direction, series, inputs, repeats=after or by_sensor)
+                found += [one._replace(left_out=len(shorter)) for one in made]
     return found
 
 

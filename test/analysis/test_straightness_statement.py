@@ -118,6 +118,22 @@ def test_a_centred_reference_is_not_the_guide(make_record, assessed, cosine_map)
     assert assessed(centred).as_json()["straightness"] == []
 
 
+def test_a_stroke_in_parts_is_stated_as_a_whole_and_shorter_ones_are_left_out(make_record, assessed, cosine_map):
+    record = make_record(truth=False)
+    stroke, _ = record.motion.strokes
+    third, fifth = (stroke.start + (stroke.stop - stroke.start) // parts for parts in (3, 5))
+    # A stop on the way forward, and after the way back the begin of another way forward.
+    stop, short = np.full(400, third), np.append(np.arange(fifth), np.full(400, fifth))
+    order = np.concatenate([np.arange(third), stop, np.arange(third, record.time.size), short])
+    columns = {name: values[order] for name, values in record.columns().items()}
+    stepped = replace(record, **columns | {"time": np.arange(order.size) * 5e-4})
+    assert len(stepped.motion.strokes) == 4
+    whole, found = (assessed(one, map=cosine_map).as_json()["straightness"] for one in (record, stepped))
+    for one, other in zip(whole, found, strict=True):
+        assert (other["strokes"], other["left_out"]) == (1, int(one["direction"] == "forward"))
+        assert other["value_um"] == pytest.approx(one["value_um"], abs=0.02)
+
+
 def test_a_recorded_sensor_takes_the_place_of_the_map(make_record, assessed, cosine_map):
     record = make_record()
     seen = assessed(record, guide=0.5 * cosine_map.deviations(record.x), map=cosine_map).evaluation

@@ -7,7 +7,6 @@ stops at each point; the readings of the second half of each stop make one.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMap, Choices, build
-from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole
+from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole_ways
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.survey import Run, Survey, check_run
@@ -162,16 +161,14 @@ def recognise(series: Series, step: float, limit: float) -> tuple[tuple[Passage,
         strokes = motion_of(series.time, series.x).strokes
     except MetricsError as error:
         raise SurveyError(f"survey {series.source}: {str(error).removeprefix('record: ')}") from error
-    # Each move with the end of the rest after it; successive moves in one direction belong to one run.
-    moves = zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True)
-    groups = [list(group) for _, group in groupby(moves, key=lambda move: move[0].direction)]
-    travels = [abs(float(series.x[group[-1][0].stop - 1] - series.x[group[0][0].start])) for group in groups]
+    ends = dict(zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True))
+    ways, partial = whole_ways(strokes, series.x)
     passages: list[Passage] = []
-    for group, is_whole in zip(groups, whole(travels).tolist(), strict=True):
-        if is_whole:
-            name = str(1 + sum(passage.run.direction == group[0][0].direction for passage in passages))
-            passages.append(_passage(series, group, name, step, limit))
-    return tuple(passages), len(groups) - len(passages)
+    for way in ways:
+        name = str(1 + sum(passage.run.direction == way[0].direction for passage in passages))
+        # Each move with the end of the rest after it.
+        passages.append(_passage(series, [(one, ends[one]) for one in way], name, step, limit))
+    return tuple(passages), len(partial)
 
 
 def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
