@@ -163,6 +163,7 @@ def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             known = f"{one['share_um']:.3f}" if one["counts"] else f"({one['share_um']:.3f})"
             cells[f"u_{one['contribution']}_um"] = "?" if one["standard_uncertainty_um"] is None else known
         what = f"{statement['when']}, {statement['direction']}, {statement['line'].replace('_', ' ')}"
+        # Statements of a stored certificate may be older.
         what += f", without {statement['left_out']} shorter strokes" if statement.get("left_out") else ""
         figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
         shown = {f"{name}_um": f"{figure:.3f}" for name, figure in figures.items()}
