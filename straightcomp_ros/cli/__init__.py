@@ -9,6 +9,7 @@ import, or comes with an extra, is imported in ``run``.
 
 import argparse
 import codecs
+import os
 import re
 import sys
 import unicodedata
@@ -58,6 +59,13 @@ def _in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 
 codecs.register_error("straightcomp", _in_ascii)
+
+
+def open_closed_streams() -> None:
+    """Put the null device in the place of standard streams that were closed (``>&-``), for which Python has None."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def print_in_any_encoding() -> None:

@@ -12,7 +12,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
-from straightcomp_ros.cli import CommandFailed, Terminated, Tool, print_in_any_encoding, printable, warn_in_sentences
+from straightcomp_ros.cli import (
+    CommandFailed,
+    Terminated,
+    Tool,
+    open_closed_streams,
+    print_in_any_encoding,
+    printable,
+    warn_in_sentences,
+)
 from straightcomp_ros.parameters.share import PACKAGE, share_path
 
 GROUP = "straightcomp.verbs"
@@ -64,6 +72,7 @@ def main(
 
     Its verbs are those of the entry points, or ``verbs``, names of modules by verb.
     """
+    open_closed_streams()
     print_in_any_encoding()
     warn_in_sentences()
     given = list(sys.argv[1:] if arguments is None else arguments)

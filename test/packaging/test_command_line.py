@@ -1,6 +1,7 @@
 """First contact: verbs of our own and of other packages, help that reads well, completion, version, a closed pipe."""
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -196,6 +197,17 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     os.close(write)
     assert (done.stderr, done.returncode) == ("", 141)
+
+
+def test_a_command_whose_standard_streams_are_closed_does_its_work(tmp_path):
+    command = [sys.executable, "-m", "straightcomp_ros.cli.main", "stage", "new", str(tmp_path / "one")]
+    for closed, force in ((">&-", ""), ("<&- >&- 2>&-", "--force")):
+        done = subprocess.run(
+            f"{shlex.join([*command, *force.split()])} {closed}", shell=True, timeout=600, check=False
+        )
+        assert done.returncode == 0
+    done = subprocess.run(f"{shlex.join(command)} >&-", shell=True, stderr=subprocess.PIPE, timeout=600, check=False)
+    assert done.returncode == 2 and b"is there already" in done.stderr
 
 
 @pytest.mark.parametrize(
