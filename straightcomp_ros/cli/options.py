@@ -5,6 +5,7 @@ import math
 import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,8 @@ def _attribute(option: str) -> str:
 def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
     """Files and folders that are there and that options or arguments name, also as ``NAME=FILE``, but for one's; with
     those that a YAML file among them names."""
+    from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
+
     own = _attribute(without)
     values = [value for name, value in vars(options).items() if name != own]
     values += [one for value in values if isinstance(value, list) for one in value]
@@ -132,9 +135,17 @@ def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
     names += [name.partition("=")[2] for name in names if "=" in name]
     found = [Path(name) for name in names if name and os.path.exists(name)]
     for file in [path for path in found if path.is_file() and path.suffix in (".yaml", ".yml")]:
-        words = re.findall(r":\s*[\"']?([^\s\"'#]+)", file.read_text(encoding="utf-8", errors="replace"))
-        found += [place / word for word in words for place in (Path(), file.parent) if (place / word).is_file()]
+        with suppress(YamlError, OSError):
+            paths = [os.path.expanduser(text) for text in _texts(load_yaml(file))]
+            found += [place / path for path in paths for place in (Path(), file.parent) if os.path.isfile(place / path)]
     return found
+
+
+def _texts(tree: Any) -> list[str]:
+    """The texts among values of YAML."""
+    if isinstance(tree, (dict, list)):
+        return [text for value in (tree.values() if isinstance(tree, dict) else tree) for text in _texts(value)]
+    return [tree] if isinstance(tree, str) else []
 
 
 def output_folder(option: str, name: str, *, empty: bool = False) -> Path:

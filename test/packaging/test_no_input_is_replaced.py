@@ -21,6 +21,7 @@ INPUTS = [
     "friction smc -o smc/smc_0.mcap",
     "friction --excitation s.csv --set stage.guide.file=s.csv",
     "design one/stage.yaml -o one/survey.csv",
+    "design blank.yaml -o 'my survey.csv'",
     "history map store sound --survey s.csv -o s.csv",
     "simulate --params-file run.png --plot run.png",
     "simulate --bag smc",
@@ -60,6 +61,8 @@ def folder(tmp_path_factory):
         shutil.copy(ROOT / "config" / "survey_synthetic.csv", "s.csv")
         for line in ("stage new one --yes", "map export -o t.cal"):
             assert main(line.split()) == 0
+        shutil.copy("s.csv", "my survey.csv")
+        Path("blank.yaml").write_text("/**: {ros__parameters: {stage.guide.file: 'my survey.csv'}}")
         Path("link.cal").symlink_to("t.cal")
         Path("two").mkdir()
         names = "mine run.png one/mine two/survey.csv two/figure_2.png two/frames.h two/commission.json"
