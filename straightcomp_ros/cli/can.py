@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from straightcomp_ros.cli import Tool
@@ -190,7 +191,8 @@ def _firmware(options: argparse.Namespace) -> None:
                 write_whole(folder / name, text)
     except OSError as error:
         raise CommandFailed(f"'{error.filename or folder}': {error.strerror}", exit_code=2) from error
-    build = f"make -C firmware GENERATED={folder.absolute()} BUILD={folder.absolute() / 'build'}"
+    generated, built = (quote(str(path)) for path in (folder.absolute(), folder.absolute() / "build"))
+    build = f"make -C firmware GENERATED={generated} BUILD={built}"
     if options.json:
         print_json({"source": wire.source(), "files": [str(folder / name) for name in texts], "build": build})
         return

@@ -315,10 +315,10 @@ def test_a_program_that_is_not_for_this_board_is_refused(firmware, capfd, can, s
 
 
 def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_path, capsys):
-    folder = tmp_path / "frames"
+    folder = tmp_path / "frames (2)"
     stage = str(FOREIGN_FILE)
     assert main(["can", "firmware", stage, "-o", str(folder)]) == 0
-    assert f"make -C firmware GENERATED={folder} BUILD={folder / 'build'}" in capsys.readouterr().err
+    assert f"make -C firmware GENERATED='{folder}' BUILD='{folder}/build'" in capsys.readouterr().err
     texts = frames_in_c([FOREIGN.make_wire()])
     assert {file.name: file.read_text() for file in folder.glob("*.[ch]")} == texts
     assert main(["can", "firmware", stage, "-o", str(folder), "--json"]) == 0
