@@ -43,7 +43,7 @@ encoder.y_resolution
 """
 """What differs on nearly every stage."""
 _HEAD = """\
-# Description of the stage '{name}': each fact is here once, and every node, `straightcomp … --stage` and the launch
+# Description of the stage {name!r}: each fact is here once, and every node, `straightcomp … --stage` and the launch
 # files (stage:=…) take it from here. SI units. `straightcomp stage check` reads it as an engineer would.
 """
 

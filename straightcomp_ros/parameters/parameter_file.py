@@ -162,4 +162,5 @@ def commented(key: str, declared: Iterable[Declaration], values: Mapping[str, An
 
 def as_yaml(value: Any) -> str:
     """One value as YAML; a text in quotes."""
-    return str(yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0])
+    style = '"' if isinstance(value, str) else None
+    return str(yaml.safe_dump(value, default_style=style, width=float("inf")).splitlines()[0])

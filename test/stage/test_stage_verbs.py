@@ -58,6 +58,12 @@ def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, 
     assert (folder / "survey.csv").read_bytes() == file.read_bytes()
 
 
+@pytest.mark.parametrize("name", ["Bench 3, left gantry, axis X, " * 5 + "since May", "two\\nlines: ["])
+def test_a_new_stage_has_the_name_that_was_given_however_long(tmp_path, name):
+    assert new(tmp_path / "one", "--set", f'name="{name}"') == 0
+    assert read_stage_file(tmp_path / "one" / "stage.yaml")["stage"]["name"] == name.replace("\\n", "\n")
+
+
 def test_the_survey_of_a_new_stage_may_have_the_gaps_that_are_given(tmp_path, capsys):
     file = tmp_path / "sparse.csv"
     x = np.arange(0.0, 1801.0, 60.0)
