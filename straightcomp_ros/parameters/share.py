@@ -43,8 +43,11 @@ def private_folder() -> Path:
 
     What another user may have put there is never taken: machine code in it would run, a link would lead elsewhere.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    # Without HOME and an entry of this user in the system's list, ~ stays as it is.
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     for place in (home / PACKAGE, Path(tempfile.gettempdir()) / f"{PACKAGE}-{os.getuid()}"):
+        if not place.is_absolute():
+            continue
         try:
             make_private(place)
         except OSError:

@@ -5,6 +5,7 @@ import os
 import shutil
 import stat
 import tempfile
+from unittest.mock import Mock
 
 import pytest
 
@@ -197,6 +198,15 @@ def test_a_place_that_others_may_have_made_is_passed_over(places, taken):
     fresh = private_folder()
     assert fresh not in places and fresh.parent == second.parent and not list(fresh.iterdir())
     assert stat.S_IMODE(fresh.stat().st_mode) == 0o700
+
+
+def test_a_user_without_a_home_has_a_folder_in_the_temporary_one(places, monkeypatch):
+    monkeypatch.delenv("HOME")
+    monkeypatch.setattr("pwd.getpwuid", Mock(side_effect=KeyError))
+    for cache in ("", "relative"):
+        monkeypatch.setenv("XDG_CACHE_HOME", cache)
+        private_folder.cache_clear()
+        assert private_folder() == places[1]
 
 
 def test_a_folder_of_another_user_is_passed_over(places, monkeypatch):
