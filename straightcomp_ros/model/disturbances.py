@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.friction import band_value
 from straightcomp_ros.parameters.declaration import ParameterError, group, parameter
+from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.parameters.yaml_text import bounded_lines
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ class DisturbanceParameters:
 
     def machine(self) -> "Disturbances":
         """The same with its table read; ParameterError if the file is refused."""
-        return Disturbances(self, read_force_table(Path(self.force_file)) if self.force_file else ((), ()))
+        return Disturbances(self, read_force_table(named_file(self.force_file)) if self.force_file else ((), ()))
 
 
 Table = tuple[tuple[float, ...], tuple[float, ...]]

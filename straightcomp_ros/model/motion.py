@@ -9,7 +9,6 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
+from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.parameters.yaml_text import bounded_lines
 
 T = TypeVar("T", float, NDArray[np.float64])
@@ -148,7 +148,7 @@ def goals(motion: MotionParameters) -> list[float]:
         return [*(motion.start + motion.stroke * k / motion.steps for k in range(1, motion.steps + 1)), motion.start]
     where = f"parameter 'stage.motion.file': {motion.file}"
     found = []
-    for number, line in enumerate(bounded_lines(Path(motion.file), where), 1):
+    for number, line in enumerate(bounded_lines(named_file(motion.file), where), 1):
         if text := line.partition("#")[0].strip():
             try:
                 found.append(float(text))

@@ -11,7 +11,7 @@ import yaml
 
 from straightcomp_ros.parameters.declaration import Declaration, ParameterError, belongs_to_ros, to_mapping
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values, by_node, node_parameters
-from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.share import named_file, share_path
 from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml, node_sections
 
 ALL_NODES = "/**"
@@ -19,13 +19,11 @@ ALL_NODES = "/**"
 DEFAULT_FILE = "config/straightcomp.yaml"
 DEFAULT_STAGE = "config/stage_synthetic.yaml"
 """Installed files: settings of the nodes, and the description of the synthetic stage."""
-_FILES = ((STAGE, "guide.file"), ("driver", "simulated.truth.guide"), ("driver", "can.dbc"))
-"""Node and parameter of what a stage file may name: surveys, and the DBC file of its board."""
-_READ = {
-    *("stage.guide.file", "stage.motion.file"),
-    *("simulated.truth.guide", "simulated.truth.disturbances.force_file", "can.dbc"),
-}
-"""Parameters of nodes whose files are read and never written. `learning.file` is written, too."""
+_FILES = (
+    *((STAGE, "guide.file"), (STAGE, "motion.file"), ("driver", "can.dbc")),
+    *(("driver", "simulated.truth.guide"), ("driver", "simulated.truth.disturbances.force_file")),
+)
+"""Node and parameter of the files that a stage file may name; they are read and never written."""
 
 
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -75,7 +73,7 @@ def _describe(values: dict[str, dict[str, Any]], described: Mapping[str, Any]) -
 
 
 def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """As :func:`read_parameter_file`; a survey or DBC file of a relative name is looked for in its folder first."""
+    """As :func:`read_parameter_file`; a file of a relative name in it is looked for in its folder first."""
     values = read_parameter_file(path)
     for node, found in files_beside(path, values).items():
         values[node].update(found)
@@ -92,7 +90,7 @@ def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> d
         if not isinstance(file, str) or not file:
             continue
         file = os.path.expanduser(file)
-        if os.path.isfile(folder / file) or not _elsewhere(file):
+        if os.path.isfile(folder / file) or not os.path.exists(named_file(file)):
             found.setdefault(node, {})[name] = str(folder / file)
     return found
 
@@ -101,24 +99,13 @@ def file_digests(values: Values) -> dict[str, str]:
     """SHA-256 of the content of each file that the parameters ``values`` name for reading, by the name that they give
     it. A file that cannot be read has none: its reader refuses it."""
     nodes = (to_mapping(node_parameters(node, values)) for node in NODE_PARAMETERS if node in values)
-    names = {str(node[name]) for node in nodes for name in _READ & node.keys() if node[name]}
+    read = {f"{STAGE}.{name}" if node == STAGE else name for node, name in _FILES}
+    names = {str(node[name]) for node in nodes for name in read & node.keys() if node[name]}
     found: dict[str, str] = {}
     for name in sorted(names):
-        path = os.path.expanduser(name)
         with suppress(OSError):
-            content = Path(path if os.path.isfile(path) else share_path(name)).read_bytes()
-            found[name] = hashlib.sha256(content).hexdigest()
+            found[name] = hashlib.sha256(named_file(name).read_bytes()).hexdigest()
     return found
-
-
-def _elsewhere(name: str) -> bool:
-    """Whether a file is in the working directory, or among the package's own."""
-    if os.path.exists(name):
-        return True
-    try:
-        return bool(share_path(name))
-    except (OSError, ValueError):
-        return False
 
 
 def shipped_parameters(params_file: str | None = None, stage: str | None = None) -> dict[str, dict[str, Any]]:

@@ -6,6 +6,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -34,6 +35,16 @@ def share_path(name: str) -> Path:
             return base / name
         tried.append(str(base))
     raise FileNotFoundError(f"'{name}' of {PACKAGE} is in none of: {', '.join(tried)}; is the package installed?")
+
+
+def named_file(name: str) -> Path:
+    """Path of a file that a parameter names, from the working directory or the home folder (``~``), else an installed
+    one; of what is nowhere too, so that its reader refuses it by its name."""
+    path = os.path.expanduser(name)
+    if not os.path.exists(path):
+        with suppress(FileNotFoundError):
+            return share_path(name)
+    return Path(path)
 
 
 @cache

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
-from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
 from straightcomp_ros.straightness.survey import Survey, read_survey
@@ -251,14 +251,11 @@ def find_survey(name: str) -> Path:
     Raises:
         SurveyError: in none of these places.
     """
-    path = Path(name)
+    path = named_file(name)
     if os.path.isfile(path):
         return path.resolve()
     if os.path.exists(path):
         raise SurveyError(f"survey {name}: is no file; name a CSV file")
-    if not path.is_absolute():
-        with suppress(FileNotFoundError):
-            return share_path(name)
     where = (
         f" in the working directory {Path.cwd()}, the folder of a stage file that names it, or the package's own files"
     )

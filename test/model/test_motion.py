@@ -155,7 +155,7 @@ def test_an_s_curve_keeps_speed_acceleration_and_jerk_and_arrives_at_rest(distan
     assert (np.abs(slopes) < (1.001 * acceleration / build * h + 2.0 * noise)[1:-1]).all()
 
 
-def test_a_cycle_goes_to_equal_steps_or_to_the_positions_of_a_file_and_back_to_its_start(tmp_path):
+def test_a_cycle_goes_to_equal_steps_or_to_the_positions_of_a_file_and_back_to_its_start(tmp_path, monkeypatch):
     steps = MotionParameters(start=0.1, stroke=-0.09, steps=3)
     assert goals(steps) == pytest.approx([0.07, 0.04, 0.01, 0.1])
     cycle = Trajectory(forward_and_back(steps))
@@ -163,7 +163,9 @@ def test_a_cycle_goes_to_equal_steps_or_to_the_positions_of_a_file_and_back_to_i
     assert rests == pytest.approx([0.1, 0.1, 0.07, 0.07, 0.04, 0.04, 0.01, 0.01, 0.1, 0.1])
     file = tmp_path / "positions.txt"
     file.write_text("0.2  # first\n\n-0.01\n", encoding="utf-8-sig")
-    assert goals(MotionParameters(file=str(file))) == [0.2, -0.01, 0.0]
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in (str(file), "~/positions.txt"):
+        assert goals(MotionParameters(file=name)) == [0.2, -0.01, 0.0]
     for text, words in (("", "0 positions; allowed: 1 to 1000"), ("0.1\nzwei", "line 2: 'zwei'"), ("nan", "line 1")):
         file.write_text(text)
         with pytest.raises(ParameterError, match=f"stage.motion.file.*{words}"):

@@ -212,3 +212,20 @@ def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tm
     )
     read = read_stage_file(path)
     assert read["stage"] == {"rate": 1000} and read["driver"] == {"can.dbc": str(tmp_path / "home" / "x.dbc")}
+
+
+@pytest.mark.parametrize(
+    ("node", "name"), [("stage", "motion.file"), ("driver", "simulated.truth.disturbances.force_file")]
+)
+def test_a_file_that_a_stage_file_names_is_that_in_its_folder_before_one_in_the_working_directory(
+    tmp_path, monkeypatch, node, name
+):
+    path, full = tmp_path / "stage.yaml", name if node == "driver" else f"stage.{name}"
+    path.write_text(f"/**{'/driver' if node == 'driver' else ''}: {{ros__parameters: {{{full}: named.csv}}}}")
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    for file in (tmp_path / "named.csv", tmp_path / "work" / "named.csv"):
+        file.write_text("0.2\n")
+    assert read_stage_file(path)[node][name] == str(tmp_path / "named.csv")
+    (tmp_path / "named.csv").unlink()
+    assert read_stage_file(path)[node][name] == "named.csv"

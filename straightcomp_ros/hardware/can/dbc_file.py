@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from straightcomp_ros.parameters.declaration import instead
-from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding
 
 if TYPE_CHECKING:
@@ -315,12 +315,9 @@ def _has_initial(signal: Signal) -> bool:
 
 
 def _found(file: str) -> Path:
-    path = Path(os.path.expanduser(file))
+    path = named_file(file)
     if not os.path.exists(path):
-        try:
-            return share_path(file)
-        except FileNotFoundError:
-            raise DbcError(f"'{file}': No such file; name a DBC file") from None
+        raise DbcError(f"'{file}': No such file; name a DBC file")
     return path.absolute()  # it is read later, perhaps from another folder
 
 
