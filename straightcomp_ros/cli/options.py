@@ -191,7 +191,7 @@ def add_stage_argument(parser: argparse.ArgumentParser) -> None:
 
 def chosen_parameters(options: argparse.Namespace) -> Values:
     """Values by node and dotted name, checked; raises ParameterError."""
-    return _checked(options.params_file, options.stage, chosen_changes(options))
+    return _checked(options.params_file, options.stage, chosen_changes(options), getattr(options, "namespace", ""))
 
 
 def stage_values(options: argparse.Namespace) -> Values:
@@ -207,11 +207,11 @@ def chosen_changes(options: argparse.Namespace) -> Values:
     return changes
 
 
-def _checked(params_file: str | None, stage: str | None, changes: Values) -> Values:
+def _checked(params_file: str | None, stage: str | None, changes: Values, namespace: str = "") -> Values:
     from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
     from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
-    values = changed(shipped_parameters(params_file, stage), changes)
+    values = changed(shipped_parameters(params_file, stage, namespace), changes)
     for node in NODE_PARAMETERS:
         node_parameters(node, values)
     return values

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -24,17 +25,22 @@ _FILES = (
     *(("driver", "simulated.truth.guide"), ("driver", "simulated.truth.disturbances.force_file")),
 )
 """Node and parameter of the files that a stage file may name; they are read and never written."""
+_LEVELS = {"**": r"(/\w+)*", "*": r"/\w+"}
+"""What stands for levels of a node's full name in a key of a parameter file, as for rcl."""
 
 
-def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
+def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
+    """Values of a ROS 2 parameter file for nodes in ``namespace``, by node and dotted name, with a key for each node of
+    this package.
 
-    A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**``
-    for all. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here; as for a node,
-    of several sections with a fact the last counts. Parameters that ROS itself declares on every node are left out.
+    As for rcl, a key of the file is a node's full name, with ``*`` for one level and ``**`` for any (``/**/driver``,
+    ``driver``), or ``/**`` for all; other nodes' sections are left out, and of several with a parameter the last
+    counts. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here. Parameters that
+    ROS itself declares on every node are left out.
 
     Raises:
-        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
+        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, names an unknown node, or
+            has sections for other namespaces only.
     """
     source = f"parameter file {path}"
     try:
@@ -44,23 +50,30 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     except ParameterError as error:
         raise ParameterError(f"{source}: {error}") from error
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
+    before = "".join(f"/{level}" for level in namespace.split("/") if level)
+    foreign = []
     for key, every in sections:
         name = key.rsplit("/", 1)[-1]
         given = {parameter: value for parameter, value in every.items() if not belongs_to_ros(parameter)}
-        if name not in (*NODE_PARAMETERS, "**"):
+        if name not in (*NODE_PARAMETERS, *_LEVELS):
             raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(NODE_PARAMETERS)}, {ALL_NODES}")
-        if name != "**":
-            if twice := values[name].keys() & given.keys():
-                raise ParameterError(f"{source}: '{min(twice)}' of node '{name}' is given twice")
+        pattern = "".join(_LEVELS.get(level, re.escape(f"/{level}")) for level in key.split("/") if level)
+        # A key that ends with stars is for all nodes or for none.
+        if not re.fullmatch(pattern, f"{before}/{'driver' if name in _LEVELS else name}"):
+            foreign.append(key)
+        elif name in NODE_PARAMETERS:
             values[name].update(given)
-            continue
-        for parameter, value in given.items():
-            group, _, rest = parameter.partition(".")
-            if group != STAGE or not rest:
-                raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
-            if rest in values[STAGE]:
-                raise ParameterError(f"{source}: '{parameter}' is given twice")
-            _describe(values, {rest: value})
+        else:
+            for parameter, value in given.items():
+                group, _, rest = parameter.partition(".")
+                if group != STAGE or not rest:
+                    raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
+                _describe(values, {rest: value})
+    if foreign and len(foreign) == len(sections):
+        place = f"namespace {before}" if before else "no namespace"
+        raise ParameterError(
+            f"{source}: is for other nodes than those in {place}: {', '.join(foreign)}; allowed: {ALL_NODES}/NODE"
+        )
     return values
 
 
@@ -72,9 +85,9 @@ def _describe(values: dict[str, dict[str, Any]], described: Mapping[str, Any]) -
             values[node].pop(f"{STAGE}.{name}", None)
 
 
-def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
+def read_stage_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     """As :func:`read_parameter_file`; a file of a relative name in it is looked for in its folder first."""
-    values = read_parameter_file(path)
+    values = read_parameter_file(path, namespace)
     for node, found in files_beside(path, values).items():
         values[node].update(found)
     return values
@@ -108,14 +121,17 @@ def file_digests(values: Values) -> dict[str, str]:
     return found
 
 
-def shipped_parameters(params_file: str | None = None, stage: str | None = None) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name of a parameter file and a stage file; the installed ones by default.
+def shipped_parameters(
+    params_file: str | None = None, stage: str | None = None, namespace: str = ""
+) -> dict[str, dict[str, Any]]:
+    """Values by node and dotted name of a parameter file and a stage file for nodes in ``namespace``; the installed
+    ones by default.
 
     A parameter file that is named describes the stage too, unless there is a ``stage`` file.
     """
-    values = read_parameter_file(params_file or share_path(DEFAULT_FILE))
+    values = read_parameter_file(params_file or share_path(DEFAULT_FILE), namespace)
     if stage or not params_file:
-        described = read_stage_file(stage or share_path(DEFAULT_STAGE))
+        described = read_stage_file(stage or share_path(DEFAULT_STAGE), namespace)
         _describe(values, described[STAGE])
         for node in NODE_PARAMETERS:
             values[node].update(described[node])

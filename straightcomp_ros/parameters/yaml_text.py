@@ -9,7 +9,7 @@ from __future__ import annotations
 import codecs
 import errno
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -64,7 +64,8 @@ def _begin(path: Path, size: int) -> bytes:
 
 
 def node_sections(source: Path | bytes) -> list[tuple[str, dict[str, Any]]]:
-    """Of a ROS 2 parameter file, or its content, the key of each section and its parameters by dotted name.
+    """Of a ROS 2 parameter file, or its content, the key of each section and its parameters by dotted name; of nested
+    keys (``/**:`` above ``driver:``) all, with ``/`` between them.
 
     Raises:
         ParameterError: it is not YAML, has another layout, or gives a parameter twice.
@@ -76,10 +77,18 @@ def node_sections(source: Path | bytes) -> list[tuple[str, dict[str, Any]]]:
         raise ParameterError(str(error)) from error
     if not isinstance(tree, Mapping):
         raise ParameterError("has no 'NODE: ros__parameters:' level")
-    for key, section in tree.items():
-        if not isinstance(section, Mapping) or not isinstance(section.get(PARAMETERS), Mapping):
-            raise ParameterError(f"node '{key}' has no '{PARAMETERS}:'")
-    return [(str(key), flatten(section[PARAMETERS])) for key, section in tree.items()]
+    return list(_sections(tree, ""))
+
+
+def _sections(tree: Mapping[Any, Any], above: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    for key, inside in tree.items():
+        name = f"{above}{key}"
+        # An empty one has neither parameters nor another key.
+        if not (isinstance(inside, Mapping) and isinstance(inside.get(PARAMETERS, inside or None), Mapping)):
+            raise ParameterError(f"node '{name}' has no '{PARAMETERS}:'")
+        if PARAMETERS in inside:
+            yield name, flatten(inside[PARAMETERS])
+        yield from _sections({one: below for one, below in inside.items() if one != PARAMETERS}, f"{name}/")
 
 
 def bounded_bytes(path: Path, most_mb: int = 256) -> bytes:

@@ -128,12 +128,13 @@ def _started(
 def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[str, object]:
     """Parameters of ``node`` by the arguments, whose values are known only now: an empty one leaves the parameter to
     the file or the default. A file in the folder of the stage file is named, as a node alone would not look there."""
-    stage, given = LaunchConfiguration("stage").perform(context), dict[str, object]()
+    stage, namespace = (LaunchConfiguration(name).perform(context) for name in ("stage", "namespace"))
+    given: dict[str, object] = {}
     try:
-        found = files_beside(stage, read_parameter_file(stage))
+        found = files_beside(stage, read_parameter_file(stage, namespace))
         given = {f"{STAGE}.{name}": file for name, file in found.get(STAGE, {}).items()} | found.get(node, {})
     except ParameterError:
-        pass  # the node refuses the file, and says why
+        pass  # the node refuses the file, and says why; or it is for nodes of other namespaces
     for argument in overrides:
         if value := LaunchConfiguration(argument).perform(context):
             parameter, kind, _ = OVERRIDES[argument]

@@ -191,8 +191,10 @@ def stage(tmp_path):
     return tmp_path / "stage.yaml"
 
 
-def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(stage):
-    for node in of_kind("Node", CELL, stage=str(stage)):
+@pytest.mark.parametrize("namespace", ["", "left"])
+def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(stage, namespace):
+    stage.write_text(stage.read_text().replace("/**", f"{namespace}/**"))
+    for node in of_kind("Node", CELL, stage=str(stage), namespace=namespace):
         [_, _, given] = node.kwargs["parameters"]
         assert given["stage.guide.file"].args == (str(stage.with_name("guide.csv")),)
 

@@ -1,11 +1,13 @@
 import inspect
 import re
+from argparse import Namespace
 from dataclasses import dataclass, is_dataclass
 from typing import get_type_hints
 
 import pytest
 import yaml
 
+from straightcomp_ros.cli.options import chosen_parameters
 from straightcomp_ros.parameters.declaration import (
     ParameterError,
     declarations,
@@ -105,8 +107,7 @@ def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script
         ("a: [", "no YAML"),
         ("driver: {ros__parameters: &x {self: *x}}", "contains itself"),
         ("/**: {ros__parameters: {stage.rate: 1, stage: {rate: 2}}}", "parameter 'stage.rate' is given twice"),
-        ("driver: {ros__parameters: {a: 1}}\n/**/driver: {ros__parameters: {a: 1}}", "'a' of node 'driver'"),
-        ("/**: {ros__parameters: {stage.a: 1}}\n'**': {ros__parameters: {stage.a: 1}}", "'stage.a' is given twice"),
+        ("/**: {driver: {ros__parameters: {}}, drivr: {}}", r"'/\*\*/drivr' has no 'ros__parameters:'"),
     ],
 )
 def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
@@ -184,7 +185,39 @@ def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_
         assert node_parameters(node, read) == node_parameters(node, values)
     assert read["logger"] == {"output": "n"} and read["stage"] == {"name": "Y", "rate": 4000}
     path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
-    assert read_parameter_file(path)["driver"] == {"simulated.initial_y": 1e-6}
+    assert read_parameter_file(path, "stage_1")["driver"] == {"simulated.initial_y": 1e-6}
+
+
+@pytest.mark.parametrize(
+    ("keys", "alone", "in_stage_2"),
+    [
+        (["driver"], 1, None),
+        (["/*/driver"], None, 1),
+        (["/**/driver", "/stage_2/driver"], 1, 2),
+        (["driver", "/**/driver", "/*"], 3, 2),
+        (["/stage_1/driver", "/stage_2/driver"], None, 2),
+        (["/**:driver", "/stage_2:*", "/*/**/**"], 3, 3),
+        (["stage_2/:driver", "/stage_2/**/driver:cell"], None, 1),
+    ],
+)
+def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alone, in_stage_2):
+    """The number of the section that counts; None: the file is refused. A colon stands between nested keys."""
+    path, tree = tmp_path / "p.yaml", {}
+    for number, key in enumerate(keys, 1):
+        section = {"ros__parameters": {"stage.rate": 1000 * number}}
+        for level in reversed(key.split(":")):
+            section = {level: section}
+        tree |= section
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    for namespace, number in (("", alone), ("/stage_2/", in_stage_2)):
+        if number:
+            assert node_parameters("driver", read_parameter_file(path, namespace)).stage.rate == 1000 * number
+            given = Namespace(params_file=str(path), stage=None, law=None, set=[], namespace=namespace)
+            assert node_parameters("driver", chosen_parameters(given)).stage.rate == 1000 * number
+        else:
+            last = re.escape(keys[-1].replace(":", "/"))
+            with pytest.raises(ParameterError, match=rf"p\.yaml: is for other nodes .*{last}; allowed: /\*\*/NODE"):
+                read_parameter_file(path, namespace)
 
 
 COMMON, OWN = {"/**": 4.0}, {"/**/driver": 5.0}
