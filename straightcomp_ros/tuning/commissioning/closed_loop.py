@@ -33,7 +33,7 @@ from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Work, recorded_reading
-from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE
+from straightcomp_ros.tuning.commissioning.open_loop import TOLERANCE, fastest_shown
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import LAW as SAFE_LAW
 from straightcomp_ros.tuning.design.feasible_gains import DesignError, safe_law
@@ -349,14 +349,18 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
     ratio = described.static / described.coulomb if described.coulomb > 0.0 else 1.0
     if {"friction.coulomb", "friction.static"} & facts.keys():
         facts["friction.static"] = max(facts.get("friction.static", ratio * coulomb), coulomb)
+    for name, (fact, width) in intervals.items():
+        if fact.name in facts:
+            facts[f"uncertainty.{name}"] = min(getattr(before, name), max(STAYS_OPEN[name], width))
+    if stage.drive.bandwidth >= fastest_shown(stage.period):
+        # Amplifier and delay are as open as they were described.
+        return facts
     if found.path.rate_found:
-        facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}
-    for name, least in STAYS_OPEN.items():
-        fact, width = intervals.get(name, (None, 0.0))
-        if fact is None or fact.name in facts:
-            facts[f"uncertainty.{name}"] = min(getattr(before, name), max(least, width))
+        delay = max(found.path.delay * stage.rate, 0.0)
+        facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": delay}
     return {
         **facts,
+        "uncertainty.amplifier": min(before.amplifier, STAYS_OPEN["amplifier"]),
         "uncertainty.shortest_delay": 1.0 - DELAY_STAYS,
         "uncertainty.longest_delay": 1.0 + DELAY_STAYS,
     }

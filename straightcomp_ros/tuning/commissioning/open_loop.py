@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 from straightcomp_ros.analysis.current_path import huber_weights
 from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Series, Work
 
@@ -65,11 +66,17 @@ _OFFSET = 0.03
 """Largest offset of a readback, relative to the bias current."""
 TOLERANCE = 1.1
 """Factor beyond its range at which a fact is called wrong."""
-_LONGEST = 8
-"""Samples of delay."""
+_DELAY_WITHIN = 0.05
+"""The same in samples, for a delay of which a factor says little or nothing."""
+_HIGHEST_DELAY = next(one.maximum for one in declarations(DriveParameters) if one.name == "delay") or 0.0
+_LONGEST = math.ceil(TOLERANCE * _HIGHEST_DELAY)
+"""Samples of delay that are looked for: more than a description may have."""
 _RATE_STEP = 0.5
 _LOG_RATES = np.arange(math.log(0.005), math.log(50.0), _RATE_STEP)
-"""Logarithms of the amplifier's rate times the period, where the search begins."""
+"""Logarithms of the amplifier's rate times the period, where the search begins; it ends at the first and the last."""
+_FASTEST = 5.0
+"""Rate times the period from which samples show neither the rate nor the delay within a sample: e⁻⁵, 0.7 %, of a step
+is left after a period, and the steps of a shake are some thousandths of the bias current."""
 _EXACT = 1e-12
 _ROUNDS, _SETTLED = 30, 1e-7
 _LEAST = 1e-4
@@ -177,8 +184,14 @@ def _histogram(series: Series) -> list[list[float]]:
     return [[float(edge), int(count)] for edge, count in zip(edges[1:], counts, strict=True) if count]
 
 
+def fastest_shown(period: float) -> float:
+    """Bandwidth of an amplifier in Hz from which samples a ``period`` in s apart show only that it is so fast."""
+    return _FASTEST / (2.0 * math.pi * period)
+
+
 class CurrentReadback(NamedTuple):
-    """The way from command to readback; without an amplifier that fits, bandwidth and delay are NaN."""
+    """The way from command to readback; without an amplifier that fits, bandwidth and delay are NaN. Of an amplifier
+    from :func:`fastest_shown` on they are the least ones that the samples leave."""
 
     gain: float  # measured current per commanded current, at rest
     offset: float  # measured current without a command, A
@@ -224,7 +237,7 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
 
     def refined(whole: int, log_rates: Iterable[float]) -> tuple[float, float, int]:
         begin = min(log_rates, key=lambda log_rate: missed(log_rate, whole))
-        bounds = (begin - _RATE_STEP, begin + _RATE_STEP)
+        bounds = (max(_LOG_RATES[0], begin - _RATE_STEP), min(_LOG_RATES[-1], begin + _RATE_STEP))
         found = minimize_scalar(missed, args=(whole,), bounds=bounds, method="bounded", options={"xatol": _EXACT})
         return float(found.fun), float(found.x), whole
 
@@ -238,10 +251,14 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
         gain, offset, delay, left = fitted(log_rate, whole)
         if max(abs(log_rate - before[0]), abs(delay - before[1])) < _SETTLED:
             break
+    bandwidth = math.exp(log_rate) / (2.0 * math.pi * period)
+    if bandwidth > fastest_shown(period):
+        bandwidth, (_, _, delay, _) = fastest_shown(period), fitted(math.log(_FASTEST), whole)
     unexplained = float(left.std()) / max(1e-12, float(np.diff(current).std()))
     if float(left.std()) > _UNEXPLAINED * scale or gain == 0.0:
         return CurrentReadback(gain, math.nan, math.nan, math.nan, unexplained)
-    return CurrentReadback(gain, offset, math.exp(log_rate) / (2.0 * math.pi * period), delay, unexplained)
+    # Rounding may leave less than no delay.
+    return CurrentReadback(gain, offset, bandwidth, max(0.0, delay), unexplained)
 
 
 def signs_and_scales(work: Work) -> Outcome:
@@ -273,7 +290,8 @@ def signs_and_scales(work: Work) -> Outcome:
         )
         # The answer to the sample itself may be zero already.
         currents.append(math.nan if pushed.left_at is None else float(pushed.command[max(0, pushed.left_at - 1)]))
-        moved.append(float(pushed.y[-1] - pushed.y[0]))
+        # Not later, where a platform on a flexure has swung back.
+        moved.append(float(pushed.y[-1 if pushed.left_at is None else pushed.left_at] - pushed.y[0]))
         farthest = max(farthest, float(np.abs(pushed.y - pushed.y[0]).max()))
     figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}
     if wrong := _force_fault(currents, moved, stage):
@@ -284,12 +302,15 @@ def signs_and_scales(work: Work) -> Outcome:
         return Outcome(False, f"{way} ('stage.platform.stop'): hardly any friction braked it", figures)
     back = f" and {1e3 * currents[1]:.3g} mA" if moved[1] < 0.0 else " mA, and the magnets pull the platform on"
     moves, coasts = ("friction gives way", "") if dry else ("the platform moves", ", and without friction coasts on")
+    if readback.bandwidth < fastest_shown(stage.period):
+        least, found = "", {"drive.bandwidth": readback.bandwidth, "drive.delay": min(_HIGHEST_DELAY, readback.delay)}
+    else:
+        least, found = "at least ", {"drive.bandwidth": max(stage.drive.bandwidth, readback.bandwidth)}
     sentence = (
-        f"readback {readback.gain:.4g} times the command, amplifier {readback.bandwidth:.0f} Hz, delay "
+        f"readback {readback.gain:.4g} times the command, amplifier {least}{readback.bandwidth:.0f} Hz, delay {least}"
         f"{readback.delay:.2f} samples; {moves} at {1e3 * currents[0]:.3g}{back}; the platform moved at most "
         f"{farthest * 1e6:.0f} µm{coasts}"
     )
-    found = {"drive.bandwidth": readback.bandwidth, "drive.delay": readback.delay}
     return Outcome(True, sentence, figures, stage=found)
 
 
@@ -335,15 +356,15 @@ def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
             f"±{_OFFSET * stage.actuator.bias_current * 1e3:.3g} mA; look at the zero of the readback, and at the bias "
             "currents of both coils"
         )
-    factor = found.bandwidth / drive.bandwidth
+    factor = found.bandwidth / min(drive.bandwidth, fastest_shown(stage.period))
     if not 1.0 / (TOLERANCE * ranges.amplifier) <= factor <= TOLERANCE * ranges.amplifier:
         return (
             f"the amplifier has {found.bandwidth:.0f} Hz, {factor:.2g} times what is described; allowed by "
             f"'stage.uncertainty.amplifier': within a factor of {ranges.amplifier:g}; look at its tuning and its supply"
         )
     # One that is shorter than described makes no law less stable, and what was found replaces the description.
-    latest = ranges.longest_delay * drive.delay
-    if found.delay > latest * TOLERANCE:
+    latest = min(_HIGHEST_DELAY, ranges.longest_delay * drive.delay)
+    if found.delay > latest * TOLERANCE + _DELAY_WITHIN:
         return (
             f"commands act {found.delay:.2f} samples after theirs; allowed by 'stage.drive.delay' and "
             f"'stage.uncertainty.longest_delay': up to {latest:.2g}"

@@ -24,6 +24,7 @@ from roughly_known import (
 
 from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.tuning.commissioning import LeftTravel, open_loop
 from straightcomp_ros.tuning.commissioning.machine import Series, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.open_loop import connection, current_readback, signs_and_scales
@@ -183,8 +184,45 @@ def test_a_platform_that_something_pulls_away_is_no_fault_of_its_encoder(tmp_pat
     assert not outcome.passed and "something pulls the platform" in outcome.sentence
 
 
+FREE = {"friction__coulomb": 0.0, "friction__static": 0.0}
+
+
+@pytest.mark.parametrize(("wiring", "words"), [(None, ""), (encoder_backwards, "wired backwards")])
+def test_a_push_against_a_flexure_shows_the_sign_before_it_swings_back(tmp_path, wiring, words):
+    for stiffness in (5e3, 1.5e4, 4e4, 1.5e5):
+        values = values_of(platform__stiffness=stiffness, platform__damping=2.0, **FREE)
+        outcome = signs_and_scales(work_on(values, tmp_path, wiring))
+        assert outcome.passed is (not words) and words in outcome.sentence
+
+
+@pytest.mark.parametrize(
+    ("bandwidth", "delay", "found"),
+    [
+        (1e4, 1.0, 1.0),
+        # So quick an amplifier is through with a command at the next sample, whenever it came.
+        (5e4, 0.6, 0.0),
+        (500.0, 0.0, 0.0),
+        (500.0, 8.5, 8.5),
+        (500.0, 10.0, 10.0),
+    ],
+)
+def test_an_amplifier_that_is_too_fast_for_the_samples_and_any_described_delay_are_no_fault(
+    tmp_path, bandwidth, delay, found
+):
+    described = {"drive.bandwidth": bandwidth, "drive.delay": delay}
+    values = values_of(
+        **{name.replace(".", "__"): value for name, value in described.items()}, uncertainty__amplifier=1.0
+    )
+    outcome = signs_and_scales(work_on(values, tmp_path))
+    assert outcome.passed, outcome.sentence
+    assert outcome.figures["delay_samples"] == pytest.approx(found, abs=1e-5)
+    assert outcome.figures["amplifier_bandwidth_Hz"] == pytest.approx(min(bandwidth, 5.0 / (2.0 * math.pi * PERIOD)))
+    stage = {**described, **outcome.stage}
+    assert stage == pytest.approx(described, abs=1e-5) and ("drive.delay" in outcome.stage) is (bandwidth < 1e3)
+    node_parameters("controller", {**values, "stage": {**values["stage"], **stage}})
+
+
 @pytest.mark.parametrize("stop", [5e-4, 1e-5])
 def test_a_platform_without_friction_coasts_slowly_and_not_into_its_stop(tmp_path, stop):
-    free = {"friction__coulomb": 0.0, "friction__static": 0.0}
-    outcome = signs_and_scales(work_on(values_of(platform__stop=stop, **free), tmp_path))
+    outcome = signs_and_scales(work_on(values_of(platform__stop=stop, **FREE), tmp_path))
     assert outcome.passed is (outcome.figures["farthest_um"] < min(25.0, stop * 1e6 - 0.1))
