@@ -74,7 +74,7 @@ class MultisineParameters:
         1.0, "Period of the excitation; its inverse is the spacing of the frequencies", "(0, 60] s"
     )
     draws: int = parameter(40, "Draws of random phases", "[3, 100]")
-    current: float = parameter(0.25, "RMS of the injected current", "(0, 10] A")
+    current: float = parameter(0.25, "RMS of the injected current", "(0, 100] A")
     travel: float = parameter(3e-4, "Largest |y − r|, beyond which the excitation ends early", "(0, 0.1] m")
     # A sum of sines rarely passes four times its RMS.
     motion: float = parameter(

@@ -357,6 +357,16 @@ def response(measured, monkeypatch, work):
     return run
 
 
+def test_other_turns_of_the_coils_change_no_margin(tmp_path):
+    found = []
+    for factor in (0.1, 1.0, 10.0):
+        coils = {"actuator__turns": 400.0 / factor, "actuator__bias_current": factor}
+        coils |= {"actuator__current_limit": 0.9 * factor, "drive__gain": 0.1 * factor}
+        found.append(closed_loop._measured(work_on(values_of(**coils), tmp_path), draws=3))
+    assert not any(one.clipped for one in found)
+    assert [one.margins[0].phase_deg for one in found] == pytest.approx(3 * [found[1].margins[0].phase_deg], abs=1.0)
+
+
 def test_a_machine_that_left_the_travel_is_measured_with_half_the_motion_once(response):
     outcome, motion = response(0.6 * USUAL)
     assert outcome.passed and motion == 0.5 * USUAL
