@@ -57,6 +57,8 @@ LEAST_PHASE = 5.0
 MECHANICS = ("mass", "force", "gap")
 """Facts of the uncertainty that change the plant without its drive."""
 _FREQUENCIES = 400
+_HARDLY, _TURNS = 0.1, 50
+"""Damping below which a resonance is narrow on such a grid, whose steps are 2 %; and steps of its phase, 3.5° each."""
 _HALVINGS = 10
 
 Matrix = NDArray[np.float64]
@@ -310,13 +312,26 @@ def bisected(stable: Callable[[float], bool], inside: float, outside: float, hal
 
 
 def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequencies: int = 5_000) -> float:
-    """Smallest phase margin over all gain crossovers in degrees, found on a grid of ``frequencies``."""
+    """Smallest phase margin over all gain crossovers in degrees, found on a grid of ``frequencies``, and about each
+    resonance and notch that may cross twice between two of them."""
     grid = np.geomspace(0.1, 0.4999 / period, frequencies)
+    if (sharp := _resonances(plant, controller, period)).size:
+        grid = np.unique(np.concatenate([grid, sharp[(sharp > grid[0]) & (sharp < grid[-1])]]))
     loop = _open_loop(plant, controller, np.exp(2j * math.pi * grid * period))
     magnitude = np.abs(loop)
     crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) <= 0.0)
     margins = np.abs(np.degrees(np.angle(-loop[crossing])))
     return float(margins.min()) if len(margins) else 180.0
+
+
+def _resonances(plant: StateSpace, controller: StateSpace, period: float) -> Matrix:
+    """Frequencies (n,) in Hz about those of the poles that are hardly damped: f (1 + ζ tan θ) with θ in equal steps, in
+    which a resonance turns its phase."""
+    poles = np.concatenate([np.linalg.eigvals(system.a) for system in (plant, controller)])
+    rates = np.log(poles[poles.imag > 0.0])
+    rates = rates[-rates.real < _HARDLY * np.abs(rates)]
+    turns = np.tan(np.linspace(-0.49, 0.49, _TURNS) * math.pi)
+    return np.asarray((rates.imag + np.outer(turns, rates.real)).ravel() / (2.0 * math.pi * period))
 
 
 def _open_loop(plant: StateSpace, controller: StateSpace, z: Complex) -> Complex:

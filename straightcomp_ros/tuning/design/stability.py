@@ -33,7 +33,7 @@ from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
 
 _GRID = 400
-"""Frequencies at which the phase margin is looked for: off by less than a degree."""
+"""Frequencies at which the phase margin is looked for: off by less than a degree, near a resonance two."""
 _NOT_LINEAR = 100.0
 """Miss of a law that cannot be linearised: more than any that can."""
 _LIGHTEST, _HEAVIEST = 0.05, 20.0
