@@ -292,17 +292,23 @@ def scaled_by(
 
 
 def strangeness(found: Estimate, described: StageParameters, scale: float = 1.0) -> str:
-    """What is not as described, in a sentence, empty if all is; ``scale`` is that of :func:`scaled_by`."""
+    """What is certainly not as described, in a sentence, empty if nothing is; ``scale`` is that of :func:`scaled_by`.
+
+    Of what the record does not show well enough for that, the response is judged (`frequency_response`).
+    """
     ranges = described.uncertainty
     values = to_mapping(described)
-    gap, turns, friction = (
-        found.parameters[name].value / values[name] if values[name] > 0.0 else 1.0
-        for name in ("actuator.air_gap", "actuator.turns", "friction.coulomb")
-    )
+
+    def relative(name: str, factor: float = 1.0, power: float = 1.0) -> Interval:
+        one, before = found.parameters[name], values[name]
+        if not before > 0.0:
+            return Interval(1.0, 1.0, 1.0)
+        return Interval(*(factor * (x / before) ** power for x in (one.value, one.low, one.high)))
+
     heaviest, lightest = (1.0 + ranges.mass) * TOLERANCE, (1.0 - ranges.mass) / TOLERANCE
     checks = (
         (
-            gap,
+            relative("actuator.air_gap"),
             (1.0 - ranges.air_gap) / TOLERANCE,
             (1.0 + ranges.air_gap) * TOLERANCE,
             "the air gap seems {:.2g} times the described one (allowed by 'stage.uncertainty.air_gap': {:.2g} to "
@@ -310,21 +316,24 @@ def strangeness(found: Estimate, described: StageParameters, scale: float = 1.0)
         ),
         (
             # K̄_i/M = N² A …/y0² M: with the gap as found, what is left is force over mass.
-            scale * turns**2,
+            relative("actuator.turns", scale, 2.0),
             (1.0 - ranges.force) / heaviest,
             (1.0 + ranges.force) / lightest,
             "a current accelerates the platform {:.2g} times as much as described (allowed by 'stage.uncertainty': "
             "{:.2g} to {:.2g}); look whether the platform is loose, or has lost a part of its load, and at the coils",
         ),
         (
-            scale * friction,
+            relative("friction.coulomb", scale),
             1.0 / (ranges.friction * heaviest),
             ranges.friction / lightest,
             "friction is {:.2g} times the described one relative to the mass (allowed by 'stage.uncertainty': {:.2g} "
             "to {:.2g}); look at the bearing, or describe the friction that the platform has ('stage.friction')",
         ),
     )
-    return next((text.format(*numbers) for *numbers, text in checks if not numbers[1] <= numbers[0] <= numbers[2]), "")
+    for seen, low, high, text in checks:
+        if seen.high < low or seen.low > high:
+            return text.format(seen.value, low, high)
+    return ""
 
 
 def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:

@@ -147,12 +147,13 @@ class Centre:
 
 
 def centre(recording: Recording) -> Centre | None:
-    """The centre of the magnets; None where the record has too little sliding, or no stiffness.
+    """The centre of the magnets; None where the record has too little sliding, or shows no stiffness.
 
     A readback with an offset looks the same: the centre is that of the measured current.
     """
     found = _sliding(recording)
-    if found is None or found[0][1] <= 0.0:
+    # A flexure that is stiffer than the magnets has a negative one.
+    if found is None or abs(found[0][1]) <= _CERTAIN * math.sqrt(found[1][1, 1]):
         return None
     (_, stiffness, _, _, constant), covariance = found[0].tolist(), found[1]
     value = -constant / stiffness
