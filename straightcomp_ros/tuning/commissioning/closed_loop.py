@@ -339,7 +339,8 @@ def strangeness(found: Estimate, described: StageParameters, scale: float = 1.0)
 def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
     """Facts of the description as found, by dotted name, and how well they are known now: never worse than before.
 
-    What the record hardly identifies, and no better than it was described, keeps its description.
+    What has a range keeps its description where that is narrower than what the record leaves open, and other facts
+    keep it where the record hardly identifies them.
     """
     estimated, before = found.parameters, stage.uncertainty
     turns, gap, friction = (estimated[name] for name in ("actuator.turns", "actuator.air_gap", "friction.coulomb"))
@@ -350,11 +351,18 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
         "air_gap": (gap, gap.high / gap.value - 1.0),
         "friction": (friction, friction.high / friction.value if friction.value > 0.0 else 0.0),
     }
-    better = {fact.name for name, (fact, width) in intervals.items() if 0.0 < width < getattr(before, name)}
+    better = {
+        fact.name
+        for name, (fact, width) in intervals.items()
+        if 0.0 < width < max(getattr(before, name), STAYS_OPEN[name])
+    }
+    if gap.name not in better:
+        # The record has its turns at its own gap: at another one they are another force.
+        better.discard(turns.name)
     facts: dict[str, Any] = {
         name: one.value
         for name, one in estimated.items()
-        if name not in DERIVED and not one.known and (name in better or not one.poor)
+        if name not in DERIVED and not one.known and (name in better if one in (turns, gap, friction) else not one.poor)
     }
     # Friction that differs from its description differs as a whole: F_S/F_C is described better than F_S.
     described, coulomb = stage.friction, facts.get("friction.coulomb", stage.friction.coulomb)

@@ -199,6 +199,16 @@ def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken()
     assert not {"friction.coulomb", "uncertainty.friction"} & facts.keys()
 
 
+def test_a_gap_that_was_described_better_than_it_is_found_stays_as_described_with_its_turns():
+    found = estimate(turns=1.05, air_gap=1.05)
+    gap = found.parameters["actuator.air_gap"]
+    found.parameters["actuator.air_gap"] = dataclasses.replace(gap, low=gap.value / 1.2, high=gap.value * 1.2)
+    assert not gap.poor
+    facts = facts_found(found, STAGE)
+    kept = {"actuator.air_gap", "actuator.turns", *(f"uncertainty.{name}" for name in ("air_gap", "mass", "force"))}
+    assert not kept & facts.keys() and "friction.coulomb" in facts
+
+
 @pytest.mark.parametrize(
     ("growth", "rings", "lawful", "ends", "words"),
     [
