@@ -199,6 +199,16 @@ def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken()
     assert not {"friction.coulomb", "uncertainty.friction"} & facts.keys()
 
 
+@pytest.mark.parametrize(("bandwidth", "stays"), [(500.0, False), (1e4, True)])
+def test_an_amplifier_too_fast_for_the_samples_stays_as_uncertain_as_it_was_described_and_the_delay_with_it(
+    bandwidth, stays
+):
+    fast = dataclasses.replace(STAGE, drive=dataclasses.replace(STAGE.drive, bandwidth=bandwidth))
+    found = dataclasses.replace(estimate(), path=SimpleNamespace(rate_found=True, rate=3e4, delay=1e-4))
+    names = {"drive.bandwidth", "drive.delay", *(f"uncertainty.{one}" for one in ("amplifier", "longest_delay"))}
+    assert names & facts_found(found, fast).keys() == (set() if stays else names)
+
+
 def test_a_gap_that_was_described_better_than_it_is_found_stays_as_described_with_its_turns():
     found = estimate(turns=1.05, air_gap=1.05)
     gap = found.parameters["actuator.air_gap"]
