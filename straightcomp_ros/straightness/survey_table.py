@@ -248,8 +248,10 @@ def _rows(
             row.pop()
         if not any(header[len(row) :]):
             row += [""] * (len(header) - len(row))
-        if len(row) != len(header):
-            raise SurveyError(f"{where}: {len(row)} cells, the header has {len(header)} (is there a decimal comma?)")
+        # Decimals that are split off may fall into a last column without a name.
+        names = len(header) - (delimiter == "," and header[-1] == "" and row[-1].strip().isdigit())
+        if len(row) != names:
+            raise SurveyError(f"{where}: {len(row)} cells, the header has {names} (is there a decimal comma?)")
     return rows
 
 

@@ -350,6 +350,7 @@ def test_a_spreadsheet_has_the_value_that_it_shows_in_every_encoding_of_spreadsh
         csv("x_mm,deviation_nm", lambda v: f'"{abs(v) * 1e3 + 1000:,.0f}"', ","),
         csv("x_mm;Run 1 (nm);Run 2 (nm)", lambda v: f"{abs(v) * 1e2:.0f};" + german(abs(v) * 4e3 + 1000, 0)),
         csv("x_um;deviation_nm", lambda v: f"{abs(v) * 1e3 + 1000:,.0f}", x=lambda v: german(v * 1e3 + 1000, 0)),
+        csv("x_mm,deviation_um,", german, ","),
     ],
 )
 def test_a_spreadsheet_that_may_mean_two_things_is_refused(read, text):
