@@ -18,9 +18,10 @@ from straightcomp_ros.cli.main import main, make_parser
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = "--set stage.motion.stroke=0.02"
+COMMISSION = "commission s/stage.yaml -o out --only"
 TABLE = f"""
 can firmware -o | stage new mine --yes; can firmware mine/stage.yaml -o c
-commission --output | stage new mine --yes; commission mine/stage.yaml -o out --only connection
+commission --output | stage new s --yes; {COMMISSION} connection | {COMMISSION} signs_and_scales
 design --output | stage new mine --yes {SHORT} | design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1
 evaluate --report | evaluate smc --report r.html | evaluate smc --report r.html --force
 frequency-response --plot || frequency-response --plot r.png --force --lines 5 --draws 3 --lowest 10

@@ -125,7 +125,8 @@ class Procedure:
         """Raise CommissionRefused if a file of the description has another content than when the record was begun."""
         before, after = ({Path(name).name: digest for name, digest in one.items()} for one in (former, now))
         differ = {name for name, _ in before.items() ^ after.items()}
-        if changed := sorted({name for name in (*former, *now) if Path(name).name in differ}):
+        if differ:
+            changed = sorted(name for name in now if Path(name).name in differ) or sorted(differ)
             raise CommissionRefused(
                 f"record {self._folder / RECORD}: {', '.join(changed)} was changed since: the description is another "
                 "one; name another folder, or remove the record"
@@ -134,7 +135,7 @@ class Procedure:
     def _write(self) -> None:
         record: dict[str, Any] = {
             "description": self._identity,
-            "files": self._files,
+            "files": {Path(name).name: digest for name, digest in self._files.items()},
             "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
