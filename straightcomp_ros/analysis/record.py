@@ -270,8 +270,16 @@ def whole(travels: ArrayLike) -> NDArray[np.bool_]:
 
 def whole_ways(strokes: Sequence[Stroke], x: Array) -> tuple[list[list[Stroke]], list[list[Stroke]]]:
     """Of a motion's strokes, at least one, over ``x`` (n,) in m, the ways that are whole, and the others: successive
-    strokes in one direction are one way."""
-    ways = [list(group) for _, group in itertools.groupby(strokes, key=lambda one: one.direction)]
+    strokes in one direction are one way, unless the stage came back unrecorded between them."""
+    ways: list[list[Stroke]] = []
+    for one in strokes:
+        last = ways[-1][-1] if ways else None
+        if last and one.direction == last.direction:
+            onward = float(x[one.start] - x[last.stop - 1])
+            if (onward if one.direction == "forward" else -onward) > -SHORTEST_STROKE:
+                ways[-1].append(one)
+                continue
+        ways.append([one])
     travels = [abs(float(x[way[-1].stop - 1] - x[way[0].start])) for way in ways]
     found: tuple[list[list[Stroke]], list[list[Stroke]]] = [], []
     for way, is_whole in zip(ways, whole(travels).tolist(), strict=True):

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from tiers import nightly
 
 from straightcomp_ros.analysis.metrics import LINES
+from straightcomp_ros.analysis.record import Stroke, whole_ways
 from straightcomp_ros.analysis.straightness_statement import Input, stated, statements
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, minimum_zone
 from straightcomp_ros.straightness.survey_runs import cubic_spline
@@ -132,6 +133,10 @@ def test_a_stroke_in_parts_is_stated_as_a_whole_and_shorter_ones_are_left_out(ma
     for one, other in zip(whole, found, strict=True):
         assert (other["strokes"], other["left_out"]) == (1, int(one["direction"] == "forward"))
         assert other["value_um"] == pytest.approx(one["value_um"], abs=0.02)
+    # The stage may come back while the recording is paused: that is no way of twice the strokes.
+    (first, last), x = [Stroke(0, 3, "forward"), Stroke(3, 6, "forward")], np.array([0.0, 1.0, 2.0])
+    assert whole_ways([first, last], np.append(x, x)) == ([[first], [last]], [])
+    assert whole_ways([first, last], np.append(x, x + 2.0)) == ([[first, last]], [])
 
 
 def test_a_recorded_sensor_takes_the_place_of_the_map(make_record, assessed, cosine_map):
