@@ -121,6 +121,11 @@ class BagEvaluation:
         """Samples that the clock took and the bag does not have."""
         return self.expected_samples - self.received_samples
 
+    @cached_property
+    def _record_stamps(self) -> Stamps:
+        """Of the record's samples (m,), ns."""
+        return np.asarray(self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
+
     @property
     def readings(self) -> Array | None:
         """The sensor's, each at the sample nearest to it; NaN at the others."""
@@ -152,7 +157,7 @@ class BagEvaluation:
         is thinner than the encoder's it is another one. Empty if the record has more."""
         if self.encoder is None:
             return ""
-        stamps = self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64)
+        stamps = self._record_stamps
         moving = self.encoder.moving(begin_ns, until_ns)[np.searchsorted(self.encoder.stamps, stamps)]
         travelled = np.abs(np.diff(self.record.x))[moving[:-1] & moving[1:]]
         taken = samples_between(stamps, self.encoder.stamps)[moving[:-1] & moving[1:]]
@@ -172,7 +177,7 @@ class BagEvaluation:
             return ""
         stamps = self.encoder.stamps
         moving = self.encoder.moving(begin_ns, until_ns) & np.isfinite(self.seen_error)
-        judged = np.isin(stamps, self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
+        judged = np.isin(stamps, self._record_stamps)
         # Streams that are stopped in motion end some samples apart.
         left = moving & ~judged & (stamps < self.encoder.judged_ns)
         if not left.any() or not (moving & judged).any():

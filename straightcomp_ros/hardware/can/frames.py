@@ -407,9 +407,9 @@ class Frames:
             values[at] = ((values[at] ^ sign) - sign) * scale + offset
         for at, stands_for in absent:
             values[at] = stands_for
-        for at, least, largest, told, beyond in ends:
+        for at, least, largest, instead, beyond in ends:
             if not least <= values[at] <= largest:
-                values[told] = beyond
+                values[instead] = beyond
         return _NEW(self.kind, values)
 
     def _page_table(self, whole: int) -> tuple[Any, ...]:

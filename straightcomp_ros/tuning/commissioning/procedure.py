@@ -35,6 +35,11 @@ def _after(step: str) -> list[str]:
     return list(STEPS)[list(STEPS).index(step) + 1 :]
 
 
+def _by_name(digests: Mapping[str, str]) -> dict[str, str]:
+    """Of files without their folders."""
+    return {Path(name).name: digest for name, digest in digests.items()}
+
+
 class Procedure:
     """Commissioning of one machine in one folder.
 
@@ -123,8 +128,7 @@ class Procedure:
 
     def _refuse_changed(self, former: Mapping[str, str], now: Mapping[str, str]) -> None:
         """Raise CommissionRefused if a file of the description has another content than when the record was begun."""
-        before, after = ({Path(name).name: digest for name, digest in one.items()} for one in (former, now))
-        differ = {name for name, _ in before.items() ^ after.items()}
+        differ = {name for name, _ in _by_name(former).items() ^ _by_name(now).items()}
         if differ:
             changed = sorted(name for name in now if Path(name).name in differ) or sorted(differ)
             raise CommissionRefused(
@@ -135,7 +139,7 @@ class Procedure:
     def _write(self) -> None:
         record: dict[str, Any] = {
             "description": self._identity,
-            "files": {Path(name).name: digest for name, digest in self._files.items()},
+            "files": _by_name(self._files),
             "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
