@@ -130,8 +130,8 @@ $(NIGHTLY): $(INSTALLED)
 	$(INSTALL) '.[nightly]' | $(PIP_PROGRESS)
 	if [ "$$(id -u)" = 0 ] && command -v apt-get > /dev/null; then
 	  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
-	    user-mode-linux kmod iproute2 can-utils ||
-	    echo "Not installed: user-mode-linux, kmod, iproute2, can-utils; the tests of a kernel's CAN are skipped." >&2
+	    user-mode-linux kmod iproute2 can-utils gcc libc6-dev ||
+	    echo "Not installed: user-mode-linux, kmod, iproute2, can-utils, gcc; the tests of a kernel's CAN are skipped." >&2
 	fi
 	touch $@
 

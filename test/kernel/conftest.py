@@ -22,11 +22,9 @@ from straightcomp_ros.model.compiled import cache_directory
 HERE = Path(__file__).parent
 GUEST = "STRAIGHTCOMP_GUEST"
 SHARED_IN_GUEST = "/run/shared"
-PROGRAMS = ("linux.uml", "insmod", "ip", "tc", "cansend", "cangen", "candump", "canplayer")
-REMEDY = "apt-get install user-mode-linux kmod iproute2 can-utils"
+PROGRAMS = ("linux.uml", "insmod", "ip", "tc", "cansend", "cangen", "candump", "canplayer", "gcc")
+REMEDY = "apt-get install user-mode-linux kmod iproute2 can-utils gcc"
 LONGEST_S = 900
-NO_REGISTERS = "ptrace set fp regs failed"
-"""What a guest says whose kernel knows fewer registers than the processor has, as of one with AMX and Linux 6.1."""
 _PATH = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/sbin"])
 
 in_guest = GUEST in os.environ
@@ -60,11 +58,8 @@ def pytest_runtest_protocol(item):
         report = config.hook.pytest_report_from_serializable(config=config, data={**data, "$report_type": "TestReport"})
         config.hook.pytest_runtest_logreport(report=report)
     if not own:
-        outcome, lost = "failed", f"the guest ended without a report of this test; it said:\n{output}"
-        if not reports and NO_REGISTERS in output:
-            words = f"Skipped: NOT TESTED: SocketCAN in a real kernel; no guest on this processor: {NO_REGISTERS}"
-            outcome, lost = "skipped", (str(item.path), item.location[1], words)
-        report = pytest.TestReport(item.nodeid, item.location, {}, outcome, lost, "call")
+        lost = f"the guest ended without a report of this test; it said:\n{output}"
+        report = pytest.TestReport(item.nodeid, item.location, {}, "failed", lost, "call")
         config.hook.pytest_runtest_logreport(report=report)
     config.hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
@@ -105,6 +100,8 @@ def _command(root, items):
 def _boot(folder, root):
     """Run the guest until it has done the command in ``folder``."""
     kernel = shutil.which("linux.uml", path=_PATH)
+    registers = folder / "all_registers.so"
+    subprocess.run(["gcc", "-shared", "-fPIC", "-O2", "-o", registers, HERE / "all_registers.c"], check=True)
     places = [f"REPOSITORY={root}", f"CACHE={cache_directory()}"]
     options = ["mem=1500M", "rootfstype=hostfs", "root=/dev/root", "ro", "con=null", "con0=fd:0,fd:1", "quiet"]
     with (folder / "console").open("wb") as console:
@@ -113,6 +110,7 @@ def _boot(folder, root):
             stdin=subprocess.DEVNULL,
             stdout=console,
             stderr=subprocess.STDOUT,
+            env={**os.environ, "LD_PRELOAD": str(registers)},
             start_new_session=True,
         )
         try:
