@@ -19,14 +19,12 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, LaunchError, run_cycle, verb_command
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STREAMS, STROKE
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
-from straightcomp_ros.parameters.node_parameters import (
-    NODE_PARAMETERS,
-    STAGE,
-    node_parameters,
-)
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, changed, node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.timing.node_timing import summarise
 from straightcomp_ros.timing.realtime import place
 
@@ -158,15 +156,16 @@ class Window:
 
 
 def bench_parameters(
-    values: Mapping[str, Mapping[str, Any]], *, rate: int, seconds: float, priority: int
+    values: Mapping[str, Mapping[str, Any]], *, rate: int | None, seconds: float, priority: int
 ) -> dict[str, dict[str, Any]]:
     """Parameters of a measured run, made from ``values`` by node and dotted name; ParameterError if one is refused.
 
-    The stage moves a little longer than the ``seconds`` of the window. All nodes get this SCHED_FIFO ``priority``, with
-    other programs kept off the loop's CPU, as shipped; 0 for normal scheduling. The CPUs are kept awake. Each node has
-    its place on the CPUs, unless ``values`` have another.
+    The stage moves a little longer than the ``seconds`` of the window, from the start of its survey to its end or as
+    far as it gets at 0.2 m/s; it is sampled at ``rate`` in Hz, None for its own. All nodes get this SCHED_FIFO
+    ``priority``, with other programs kept off the loop's CPU, as shipped; 0 for normal scheduling. The CPUs are kept
+    awake. Each node has its place on the CPUs, unless ``values`` have another. SurveyError if the survey is refused.
     """
-    chosen = {STAGE: {}, **{node: dict(section) for node, section in values.items()}}
+    chosen = {node: dict(section) for node, section in values.items()}
     for node in NODE_PARAMETERS:
         chosen[node] = {"realtime.cpus": place(node), **chosen.get(node, {}), "realtime.priority": priority}
     driver = chosen["driver"]
@@ -177,18 +176,24 @@ def bench_parameters(
     # What is measured is time; at some rates no gains hold the platform.
     chosen["controller"]["control.margins"] = "warn"
     stroke_s = 0.5 * (_SETTLE_S + seconds + _REST_S - _PAUSE_S)
-    stroke, acceleration = min(STROKE, 0.2 * stroke_s), 1.0
+    stage: StageParameters = node_parameters("feedforward", chosen).stage
+    begin, end = load_map(stage.guide).span
+    stroke, acceleration = min(end - begin, 0.2 * stroke_s), 1.0
     # A trapezoidal motion takes stroke/speed + speed/acceleration.
     speed = 0.5 * acceleration * (stroke_s - math.sqrt(stroke_s**2 - 4.0 * stroke / acceleration))
-    chosen[STAGE] |= {
-        "rate": rate,
-        "motion.start": 0.0,
+    motion = {
+        "rate": stage.rate if rate is None else rate,
+        "motion.start": begin,
         "motion.stroke": stroke,
+        "motion.steps": 1,
+        "motion.file": "",
         "motion.speed": speed,
         "motion.acceleration": acceleration,
         "motion.settle": 0.0,
+        "motion.jerk": 0.0,
         "motion.pause": _PAUSE_S,
     }
+    chosen = changed(chosen, {STAGE: motion})
     for node in NODE_PARAMETERS:
         node_parameters(node, chosen)
     return chosen

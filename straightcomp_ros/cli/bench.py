@@ -13,7 +13,6 @@ from straightcomp_ros.cli.options import (
     add_json,
     add_parameter_options,
     add_repeatable,
-    changed,
     check_range,
     chosen_parameters,
     output_folder,
@@ -34,11 +33,9 @@ _LATENCY_WORDS = {"p50": "p50", "p99": "p99", "p99.9": "p999", "max": "max"}
 
 
 def _graph_arguments(parser: argparse.ArgumentParser) -> None:
-    from straightcomp_ros.contract import DEFAULT_RATE
-
     add_parameter_options(parser)
     add = parser.add_argument
-    add("--rate", type=int, default=DEFAULT_RATE, help="samples per second (default: %(default)s)")
+    add("--rate", type=int, metavar="HZ", help="samples per second (default: the stage's)")
     add("--seconds", type=float, default=20.0, help="length of the window (default: %(default)s)")
     soak = "use a window of this many minutes, to see whether memory grows; the bag takes about 1 MB/s"
     add("--soak", type=float, metavar="MINUTES", help=soak)
@@ -61,6 +58,7 @@ def _graph(options: argparse.Namespace) -> None:
     sample to command and its losses. The window begins when all nodes are connected and have settled.
     """
     from straightcomp_ros.bench.graph_bench import BenchFailed, bench_parameters, measure, view_programs
+    from straightcomp_ros.parameters.node_parameters import STAGE, changed
 
     require_ros()
     check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
@@ -101,7 +99,7 @@ def _graph(options: argparse.Namespace) -> None:
     if options.json:
         print_json(figures)
     else:
-        _print_graph(figures, options)
+        _print_graph(figures, options, values[STAGE]["rate"])
 
 
 def medians(measured: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -123,9 +121,9 @@ def ratios(figures: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, fl
     }
 
 
-def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace) -> None:
+def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace, rate: int) -> None:
     scheduling = f"SCHED_FIFO {options.priority}" if options.priority else "normal scheduling"
-    _print_measurement(figures, f"Graph at {options.rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs")
+    _print_measurement(figures, f"Graph at {rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs")
     if "soak" in figures:
         growth = figures["soak"]["growth_mb_per_hour"]
         console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slope:.1f}" for node, slope in growth.items()))

@@ -208,18 +208,13 @@ def chosen_changes(options: argparse.Namespace) -> Values:
 
 
 def _checked(params_file: str | None, stage: str | None, changes: Values, namespace: str = "") -> Values:
-    from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
+    from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, changed, node_parameters
     from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
     values = changed(shipped_parameters(params_file, stage, namespace), changes)
     for node in NODE_PARAMETERS:
         node_parameters(node, values)
     return values
-
-
-def changed(values: Values, changes: Values) -> Values:
-    """A copy of ``values`` with these changes."""
-    return {node: {**section, **changes.get(node, {})} for node, section in values.items()}
 
 
 def settings(assignments: list[str]) -> Values:

@@ -17,7 +17,7 @@ from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values, by_node, changed
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.survey_table import SurveyError
@@ -70,14 +70,7 @@ def what_if(
         motion = _recorded_motion(record)
         runs.append(_simulated(values, motion))
         if any(changes.values()):
-            for node, section in changes.items():
-                if node == STAGE:
-                    # Each recorded node has its own copy of the description.
-                    for of_node in values.values():
-                        of_node.update({f"{STAGE}.{name}": value for name, value in section.items()})
-                else:
-                    values.setdefault(node, {}).update(section)
-            runs.append(_simulated(values, motion))
+            runs.append(_simulated(by_node(changed(values, changes)), motion))
     return runs
 
 

@@ -282,6 +282,15 @@ def _described(name: str, values: Values) -> dict[str, Any]:
     return {f"{STAGE}.{key}": value for key, value in values.get(STAGE, {}).items()}
 
 
+def changed(values: Values, changes: Values) -> dict[str, dict[str, Any]]:
+    """A copy of ``values`` with these changes of its nodes; a changed fact of the stage is that of every node."""
+    facts = [f"{STAGE}.{name}" for name in changes.get(STAGE, {})]
+    return {
+        node: {name: value for name, value in section.items() if name not in facts} | {**changes.get(node, {})}
+        for node, section in {STAGE: {}, **values}.items()
+    }
+
+
 def by_node(values: Values) -> dict[str, dict[str, Any]]:
     """Values of each node alone, the stage's description included, as a running node has them."""
     return {node: {**_described(node, values), **values.get(node, {})} for node in NODE_PARAMETERS if node in values}

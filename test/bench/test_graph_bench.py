@@ -15,7 +15,7 @@ from straightcomp_ros.bench.graph_bench import (
     read_window,
 )
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
-from straightcomp_ros.model.motion import forward_and_back
+from straightcomp_ros.model.motion import forward_and_back, reach
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
@@ -66,12 +66,35 @@ def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_co
         read_window(bag, 2000, START + 10**12, START + 2 * 10**12)
 
 
-@pytest.mark.parametrize(("rate", "seconds", "priority"), [(1000, 2.0, 0), (2000, 20.0, 30), (4000, 3600.0, 0)])
+@pytest.mark.parametrize(
+    ("rate", "seconds", "priority"), [(1000, 2.0, 0), (2000, 20.0, 30), (4000, 3600.0, 0), (None, 20.0, 0)]
+)
 def test_at_every_rate_the_stage_moves_all_the_while_and_all_nodes_have_the_priority(rate, seconds, priority):
     values = bench_parameters(shipped_parameters(), rate=rate, seconds=seconds, priority=priority)
     controller, driver, cell = (node_parameters(node, values) for node in ("controller", "driver", "cell"))
-    assert controller.stage.rate == driver.stage.rate == rate
+    assert controller.stage.rate == driver.stage.rate == (rate or 2000)
     duration = forward_and_back(cell.stage.motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
     assert {values[node]["realtime.priority"] for node in NODE_PARAMETERS} == {priority}
     assert driver.realtime.keep_awake and driver.realtime.exclusive is (priority > 0)
+
+
+@pytest.mark.parametrize(("rate", "measured_at"), [(None, 1000), (4000, 4000)])
+def test_the_graph_is_measured_at_the_stages_rate_and_over_its_survey_unless_another_rate_is_asked_for(
+    tmp_path, rate, measured_at
+):
+    (tmp_path / "survey.csv").write_text(
+        "x_mm,deviation_um\n" + "".join(f"{x},{x * x / 1e4}\n" for x in range(-100, 201, 10))
+    )
+    (tmp_path / "positions.txt").write_text("0.05\n0.1\n")
+    facts = {"rate": 1000, "guide.file": "survey.csv", "motion.file": "positions.txt", "motion.start": 0.05}
+    (tmp_path / "stage.yaml").write_text(f"/**: {{ros__parameters: {{stage: {facts}}}}}")
+    given = shipped_parameters(stage=tmp_path / "stage.yaml")
+    # Of one node's own section.
+    given["driver"]["stage.rate"] = 1000
+    values = bench_parameters(given, rate=rate, seconds=20.0, priority=0)
+    for node in ("driver", "feedforward", "controller", "cell"):
+        stage = node_parameters(node, values).stage
+        assert stage.rate == measured_at and reach(stage.motion) == pytest.approx((-0.1, 0.2)), node
+    assert stage.motion.start == pytest.approx(-0.1)
+    assert forward_and_back(stage.motion)[-1].time_ns * 1e-9 == pytest.approx(22.5)
