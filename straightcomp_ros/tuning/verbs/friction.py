@@ -1,7 +1,8 @@
 """Estimate friction, mass and stiffness of the plant from a bag, with 95 % confidence intervals.
 
 Uses the streams `encoder` and `command` only, never `truth`. Position and current determine all forces only up to a
-common factor: mass or coil turns must be known (--known), and are taken from the parameters. A stroke along a good
+common factor: mass or coil turns must be known (--known), and are taken from the parameters, as the magnets' area and
+bias current are: from those attached to the bag, unless --stage or --params-file names others. A stroke along a good
 guide says little about mass and viscous friction; --excitation writes a map whose reference excites them:
 
   straightcomp friction --excitation waves.csv
@@ -23,19 +24,25 @@ from shlex import quote
 from typing import Any
 
 from straightcomp_ros.analysis.figure_words import with_digits
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.cli.options import (
     add_force,
     add_json,
     add_parameter_options,
     add_repeatable,
+    chosen_changes,
     chosen_parameters,
     output_file,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.model.motion import reach
-from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
+from straightcomp_ros.parameters.node_parameters import changed, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.identification.estimate import (
     UNITS,
@@ -71,9 +78,8 @@ def run(options: argparse.Namespace) -> None:
     """Estimate and print, or write the map for the excitation."""
     if (options.bag is None) == (options.excitation is None):
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
-    values = chosen_parameters(options)
     if options.excitation is not None:
-        stage = node_parameters("driver", values).stage
+        stage = node_parameters("driver", chosen_parameters(options)).stage
         low, high = reach(stage.motion)
         scale = excitation_scale(stage.motion, high - low)
         file = output_file(options, "--excitation")
@@ -87,7 +93,7 @@ def run(options: argparse.Namespace) -> None:
             print_written(file, then=f"{command} --bag BAG, or run it on the machine")
         return
     output = output_file(options, "--output")
-    start = node_parameters("driver", values).stage
+    start, recorded = _start(options)
     with working("estimating") as advance:
         estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
     if output is not None:
@@ -97,7 +103,22 @@ def run(options: argparse.Namespace) -> None:
     else:
         _print(estimate)
         if output is not None:
-            print_written(output, then=_after_estimate(options, output, estimate))
+            print_written(output, then=_after_estimate(options, output, estimate, start if recorded else None))
+
+
+def _start(options: argparse.Namespace) -> tuple[StageParameters, bool]:
+    """The description that the search starts from, and whether it is that of the recorded run."""
+    bag = Path(options.bag)
+    if not (options.stage or options.params_file):
+        driver = recorded_parameters(bag, read_attachments(bag)).get("driver")
+        if driver is not None:
+            try:
+                return node_parameters("driver", changed({"driver": driver}, chosen_changes(options))).stage, True
+            except ParameterError as error:
+                raise ParameterError(f"bag {bag}: {error}; --stage FILE describes its stage otherwise") from error
+        without = f"bag {bag}: has no parameters of the driver attached: the stage of {DEFAULT_STAGE} is assumed"
+        notes.print(f"{without}; --stage FILE names another")
+    return node_parameters("driver", chosen_parameters(options)).stage, False
 
 
 def _simulate(options: argparse.Namespace, stage: object, settings: Iterable[str]) -> str:
@@ -108,15 +129,26 @@ def _simulate(options: argparse.Namespace, stage: object, settings: Iterable[str
     return shlex.join(["straightcomp", "simulate", *words])
 
 
-def _after_estimate(options: argparse.Namespace, output: Path, estimate: Estimate) -> str:
-    """What to do with the estimate in ``output``, which has the plant alone: the user's stage file has the rest."""
+_OF_A_RUN = ("motion.", "guide.")
+
+
+def _after_estimate(
+    options: argparse.Namespace, output: Path, estimate: Estimate, recorded: StageParameters | None
+) -> str:
+    """What to do with the estimate in ``output``, which has the plant alone: the user's stage file has the rest, also
+    where its facts came with the bag, as ``recorded``."""
     estimated = {f"stage.{name}" for name in estimate.parameters}
     # One would take the place of what was found.
     settings = [one for one in options.set if one.partition("=")[0] not in estimated]
-    if not options.stage:
+    file, where = options.stage, quote(options.stage or "")
+    if recorded is not None:
+        shipped = to_mapping(StageParameters())
+        rest = [name for name in shipped if name not in estimate.parameters and not name.startswith(_OF_A_RUN)]
+        if any(to_mapping(recorded)[name] != shipped[name] for name in rest):
+            file, where = "FILE", f"the stage file of '{recorded.name}'"
+    if not file:
         return _simulate(options, output, settings)
-    where = f"put its values into {quote(options.stage)}, in the place of those there"
-    return f"{where}; then {_simulate(options, options.stage, settings)}"
+    return f"put its values into {where}, in the place of those there; then {_simulate(options, file, settings)}"
 
 
 def _figures(estimate: Estimate) -> dict[str, Any]:

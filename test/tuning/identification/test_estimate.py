@@ -372,6 +372,7 @@ def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file
     monkeypatch.setattr(friction, "estimate_from_bag", lambda *_: found)
     monkeypatch.setattr(friction, "parameter_file", lambda estimate: "# estimated\n")
     monkeypatch.setattr(friction, "_print", lambda estimate: None)
+    monkeypatch.setattr(friction, "read_attachments", lambda bag: {})
     files = {"--params-file": "config/straightcomp.yaml", "--stage": "config/stage_synthetic.yaml"}
     named = {option: str(share_path(files[option])) for option in chosen}
     plant = tmp_path / "plant.yaml"
@@ -382,6 +383,45 @@ def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file
     assert code == 0 and (f"put its values into {stage}, in the place of those there; then " in said) == bool(stage)
     params = f"--params-file {named['--params-file']} " if "--params-file" in named else ""
     assert said.endswith(f"straightcomp simulate {params}--stage {stage or plant} --set stage.motion.stroke=0.3")
+
+
+@pytest.mark.parametrize(
+    ("options", "attached", "mass", "name"),
+    [
+        ((), True, STIFF["platform.mass"], "FILE"),
+        (("--set", "stage.platform.mass=3.6"), True, 3.6, "FILE"),
+        (
+            ("--stage", share_path("config/stage_synthetic.yaml")),
+            True,
+            3.0,
+            str(share_path("config/stage_synthetic.yaml")),
+        ),
+        (("--params-file", share_path("config/straightcomp.yaml")), True, 3.0, "plant.yaml"),
+        ((), False, 3.0, "plant.yaml"),
+    ],
+)
+def test_an_estimate_starts_from_the_stage_of_the_recorded_run_unless_another_is_named(
+    stiff_bag, tmp_path, verb, monkeypatch, options, attached, mass, name
+):
+    starts, found = [], SimpleNamespace(parameters={"platform.mass": None})
+    monkeypatch.setattr(friction, "estimate_from_bag", lambda bag, start, *_: starts.append(start) or found)
+    monkeypatch.setattr(friction, "parameter_file", lambda estimate: "# estimated\n")
+    monkeypatch.setattr(friction, "_print", lambda estimate: None)
+    if not attached:
+        monkeypatch.setattr(friction, "read_attachments", lambda bag: {})
+    monkeypatch.chdir(tmp_path)
+    ended = verb("friction", stiff_bag, "-o", "plant.yaml", *options)
+    assert ended.code == 0 and [start.platform.mass for start in starts] == [mass]
+    # Which stage it is is said where neither the user nor the bag says it.
+    assert ("config/stage_synthetic.yaml is assumed" in ended.err) == (not attached)
+    (then,) = re.findall(r"straightcomp (simulate .*)", ended.err)
+    words = shlex.split(then)
+    assert words[words.index("--stage") + 1] == name
+
+
+def test_a_bag_whose_recorded_stage_is_refused_is_named(stiff_bag, verb):
+    code, _, said = verb("friction", stiff_bag, "--set", "stage.platform.mass=-1")
+    assert code == 2 and f"bag {stiff_bag}: " in said and "mass" in said
 
 
 DESCRIBED, SLID = 0.0, 1.0
