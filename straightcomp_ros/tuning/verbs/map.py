@@ -19,7 +19,7 @@ from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import write_whole
-from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
 from straightcomp_ros.straightness.survey import Survey, check_run, read_survey, write_survey
 from straightcomp_ros.straightness.survey_table import MARK, Direction, SurveyError
 from straightcomp_ros.tuning.survey.alignment import align
@@ -309,7 +309,8 @@ def _export(options: argparse.Namespace) -> None:
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, 0.1, 1000.0, "mm")
     output = output_file(options, "--output")
-    points, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
+    straightness = load_map(MapParameters(file=options.survey))
+    points, error = sampled(straightness, options.spacing * 1e-3)
     name = format_of(output, options.format)
     if name not in WRITTEN:
         raise CommandFailed(f"--output {output}: an instrument's file; allowed: {', '.join(WRITTEN)}", exit_code=2)
@@ -320,6 +321,7 @@ def _export(options: argparse.Namespace) -> None:
     )
     figures = {
         "output": str(output),
+        "survey": str(find_survey(options.survey)),
         "points": len(points),
         "spacing_mm": float(points[1, 0] - points[0, 0]) * 1e3,
         "interpolation_error_um": error * 1e6,
@@ -329,12 +331,16 @@ def _export(options: argparse.Namespace) -> None:
         print_json(figures)
     else:
         console.print(
-            f"{output}: {len(points)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
-            f"linearly is at most {figures['interpolation_error_um']:.3f} µm off the map"
+            f"{output}: {len(points)} points, {figures['spacing_mm']:g} mm apart, of the survey {options.survey}; a "
+            f"controller that interpolates linearly is at most {figures['interpolation_error_um']:.3f} µm off the map"
         )
         if points.shape[1] - 1 > figures["directions"]:
             notes.print(f"the guide has hysteresis; {name} has one table for both directions: it is their mean")
-        print_written(output, then="load it into the controller, and compare its sign with a dial gauge")
+        then = "load it into the controller, and compare its sign with a dial gauge"
+        # Also a copy, as of `stage new`.
+        if straightness.survey.digest == read_survey(find_survey(MapParameters.file)).digest:
+            then = f"{options.survey} is the synthetic survey: name that of your guide with --survey"
+        print_written(output, then=then)
 
 
 def _reverse_arguments(parser: argparse.ArgumentParser) -> None:

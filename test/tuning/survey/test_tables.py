@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, written
@@ -287,6 +287,17 @@ def test_the_exported_map_comes_back_as_the_same_map(tmp_path, verb, name):
     x = np.linspace(*original.span, 5000)
     assert np.abs(again.evaluate(x)[0] - original.evaluate(x)[0]).max() < 0.02e-6
     assert exported["interpolation_error_um"] < 0.1
+
+
+def test_an_export_names_its_survey_and_goes_to_a_controller_only_if_that_is_of_a_guide(tmp_path, verb):
+    shipped, copy, own = find_survey(MapParameters().file), tmp_path / "copy.csv", tmp_path / "own.csv"
+    copy.write_bytes(shipped.read_bytes())
+    own.write_text("x_mm,deviation_um\n" + "".join(f"{x},{y}\n" for x, y in zip(X, UM, strict=True)))
+    for survey, options in ((shipped, []), (copy, ["--survey", copy]), (own, ["--survey", own])):
+        table = tmp_path / f"{survey.stem}.cal"
+        said = verb("map", "export", "-o", table, *options)
+        assert survey.name in said.out and ("load it into the controller" in said.err) == (survey == own)
+        assert verb("map", "export", "-o", table, "--force", "--json", *options).json["survey"] == str(survey)
 
 
 def test_negate_turns_the_sign_over(tmp_path, verb):
