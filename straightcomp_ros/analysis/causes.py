@@ -90,6 +90,8 @@ _ENDS = 0.05
 """Part of a filtered piece at each end whose amplitude depends on what was before and after."""
 UNKNOWN = "compare the machine with its description (straightcomp friction BAG), and look for a fault or a load"
 """What there is to say of an error of which no cause shows."""
+MEASURE_RESPONSE = "straightcomp frequency-response --graph running (of a simulated stage: --stage FILE)"
+"""What measures the loop that ran: without an option it would be the simulated shipped stage's."""
 _VELOCITY_OVER = 0.002
 """Time in s over which the velocity is taken: a slip lasts some milliseconds."""
 

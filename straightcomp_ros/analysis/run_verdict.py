@@ -294,7 +294,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         return Verdict(
             words.RESONANCE,
             f"the platform's modes at {modes} Hz leave the law no margins: {error}; check "
-            "stage.platform.modes by straightcomp frequency-response, and design gains for them",
+            f"stage.platform.modes by {causes.MEASURE_RESPONSE}, and design gains for them",
         )
     if motion.exceeds and (drag := _cable(motion)):
         return Verdict(words.INACCURATE, f"{error}; allowed: {_um(motion.largest)}; {drag}")
@@ -317,7 +317,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         return Verdict(
             words.RESONANCE,
             f"the platform's mode at {mode:.0f} Hz is excited: {found.frequency:.0f} Hz {amplitude}; measure it by "
-            "straightcomp frequency-response, correct stage.platform.modes, and design anew",
+            f"{causes.MEASURE_RESPONSE}, correct stage.platform.modes, and design anew",
         )
     halves = [half for one in motion.strokes for half in np.array_split(motion.error[one.samples], 2)]
     # A loop at its limit changes from one moment to the next.
@@ -330,7 +330,7 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             words.VIBRATION,
             f"the platform is shaken at {found.frequency:.0f} Hz {amplitude}; that comes and goes like noise, which an "
             "oscillation of the loop does not: look for what shakes the guide or the floor; if nothing does, "
-            f"{dithered}the loop has hardly any margins there: measure them by straightcomp frequency-response",
+            f"{dithered}the loop has hardly any margins there: measure them by {causes.MEASURE_RESPONSE}",
         )
     of_corner = f"the law is unstable within stage.uncertainty: {weak}; " if weak else ""
     return Verdict(
