@@ -140,7 +140,7 @@ _METHODS: Mapping[Command | Order, str] = {
     Order.OVERRIDE: "Speed of the stage, of the present movement too; it changes its speed within its limits",
     Order.JOG: "Move the stage from where it stands; in Execute with 0 strokes",
 }
-_ARGUMENTS: Mapping[Command | Order, tuple[str, ua.VariantType, str]] = {
+ARGUMENTS: Mapping[Command | Order, tuple[str, ua.VariantType, str]] = {
     Command.START: ("Strokes", T.UInt32, "Forward and back; 0: until Complete"),
     Order.CENTER: ("Middle", T.Boolean, "false: back to the map"),
     Order.OVERRIDE: ("Percent", T.UInt32, "0 to 100 % of the speed of its motions; 0: it stands"),
@@ -257,9 +257,9 @@ class AddressSpace:
             return ua.StatusCode(codes.BadInvalidState) if refused else []
 
         arguments, types = [], []
-        if kind in _ARGUMENTS:
+        if kind in ARGUMENTS:
             argument = ua.Argument()
-            argument.Name, data_type, meaning = _ARGUMENTS[kind]
+            argument.Name, data_type, meaning = ARGUMENTS[kind]
             argument.DataType, argument.ValueRank = ua.NodeId(data_type.value), -1
             argument.Description = ua.LocalizedText(meaning)
             arguments, types = [argument], [data_type]

@@ -13,6 +13,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from straightcomp_ros.cell.packml import Command, Order, State, name
 from straightcomp_ros.opcua import CELL, NAMESPACE
+from straightcomp_ros.opcua.address_space import ARGUMENTS
 
 _LOOK_EVERY_S = 0.1
 _CONNECT_WITHIN_S = 60.0
@@ -37,12 +38,12 @@ class CellClient:
         return State(int(await self.read("Status.StateCurrent")))
 
     async def command(self, asked: Command | Order, argument: int | None = None) -> None:
-        """Call a command's method, with the strokes of Start (int) or the middle of Center (bool).
+        """Call a command's method, with its argument if it takes one: strokes of Start, middle of Center (bool),
+        percent of Override, micrometres of Jog.
 
         CycleFailed: it is refused.
         """
-        kind = ua.VariantType.Boolean if isinstance(argument, bool) else ua.VariantType.UInt32
-        arguments = [] if argument is None else [ua.Variant(argument, kind)]
+        arguments = [] if argument is None else [ua.Variant(argument, ARGUMENTS[asked][1])]
         method = name(asked)
         try:
             await self._node("Commands").call_method(self._node(f"Commands.{method}").nodeid, *arguments)

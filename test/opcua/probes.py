@@ -98,6 +98,14 @@ async def rights(url):
     return results
 
 
+async def arguments(url):
+    """Each method that takes an argument, by the reference client."""
+    async with connected(url, *OPERATOR) as cell:
+        for asked, argument in ((Command.START, 3), (Order.CENTER, False), (Order.OVERRIDE, 50), (Order.JOG, -2000)):
+            await cell.command(asked, argument)
+    return {}
+
+
 async def shapes(url):
     """Arguments of other types, numbers and shapes than each method declares."""
     made = await connect(url, OPERATOR)

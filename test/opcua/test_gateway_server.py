@@ -31,7 +31,7 @@ from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.opcua import APPLICATION, client, gateway_server
-from straightcomp_ros.opcua.address_space import Snapshot
+from straightcomp_ros.opcua.address_space import ARGUMENTS, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, add_user
 from straightcomp_ros.opcua.client import CycleFailed, connected
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
@@ -105,6 +105,13 @@ def test_only_known_operators_command_and_no_client_writes(plain):
     wrong = dict(zip(methods[4:], ("BadArgumentsMissing", "BadInvalidArgument", "BadMethodInvalid"), strict=True))
     assert rights["operator"] == never | dict.fromkeys(methods[:4], "done") | wrong
     assert plain.commands == [(Command.RESET, 0), (Command.START, 3), (Order.RELOAD_MAP, 0), (Order.CENTER, True)]
+
+
+def test_the_reference_client_gives_every_command_that_takes_an_argument_and_jogs_backward(plain):
+    plain.commands.clear()
+    probed("arguments", plain.url)
+    given = [(Command.START, 3), (Order.CENTER, False), (Order.OVERRIDE, 50), (Order.JOG, -2000)]
+    assert plain.commands == given and {asked for asked, _ in given} == set(ARGUMENTS)
 
 
 def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(plain):
