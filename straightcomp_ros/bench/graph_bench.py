@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.evaluation import percentile_us
+from straightcomp_ros.analysis.evaluation import percentile_us, samples_taken
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recorded_nodes import read_reports
@@ -70,27 +70,29 @@ def growth_mb_per_hour(looks: Sequence[Usage]) -> dict[str, float]:
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
-def read_window(bag: Path, rate: int, begin_ns: int, end_ns: int) -> dict[str, Any]:
-    """What a bag of the graph's logger has of the samples at ``rate`` Hz with stamps in [begin_ns, end_ns).
+def read_window(bag: Path, begin_ns: int, end_ns: int) -> dict[str, Any]:
+    """What a bag of the graph's logger has of the samples with stamps in [begin_ns, end_ns).
 
     ``lost_samples`` have no command, wherever they were lost: before the law, after it, or by the logger.
     ``latency_us`` has percentiles of the time from each sample to its command's arrival at the driver; NaN without any.
     Of ``bag``, ``expected_samples`` are those that the sampling clock took, ``missing`` the number of these without a
     message by topic, and ``amplifier_on`` the fraction of the recorded ones with the amplifier on. BagError if the bag
-    cannot be read or has no samples in the window.
+    cannot be read or has fewer than two samples in the window.
     """
     streams = read_streams(bag, {stream.topic: stream.layout for stream in STREAMS})
-    period_ns = round(1e9 / rate)
 
     def inside(topic: str) -> NDArray[np.bool_]:
         stamp = streams[topic].stamp
         return np.asarray((stamp >= begin_ns) & (stamp < end_ns))
 
-    if ENCODER.topic not in streams or not inside(ENCODER.topic).any():
+    if ENCODER.topic not in streams or inside(ENCODER.topic).sum() < 2:
         raise BagError(f"bag {bag}: has no messages on '{ENCODER.topic}' in the window that was measured")
-    phase = int(streams[ENCODER.topic].stamp[inside(ENCODER.topic)][0])
-    # Samples lie on a grid, so losses at an edge of the window count too.
-    expected = -((phase - end_ns) // period_ns) + (phase - begin_ns) // period_ns
+    sampled = np.unique(streams[ENCODER.topic].stamp[inside(ENCODER.topic)])
+    # Losses at an edge of the window count too; a board's period is its own.
+    period_ns = int(np.median(np.diff(sampled)))
+    expected = samples_taken(sampled) + int(
+        (sampled[0] - begin_ns) // period_ns + (end_ns - 1 - sampled[-1]) // period_ns
+    )
     found = {topic: len(np.unique(stream.stamp[inside(topic)])) for topic, stream in streams.items()}
     missing = {stream.topic: expected - found.get(stream.topic, 0) for stream in STREAMS}
     latency = enabled = np.empty(0)
@@ -274,7 +276,7 @@ def measure(
             composed=composed,
         )
         begin, end = window.looks[0], window.looks[-1]
-        recording = read_window(bag, node_parameters("driver", values).stage.rate, begin.time_ns, end.time_ns)
+        recording = read_window(bag, begin.time_ns, end.time_ns)
         reports = read_reports(bag)
     except (LaunchError, BagError, OSError) as error:
         raise BenchFailed(str(error)) from error

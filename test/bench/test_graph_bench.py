@@ -55,15 +55,29 @@ def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_co
                 )
 
     bag = bag_of_rows(tmp_path / "bag", rows())
-    found = read_window(bag, 2000, START + 100 * PERIOD, START + 900 * PERIOD)
+    found = read_window(bag, START + 100 * PERIOD, START + 900 * PERIOD)
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
     expected = {"expected_samples": 800, "missing": missing, "complete": False, "amplifier_on": pytest.approx(0.75)}
     assert found["bag"] == expected and found["lost_samples"] == 80
     assert [found["latency_us"][name] for name in ("max", "p50")] == pytest.approx([899, 499.5])
-    beyond = read_window(bag, 2000, START - 50 * PERIOD, START + 1010 * PERIOD)["bag"]
+    beyond = read_window(bag, START - 50 * PERIOD, START + 1010 * PERIOD)["bag"]
     assert beyond["expected_samples"] == 1060 and beyond["missing"]["encoder"] == 60
     with pytest.raises(BagError, match="window"):
-        read_window(bag, 2000, START + 10**12, START + 2 * 10**12)
+        read_window(bag, START + 10**12, START + 2 * 10**12)
+
+
+def test_a_board_with_a_clock_of_its_own_loses_nothing_by_that(tmp_path):
+    period = PERIOD + PERIOD // 200
+
+    def rows():
+        for k in range(1000):
+            stamp = START + k * period
+            for stream in STREAMS:
+                yield stream, stamp, [0.0] * len(stream.layout.columns)
+
+    bag = bag_of_rows(tmp_path / "bag", rows())
+    found = read_window(bag, START, START + 1000 * period)["bag"]
+    assert (found["expected_samples"], found["complete"]) == (1000, True)
 
 
 @pytest.mark.parametrize(
