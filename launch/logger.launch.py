@@ -1,4 +1,4 @@
-"""Starts the logger alone: it records every topic of the cell to a bag."""
+"""Starts the logger alone: it records the run to a bag; docs/bags.md says which topics."""
 
 from launch import LaunchDescription
 

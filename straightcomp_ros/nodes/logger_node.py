@@ -20,7 +20,16 @@ from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.topics import Topic, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cell.launcher import verb_command
-from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, SAFETY_STATE, STAGE_TRAJECTORY, STREAMS, UNCONNECTED, Stream
+from straightcomp_ros.contract import (
+    DIAGNOSTICS,
+    DISPLACEMENT,
+    ENCODER,
+    SAFETY_STATE,
+    STAGE_TRAJECTORY,
+    STREAMS,
+    UNCONNECTED,
+    Stream,
+)
 from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
@@ -105,7 +114,7 @@ class LoggerComponent:
         self._encoder = node.resolve_topic_name(ENCODER.topic)
         self._samples = self._overruns = self._received = self._fetched_ns = 0
         self._gaps, self._timer_errors = StampGaps(), Histogram()
-        self._chosen = _pattern("topics", parameters.topics)
+        self._chosen = chosen_topics(parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
         self._topics: dict[str, RawQueue | BatchQueue] = {}
         self._silent: dict[str, Topic] = {}
@@ -120,7 +129,10 @@ class LoggerComponent:
         self._record(STAGE_TRAJECTORY, "trajectory_msgs/msg/JointTrajectory", QoSProfile(depth=10))
         self._record(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray", QoSProfile(depth=100))
         ours = [*self._topics, *(node.resolve_topic_name(stream.batch_topic) for stream in STREAMS)]
-        self._others = OtherTopics(node, node.streams, others, ours, self._recorder.announce)
+        # Only a survey has a sensor: its topic is in the bag once a node publishes it.
+        sensor = {node.resolve_topic_name(DISPLACEMENT.topic): DISPLACEMENT.layout.type_name}
+        expected = sensor if DISPLACEMENT.topic in self._chosen else {}
+        self._others = OtherTopics(node, node.streams, others, expected, ours, self._recorder.announce)
         self._provide_services()
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
@@ -148,7 +160,7 @@ class LoggerComponent:
         return partial(self._recorder.keep_free, parameters.min_free_bytes)
 
     def _record(self, topic: str, type_name: str, qos: QoSProfile, stream: Stream | None = None) -> None:
-        if not self._chosen.fullmatch(topic.lstrip("/")):
+        if topic not in self._chosen:
             return
         full_name, streams = self.node.resolve_topic_name(topic), self.node.streams
         # The first definition takes half a second to load: do it before the bag's first message arrives.
@@ -299,6 +311,21 @@ class LoggerComponent:
     def close(self) -> None:
         """Write the messages that have arrived, attach the parameters, finish the bag."""
         self._recorder.stop()
+
+
+def chosen_topics(text: str) -> frozenset[str]:
+    """The topics of this package, as in the contract, that the parameter ``topics`` chooses; none by an empty text.
+    Raises ParameterError when another text chooses none."""
+    recorded = [*(stream.topic for stream in (*STREAMS, DISPLACEMENT)), STAGE_TRAJECTORY, DIAGNOSTICS]
+    pattern = _pattern("topics", text)
+    chosen = frozenset(topic for topic in recorded if pattern.fullmatch(topic.lstrip("/")))
+    if text and not chosen:
+        names = ", ".join(topic.lstrip("/") for topic in recorded)
+        raise ParameterError(
+            f"parameter 'topics': {text!r} matches no topic; allowed: a regular expression for some of {names}, or "
+            "empty for none; 'other_topics' has all further ones, by their full names"
+        )
+    return chosen
 
 
 def _pattern(name: str, text: str) -> re.Pattern[str]:

@@ -163,12 +163,14 @@ class LoggerNodeParameters(RecorderParameters):
         8000, "Messages of each topic that may wait in the middleware while the logger is held up", "[1, inf)"
     )
     topics: str = parameter(
-        ".*", "Regular expression for the whole names of this package's topics to record, e.g. 'encoder|command'"
+        ".*",
+        "Regular expression for the whole names of this package's topics to record, e.g. 'encoder|command', among the "
+        "streams at the control rate, 'displacement', 'stage_trajectory' and 'diagnostics'; empty for none",
     )
     other_topics: str = parameter(
         "",
         "Regular expression for the whole full names of further topics to record, of any type, e.g. "
-        "'/displacement|/rosout'; empty for none",
+        "'/probe|/rosout'; empty for none",
     )
     record_at_start: bool = parameter(True, "Record from the node's start on; false: from the service ~/start on")
     incidents: int = parameter(

@@ -1,8 +1,8 @@
-"""Records topics outside the contract: finds them by name when they appear, of any type."""
+"""Records topics that the nodes of this package do not publish: finds them by name when they appear."""
 
 import re
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +22,25 @@ _UNBOUNDED_DEPTH = 1000
 
 class OtherTopics:
     """Subscribes to each topic whose full name matches ``pattern`` (an empty one matches none) and is not one of
-    ``ours``, when its first publisher appears, with the QoS that its publishers offer. ``announce`` is called with each
-    topic before its first message is fetched."""
+    ``ours``, and to each of ``expected`` (full names) if it has the type that is given there, when its first publisher
+    appears, with the QoS that its publishers offer. ``announce`` is called with each topic before its first message is
+    fetched."""
 
     def __init__(
         self,
         node: Node,
         streams: Streams,
         pattern: re.Pattern[str],
+        expected: Mapping[str, str],
         ours: Collection[str],
         announce: Callable[[Topic], None],
     ) -> None:
         self._node, self._streams, self._pattern, self._announce = node, streams, pattern, announce
-        self._settled = set(ours)
+        self._settled, self._expected = set(ours), expected
         self._queues: dict[str, RawQueue] = {}
         self._latched: dict[str, tuple[bytes, int]] = {}
         """Of each latched topic: its last message, and when that was sent."""
-        if pattern.pattern:
+        if pattern.pattern or expected:
             node.create_timer(_LOOK_EVERY_S, self._look)
             self._look()
 
@@ -64,7 +66,8 @@ class OtherTopics:
 
     def _look(self) -> None:
         for name, types in self._node.get_topic_names_and_types():
-            if name not in self._settled and self._pattern.fullmatch(name):
+            wanted = self._expected.get(name) in types or self._pattern.fullmatch(name)
+            if wanted and name not in self._settled:
                 publishers = self._node.get_publishers_info_by_topic(name)
                 if publishers:
                     self._settled.add(name)

@@ -20,10 +20,12 @@ from std_msgs.msg import String
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.topics import TopicQos
-from straightcomp_ros.contract import ENCODER, SAFETY_STATE
+from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, ENCODER, SAFETY_STATE, STAGE_TRAJECTORY, STREAMS
 from straightcomp_ros.nodes import logger_node
-from straightcomp_ros.nodes.logger_node import FaultIncidents
-from straightcomp_ros.runtime.other_topics import definition_by_files, stored
+from straightcomp_ros.nodes.logger_node import FaultIncidents, chosen_topics
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
+from straightcomp_ros.runtime.other_topics import OtherTopics, definition_by_files, stored
 
 pytestmark = pytest.mark.keeps_time
 
@@ -196,6 +198,33 @@ def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():
     assert stored([LATCHED]) == TopicQos("reliable", "transient_local", depth=1)
     assert stored([best_effort, LATCHED]) == TopicQos("best_effort", "volatile", depth=7)
     assert stored([LATCHED, unknown]) == TopicQos("reliable", "volatile", "unknown", 0)
+
+
+def test_what_can_be_recorded_is_recorded_by_default_and_topics_choose_among_it():
+    streams = {one.topic for one in (*STREAMS, DISPLACEMENT)}
+    assert chosen_topics(LoggerNodeParameters().topics) == {*streams, STAGE_TRAJECTORY, DIAGNOSTICS}
+    assert chosen_topics("diagnostics|displacement|safety_state") == {DIAGNOSTICS, DISPLACEMENT.topic}
+    assert chosen_topics("") == set()
+    for text in ("safety_state", "/encoder", "encode", "("):
+        with pytest.raises(ParameterError, match=rf"'topics': '{re.escape(text)}'.*allowed"):
+            chosen_topics(text)
+
+
+def test_an_expected_topic_is_in_the_bag_from_its_first_publisher_on_and_only_if_it_has_its_type():
+    kind, announced, node = DISPLACEMENT.layout.type_name, [], Mock()
+    present, publisher = {"/displacement": "sensor_msgs/msg/Range", "/other": kind}, Mock(qos_profile=LATCHED)
+    node.get_topic_names_and_types.side_effect = lambda: [(name, [type_name]) for name, type_name in present.items()]
+    publishers = node.get_publishers_info_by_topic
+    publishers.return_value = [publisher]
+    OtherTopics(node, Mock(), re.compile(""), {"/displacement": kind}, [], announced.append)
+    _, look = node.create_timer.call_args[0]
+    present["/displacement"], publishers.return_value = kind, []
+    look()
+    assert not announced
+    publishers.return_value = [publisher]
+    for _ in range(2):
+        look()
+    assert [(one.name, one.type_name) for one in announced] == [("/displacement", kind)]
 
 
 def size(file) -> int:
