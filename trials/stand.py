@@ -50,6 +50,8 @@ _REQUESTS, _REFUSALS = 3, 2
 _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 STOP_S = 30.0
+SILENT_AFTER_S = 1.0
+"""Time in s after its last heartbeat from which a node counts as silent here."""
 _SPAWN = get_context("spawn")
 
 
@@ -100,7 +102,7 @@ class Stand:
             self.node = Node("fault_stand")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self.heartbeats = Heartbeats(self.node, RECORDED)
+        self.heartbeats = Heartbeats(self.node, RECORDED, SILENT_AFTER_S)
         self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self.node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
         self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)

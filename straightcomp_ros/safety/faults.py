@@ -112,7 +112,7 @@ class Fault(enum.Enum):
     )
     HEARTBEAT_LOST = Description(
         13,
-        1200.0,
+        3200.0,
         "a node or the board is silent",
         "it ended, was stopped, or the bus is off",
         "read the node's log; `ip -details link show can0`",

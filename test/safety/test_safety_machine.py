@@ -1,6 +1,7 @@
 """The state machine that alone switches the amplifier, and the table of its faults."""
 
 import random
+import re
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -8,6 +9,7 @@ import pytest
 
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.parameters.node_parameters import CellNodeParameters, ControllerNodeParameters
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.stage.description import StageParameters
@@ -95,3 +97,25 @@ def test_each_fault_has_a_number_of_its_own_above_zero_and_its_row_in_the_docume
         (row,) = (line for line in rows if line.startswith(f"| `{fault.label}` | {fault.code} "))
         *_, within, reaction, reset = [cell.strip() for cell in row.strip("|").split("|")]
         assert (within, reaction, reset) == (f"{fault.value.within_ms:g}", fault.value.reaction, fault.value.reset)
+
+
+@pytest.mark.parametrize(
+    ("fault", "timeout_s"),
+    [
+        (Fault.COMMAND_TIMEOUT, SimulatedParameters.command_timeout),
+        (Fault.SAMPLE_TIMEOUT, ControllerNodeParameters.sample_timeout),
+        (Fault.HEARTBEAT_LOST, CellNodeParameters.heartbeat_timeout),
+    ],
+)
+def test_a_fault_of_a_timeout_comes_after_its_default_and_at_most_200_ms_later(fault, timeout_s):
+    assert 0.0 < fault.value.within_ms - 1e3 * timeout_s <= 200.0
+
+
+@pytest.mark.parametrize("composed", [False, True])
+def test_the_trials_inject_all_faults_but_those_that_the_page_names(composed):
+    trials = pytest.importorskip("trials.faults")
+    named = DOCUMENT.read_text().partition("`python -m trials faults` injects")[2].partition(", nor the board's")[0]
+    without = {LABELLED[label] for label in re.findall(r"`(\w+)`", named)}
+    # Of one process all that is seen of its end is that its nodes are silent.
+    without |= {Fault.SAMPLE_TIMEOUT} if composed else set()
+    assert {trial.fault for trial in trials.trials_of(composed)} == set(Fault) - without
