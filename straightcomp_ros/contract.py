@@ -108,7 +108,8 @@ UNCONNECTED = "unconnected"
 """Value in the logger's diagnostics: full names of the topics that no node publishes yet, separated by blanks."""
 SAFETY_STATE = "safety_state"
 """diagnostic_msgs/DiagnosticStatus, latched, from the driver at each change: level, fault's name (empty without one),
-message; values `condition` (off, on, fault) and `time_ns`, when the condition began, ns since the epoch."""
+message; values `condition` (off, on, fault), `code` (the fault's number, 0 without one) and `time_ns`, when the
+condition began, ns since the epoch."""
 TRIP = "trip"
 """diagnostic_msgs/DiagnosticStatus: makes the driver switch the amplifier off; name: the fault, message: the reason."""
 HEARTBEAT = "heartbeat"

@@ -12,9 +12,12 @@ from test_imports_point_inward import SOURCE
 from scripts import make_reference
 from straightcomp_ros import contract
 from straightcomp_ros.cli.main import make_parser
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.runtime.safety_panel import safety_status
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.stage.description import StageParameters
 from trials.__main__ import RIGS
 
@@ -115,6 +118,23 @@ def test_the_deadlines_of_the_architecture_are_those_of_their_parameters():
             assert any(in_time == pytest.approx(time) for time in times) or one.default in times, name
             found += 1
     assert found > 3
+
+
+def test_the_parameters_that_change_while_a_node_runs_are_those_of_the_table():
+    page = (REPOSITORY / "docs" / "cell.md").read_text(encoding="utf-8")
+    table = page.partition("## Changes while it runs\n")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (\w+) \| (.*?) \|", table, re.MULTILINE)
+    named = {(node, name.removesuffix(".*")) for node, cell in rows for name in re.findall(r"`([\w.*]+)`", cell)}
+    assert named == {(node, one) for node, kind in NODE_PARAMETERS.items() for one in getattr(kind, "dynamic", ())}
+
+
+@pytest.mark.parametrize(
+    ("constant", "message"),
+    [("SAFETY_STATE", safety_status(State.OFF, None, "")), ("STAGE_STATE", StageState().message(""))],
+)
+def test_the_reference_names_each_value_of_a_state(constant, message):
+    described = make_reference._texts_below_constants(contract)[constant]
+    assert {value.key for value in message.values} <= set(re.findall(r"`(\w+)`", described))
 
 
 def test_the_reference_is_what_the_code_says():
