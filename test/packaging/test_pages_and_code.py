@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from itertools import chain
 
 import pytest
 from test_imports_point_inward import SOURCE
@@ -16,6 +17,7 @@ from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.runtime.graph_client import _SERVICES
 from straightcomp_ros.runtime.safety_panel import safety_status
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.stage.description import StageParameters
@@ -126,6 +128,45 @@ def test_the_parameters_that_change_while_a_node_runs_are_those_of_the_table():
     rows = re.findall(r"^\| (\w+) \| (.*?) \|", table, re.MULTILINE)
     named = {(node, name.removesuffix(".*")) for node, cell in rows for name in re.findall(r"`([\w.*]+)`", cell)}
     assert named == {(node, one) for node, kind in NODE_PARAMETERS.items() for one in getattr(kind, "dynamic", ())}
+
+
+SECURITY = (REPOSITORY / "docs" / "security.md").read_text(encoding="utf-8")
+PERMISSIONS = {
+    tuple(re.findall(r"`(\w+)`", nodes)): re.findall(r"`([\w/]+)`", what)
+    for nodes, what in re.findall(r"^\| (`.*?) \| (.*) \|$", SECURITY, re.MULTILINE)
+}
+SOURCES = {path.stem.removesuffix("_node"): path.read_text(encoding="utf-8") for path in SOURCE.glob("nodes/*_node.py")}
+"""By node, or process of several."""
+SOURCES[contract.COMMISSIONING_CLIENT] = (SOURCE / "tuning" / "graph" / "waiting_client.py").read_text(encoding="utf-8")
+CLIENT = r"\bGraphClient\(|\(GraphClient\)"
+
+
+def those_with(pattern):
+    return {node for node, source in SOURCES.items() if re.search(pattern, source)}
+
+
+@pytest.mark.parametrize(
+    ("what", "pattern"),
+    [
+        ("command", r"publisher\(COMMAND"),
+        ("reference", r"publisher\(REFERENCE"),
+        ("encoder", r"publisher\((node, |\s*)ENCODER"),
+        ("trip", r"tripper\("),
+        ("set_parameters_atomically", r"\bRemoteParameters\("),
+        ("controller/excite", "controller/excite"),
+        *((what, CLIENT) for what in ("stage_trajectory", "driver/set_parameters", *chain(*_SERVICES.values()))),
+    ],
+)
+def test_those_that_may_move_the_machine_by_the_page_of_security_are_those_that_do(what, pattern):
+    assert {node for nodes, allowed in PERMISSIONS.items() if what in allowed for node in nodes} == those_with(pattern)
+
+
+def test_the_page_of_security_has_each_process_and_each_hidden_node():
+    processes = set(re.search(r"for node in (.*?); do", SECURITY)[1].split())
+    assert processes == SOURCES.keys() - {contract.COMMISSIONING_CLIENT} | {"commissioning"}
+    assert set(re.findall(r"`_(\w+)_subscriptions`", SECURITY)) == those_with(
+        rf"\bStreams\(|\bnode\.streams\b|{CLIENT}"
+    )
 
 
 @pytest.mark.parametrize(
