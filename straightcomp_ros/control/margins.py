@@ -381,7 +381,8 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
         return None
     if missed is None:
         return None
-    group = "smc_observer" if control.law == "smc_observer" else "smc"
+    # A law has its own group of gains; 'linear' is 'smc' without its switching.
+    group = control.law if hasattr(control, control.law) else "smc"
     return (
         f"parameters 'control.{group}.*': on stage '{stage.name}' at {stage.rate} Hz with commands "
         f"{stage.drive.delay:g} samples late, the law '{control.law}' {missed}; "

@@ -149,6 +149,12 @@ def test_a_law_that_has_its_margins_is_taken(control, stage):
     assert missing_margin(control, on(**stage)) is None
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_a_refusal_names_the_group_of_the_law_s_own_gains(law):
+    group = re.search(r"'control\.(\w+)\.\*'", missing_margin(ControlParameters(law=law), on(rate=500)))[1]
+    assert group == ("smc" if law == "linear" else law)
+
+
 SHARP = ControlParameters(law="smc", smc=SlidingDesign(boundary_layer=2e-3))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import label
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
-from straightcomp_ros.control.laws import LAWS, make_law
+from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import run_cycle
@@ -30,7 +30,9 @@ PUBLISHED, FULL_CURRENT = "law (9), unclamped", "full current"
 POINTS = 51
 """Of the grid, each way."""
 _SHOWN_MS = 80.0
-_STYLES = {"linear": GREY, "smc": BLUE, "smc_observer": BLACK, PUBLISHED: VERMILION}
+SHOWN = {"linear": GREY, "smc": BLUE, "smc_observer": BLACK}
+"""Laws of the figure, and their colours."""
+_COLOURS = {**SHOWN, PUBLISHED: VERMILION}
 RETURNED = 0.01
 """|y/y0| within which the platform must stay at the end."""
 _DURATION = 0.5
@@ -143,7 +145,7 @@ class Regions(NamedTuple):
 def machines_of(machine: Machine) -> dict[str, Machine]:
     """The idealised machine under (9) unclamped, and the shipped one with |i_c| <= I0 under each law."""
     limited = machine.with_limit(machine.bias)
-    return {PUBLISHED: unclamped(machine), **{law: limited.with_law(law) for law in LAWS}}
+    return {PUBLISHED: unclamped(machine), **{law: limited.with_law(law) for law in SHOWN}}
 
 
 def regions(machine: Machine, points: int = POINTS) -> Regions:
@@ -242,5 +244,5 @@ def _over_time(axes: Axes, machine: Machine, law: str, y: NDArray[np.float64]) -
     shown = slice(0, int(at_stop[0]) + 1 if at_stop.size else None)
     width = 2.5 if law == "linear" else 1.2  # smc goes the same way
     a = np.minimum(y[shown], machine.stop) / machine.gap
-    axes.plot(time_ms[shown], a, color=_STYLES[law], label=law, linewidth=width)
-    axes.plot(time_ms[at_stop], np.full(at_stop.size, machine.stop / machine.gap), "x", color=_STYLES[law])
+    axes.plot(time_ms[shown], a, color=_COLOURS[law], label=law, linewidth=width)
+    axes.plot(time_ms[at_stop], np.full(at_stop.size, machine.stop / machine.gap), "x", color=_COLOURS[law])

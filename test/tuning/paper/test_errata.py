@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_demand, state_matrices
 from straightcomp_ros.model.actuator import (
     ActuatorParameters,
@@ -155,7 +154,7 @@ def test_the_physical_limit_is_what_full_current_does_in_a_machine_without_lag_a
     assert recovery.possible(ideal, y, slower) and not recovery.possible(ideal, y, faster)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", recovery.SHOWN)
 def test_every_law_recovers_from_fig_4_and_not_from_beyond_the_stop_nor_from_where_the_amplifier_cannot(data, law):
     one = data.machine.with_law(law)
     assert recovery.recovers(one, FAR * one.gap) and not recovery.recovers(one, 1.05 * one.stop)

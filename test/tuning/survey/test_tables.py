@@ -1,5 +1,6 @@
 """Files of instruments and controllers: their makers' values or a refusal; nothing is lost on the way."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_table import OTHER_KINDS, SurveyError
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, written
 
@@ -275,6 +276,13 @@ def test_another_kind_of_file_in_place_of_a_survey_names_the_command_that_conver
         code, _, said = verb(*command)
         assert code != 0 and f"map convert {path} --format {name}" in said
     assert verb("map", "convert", path, "--format", name, "-o", tmp_path / "s.csv").code == 0
+
+
+def test_every_format_is_recognised_in_place_of_a_survey_and_stands_on_the_page():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "surveys.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (\.\w+) \|", page, re.MULTILINE)
+    assert dict(rows) == {name: one.ending for name, one in FORMATS.items()}
+    assert OTHER_KINDS.keys() == FORMATS.keys()
 
 
 @pytest.mark.parametrize("name", WRITTEN)
