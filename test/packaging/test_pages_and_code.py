@@ -88,6 +88,12 @@ def test_every_rig_that_is_named_can_be_run(page):
     assert set(re.findall(r"python -m trials ([a-z_]+)", page.read_text(encoding="utf-8"))) <= set(RIGS)
 
 
+@pytest.mark.parametrize("page", [*PAGES, REPOSITORY / "QUALITY_DECLARATION.md"], ids=lambda page: page.name)
+def test_every_extra_that_is_named_exists(page):
+    extras = re.findall(r'^ {8}"(\w+)": ', (REPOSITORY / "setup.py").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(re.findall(r"extra `\[?(\w+)", page.read_text(encoding="utf-8"))) <= set(extras)
+
+
 SCALES = {"ms": 1e-3, "µs": 1e-6, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "mA": 1e-3, "%": 1e-2}
 STATED = re.compile(r"`([a-z_]+(?:\.[a-z_0-9]+)*)` (?:= |\()(-?\d[\d.]*(?:e-?\d+)?)(?: ([a-zµ%]+))?[),; ]")
 
