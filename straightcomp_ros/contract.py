@@ -82,7 +82,7 @@ DISPLACEMENT = Stream(
     "displacement",
     joint_state(["displacement"], position=["deviation"]),
     "Surveys only: reading in m of a displacement sensor on the slider that measures against a straight edge. A "
-    "separate node publishes it; no node of this package needs it.",
+    "separate node publishes it; the logger records it, and no other node of this package needs it.",
 )
 
 POSITION = Stream(
