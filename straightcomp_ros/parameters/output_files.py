@@ -33,7 +33,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
     Args:
         content: a text is written as UTF-8; bytes of a file's name that are none, as ``\\udcfc``.
         folder: of the new file until it is whole, on the same file system; that of ``path`` by default.
-        private: readable for its owner only, whatever it was before.
+        private: readable for its owner only, whatever its mode was before.
 
     Raises:
         OSError: it cannot be written; ``filename`` is ``path``, and what was there is untouched.
@@ -50,10 +50,10 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
         before = target.stat() if os.path.lexists(target) else None
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         with open(os.open(part, flags, _PRIVATE if private or before else _NEW), "wb") as file:
-            if before is not None and not private:
+            if before is not None:
                 with suppress(OSError):  # only root may give a file away
                     os.fchown(file.fileno(), before.st_uid, before.st_gid)
-                os.fchmod(file.fileno(), before.st_mode & 0o7777)
+                os.fchmod(file.fileno(), _PRIVATE if private else before.st_mode & 0o7777)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())

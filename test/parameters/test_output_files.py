@@ -53,6 +53,18 @@ def test_a_file_keeps_its_mode_and_the_link_that_leads_to_it(tmp_path):
     assert stat.S_IMODE((tmp_path / "real").stat().st_mode) == 0o600
 
 
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may give a file away")
+@pytest.mark.parametrize(("private", "mode"), [(False, 0o640), (True, 0o600)])
+def test_what_root_writes_stays_the_owners(tmp_path, private, mode):
+    file = tmp_path / "users"
+    file.write_text("old")
+    file.chmod(0o640)
+    os.chown(file, 4711, 4712)
+    write_whole(file, "new", private=private)
+    found = file.stat()
+    assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (4711, 4712, mode)
+
+
 def test_a_pipe_gets_what_is_written(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
