@@ -4,6 +4,7 @@ import shutil
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from datetime import datetime
 from itertools import groupby, islice
 from pathlib import Path
@@ -125,11 +126,25 @@ def check_disk(folder: Path, min_free: int) -> None:
         raise BagError(f"bag {folder}: {free} bytes are free on its disk; {allowed}; all that came before is saved")
 
 
+def _new_folder(name: str) -> Path:
+    """Make the first of ``name``, ``name_2`` … that is not there; where none can be made, the bag's writer says why."""
+    folder, number = Path(name), 1
+    with suppress(OSError):
+        while True:
+            try:
+                folder.mkdir()
+                break
+            except FileExistsError:
+                number += 1
+                folder = Path(f"{name}_{number}")
+    return folder
+
+
 class Recorder:
     """Call it from one thread; it has its own for writing.
 
     Args:
-        options: see there; a bag without ``output`` is named after the time of its start, later ones get ``_2`` …
+        options: see there; a bag without ``output`` is named after the time of its start; later ones get ``_2`` …
         stamped: full names of the topics that have a header with their sample's stamp; their losses are counted.
         describe: called with the bag now and then, on the writing thread, and when the bag ends, with a second argument
             that is true then. It adds what describes the recording, e.g. the nodes' parameters.
@@ -237,7 +252,7 @@ class Recorder:
 
     def _next_folder(self) -> Path:
         if not self._options.output:
-            return Path(datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
+            return _new_folder(datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
         first = Path(self._options.output)
         return first if not self._count else first.with_name(f"{first.absolute().name}_{self._count + 1}")
 

@@ -2,12 +2,16 @@
 
 import re
 import subprocess
+from datetime import datetime
+from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from recording import LAYOUTS, information
 
 from straightcomp_ros.bags import BagError, RecorderParameters
 from straightcomp_ros.bags import information as origin_module
+from straightcomp_ros.bags import recorder as recorder_module
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.reader import read_metadata, read_streams
 from straightcomp_ros.bags.recorder import BREAK, Intake, Losses, Recorder, check_disk
@@ -155,6 +159,21 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
     topics = information(tmp_path / "run_2")["topics_with_message_count"]
     assert {one["topic_metadata"]["name"]: one["message_count"] for one in topics} == {"/encoder": 1, "/late": 1}
     assert described[-1] is True
+
+
+def test_recordings_that_begin_in_one_second_in_one_folder_have_folders_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recorder_module, "datetime", Mock(now=lambda: datetime(2026, 11, 29, 12, 30, 15)))
+    recorders = [Recorder(RecorderParameters(), [], lambda bag, at_end: None) for _ in range(3)]
+    names = [str(one.start()) for one in recorders]
+    first = "straightcomp_2026_11_29-12_30_15"
+    assert names == [first, f"{first}_2", f"{first}_3"]
+    for one in recorders:
+        one.stop()
+        assert (one.folder / "metadata.yaml").exists()
+    monkeypatch.setattr(Path, "mkdir", Mock(side_effect=PermissionError(13, "Permission denied")))
+    with pytest.raises(BagError, match=r"straightcomp_.* cannot be made.*Permission denied"):
+        recorders[0].start()
 
 
 def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_expected(tmp_path):
