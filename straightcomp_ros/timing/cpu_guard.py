@@ -7,6 +7,7 @@ the next guard restores that state.
 
 import json
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -125,7 +126,8 @@ def _set_queues(cpus: set[int], before: str = "0") -> None:
     with suppress(OSError, ValueError):
         own = sum(1 << cpu for cpu in cpus)
         if mask := int(_queues().replace(",", ""), 16) & ~own | int(before.replace(",", ""), 16) & own:
-            _WORK_QUEUES.write_text(f"{mask:x}")
+            # The kernel (bitmap_parse) wants a comma before each eight digits, counted from the end.
+            _WORK_QUEUES.write_text(re.sub(r"(?<=.)(?=(.{8})+$)", ",", f"{mask:x}"))
 
 
 def main(words: list[str]) -> int:

@@ -172,6 +172,22 @@ def test_guards_of_several_graphs_give_back_their_own_cpus_in_any_order(tmp_path
         assert mask.read_text() == then
 
 
+def test_a_mask_of_more_than_32_cpus_is_written_as_the_kernel_reads_it(tmp_path, monkeypatch):
+    """bitmap_parse of Linux takes 32 bits between two commas."""
+    mask = tmp_path / "mask"
+    monkeypatch.setattr(cpu_guard, "_WORK_QUEUES", mask)
+    mask.write_text("ff,ffffffff,ffffffff\n")
+    for cpus_and_before, then in (
+        (({63, 70},), "bf,7fffffff,ffffffff"),
+        (({63, 70}, "ff,ffffffff,ffffffff"), "ff,ffffffff,ffffffff"),
+        ((set(range(32, 72)),), "ffffffff"),
+        (({32}, "1,00000000"), "1,ffffffff"),
+        ((set(range(32)),), "1,00000000"),
+    ):
+        cpu_guard._set_queues(*cpus_and_before)
+        assert mask.read_text() == then
+
+
 def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
     reports = []
     monkeypatch.setattr(realtime, "keep_others_off", lambda cpus: f"kept off {sorted(cpus)}")
