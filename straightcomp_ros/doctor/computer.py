@@ -158,7 +158,8 @@ def priority(ask: Callable[[], None] | None = None) -> Finding:
     thread.start()
     thread.join()
     detail = f"SCHED_FIFO {_PRIORITY}: {refused[0].strerror if refused else 'permitted'}"
-    remedy = f"Give this user 'rtprio 98' in {_LIMITS} and log in again; in a container use --cap-add SYS_NICE."
+    container = "in a container use --ulimit rtprio=98, or as root --cap-add SYS_NICE."
+    remedy = f"Give this user 'rtprio 98' in {_LIMITS} and log in again; {container}"
     return judged("real-time priority", not refused, detail, remedy)
 
 
@@ -180,9 +181,10 @@ def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:
     return judged("CPU wake-up", can, f"{file} {'can' if can else 'cannot'} be written", remedy)
 
 
-def kernel(file: Path = Path("/sys/kernel/realtime")) -> Finding:
-    """Whether this is a PREEMPT_RT kernel."""
-    real_time = _read(file) == "1"
+def kernel(file: Path = Path("/sys/kernel/realtime"), version: str | None = None) -> Finding:
+    """Whether this is a PREEMPT_RT kernel; ``version`` None is the running one's. Only kernels with the former patch
+    have the file."""
+    real_time = _read(file) == "1" or "PREEMPT_RT" in (version or os.uname().version)
     remedy = "Install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64) on a machine that is to run for hours."
     return judged("kernel", real_time, f"{os.uname().release}, {'' if real_time else 'no '}PREEMPT_RT", remedy)
 

@@ -19,6 +19,7 @@ FAST = {"cpu0__cpufreq__scaling_governor": "performance\n"}
 MIXED = {**FAST, "cpu1__cpufreq__scaling_governor": "powersave\n"}
 DOWN = {"can0__type": "280\n", "can0__operstate": "down\n"}
 IDLE = {"stat": "cpu 1 2 3 4 5 6 7 8 0 0\ncpu0 1\n", "loadavg": "0.90 0.50 0.20 1/300 4711\n"}
+DYNAMIC = "#1 SMP PREEMPT_DYNAMIC Debian 6.12.57-1"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -161,8 +162,9 @@ def given(check, *arguments, **files):
         (given(computer.priority, lambda: None), "ok", "permitted"),
         (given(computer.throttling, FILE, file="-1\n"), "warn", "sysctl"),
         (given(computer.throttling, FILE, file="950000\n"), "ok", "950000"),
-        (given(computer.kernel, FILE, file="1\n"), "ok", "PREEMPT_RT"),
-        (given(computer.kernel, FILE), "warn", "no PREEMPT_RT"),
+        (given(computer.kernel, FILE, DYNAMIC, file="1\n"), "ok", "PREEMPT_RT"),
+        (given(computer.kernel, FILE, "#1 SMP PREEMPT_RT Debian 6.12.57-1"), "ok", "PREEMPT_RT"),
+        (given(computer.kernel, FILE, DYNAMIC), "warn", "no PREEMPT_RT"),
         (given(computer.wake_up_latency, FILE), "warn", "is not there"),
         (given(computer.wake_up_latency, FILE, file=""), "ok", "can be written"),
         (given(computer.cores, 2, ()), "warn", "4 or more"),
