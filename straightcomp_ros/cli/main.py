@@ -1,6 +1,7 @@
 """Entry point of `straightcomp`: finds the verb, turns expected errors into one sentence and an exit code."""
 
 import argparse
+import ast
 import functools
 import importlib
 import importlib.util
@@ -231,12 +232,23 @@ def _headline(verb: Verb) -> tuple[str, str]:
         return f"of {packages}: uninstall all but one", PURPOSES[-1]
     try:
         specification = importlib.util.find_spec(verb.module)
-        text = Path(specification.origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]
-        literals = dict(re.findall(r'^(SUMMARY|PURPOSE) = "(.*)"$', text, re.MULTILINE))
+        literals = _literals(Path(specification.origin).read_bytes())  # type: ignore[union-attr, arg-type]
         purpose = literals.get("PURPOSE")
         return literals["SUMMARY"], purpose if purpose in PURPOSES else PURPOSES[-1]
     except Exception as error:  # of another package's own import, too
         return f"cannot be loaded ({packages}): {type(error).__name__}: {error}", PURPOSES[-1]
+
+
+def _literals(source: bytes) -> dict[str, str]:
+    """The names that a module's first level gives plain texts."""
+    assignments = [node for node in ast.parse(source).body if isinstance(node, ast.Assign | ast.AnnAssign)]
+    return {
+        target.id: node.value.value
+        for node in assignments
+        if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        if isinstance(target, ast.Name)
+    }
 
 
 def _listed(headlines: Mapping[str, tuple[str, str]]) -> str:
