@@ -2,7 +2,6 @@
 
 import math
 import os
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
@@ -18,7 +17,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.cell.demonstration import free_port
-from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, LaunchError, run_cycle, verb_command
+from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, LaunchError, program, run_cycle, verb_command
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, changed, node_parameters
@@ -210,7 +209,7 @@ def view_programs(priority: int) -> dict[str, Sequence[str]]:
     port = str(free_port())
     return {
         "view": verb_command("view", "--port", port, "--priority", str(priority)),
-        "page": [sys.executable, "-c", f"from {__name__} import read_page; read_page({port})"],
+        "page": program(f"from {__name__} import read_page; read_page({port})"),
     }
 
 

@@ -57,7 +57,7 @@ def executable_command(executable: str) -> list[str]:
             remedy = f"colcon build --packages-select {PACKAGE}, then source the workspace again"
             raise LaunchError(f"executable '{executable}' is missing in {installed.parent}; remedy: {remedy}")
     if importlib.util.find_spec(f"{PACKAGE}.nodes.{executable}"):
-        return [sys.executable, "-c", f"from {PACKAGE}.nodes.{executable} import main; raise SystemExit(main())"]
+        return program(f"from {PACKAGE}.nodes.{executable} import main; raise SystemExit(main())")
     script = Path(sysconfig.get_path("scripts")) / executable
     if os.access(script, os.X_OK):
         return [str(script)]
@@ -66,7 +66,15 @@ def executable_command(executable: str) -> list[str]:
 
 def verb_command(verb: str, *arguments: str) -> list[str]:
     """Command that starts a verb of `straightcomp` with this Python."""
-    return [sys.executable, "-m", f"{PACKAGE}.cli.main", verb, *arguments]
+    return [*program(f"from {PACKAGE}.cli.main import main; raise SystemExit(main())"), verb, *arguments]
+
+
+def program(code: str) -> list[str]:
+    """Command that runs Python code with this very package, whatever lies in the working directory, which `python -c`
+    puts first on Python's path as an empty name."""
+    root = str(Path(__file__).parents[2])
+    path = f"sys.path = [*filter(None, sys.path)]; {root!r} in sys.path or sys.path.insert(0, {root!r})"
+    return [sys.executable, "-c", f"import sys; {path}\n{code}"]
 
 
 def in_namespace(namespace: str) -> list[str]:

@@ -10,7 +10,6 @@ import os
 import re
 import resource
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.bags.topics import ROS_DISTRO
+from straightcomp_ros.cell.launcher import program
 from straightcomp_ros.doctor import Finding, judged
 from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description, missing_profile
 from straightcomp_ros.parameters.share import share_path
@@ -72,7 +72,7 @@ def package_files() -> Finding:
     return Finding("package files", "ok", str(folder))
 
 
-def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: float = 60.0) -> list[Finding]:
+def ros(command: Sequence[str] = program(_ASK_ROS), timeout: float = 60.0) -> list[Finding]:
     """rclpy, the message packages, the middleware and the start of a node, in a process of their own: a broken one may
     crash it."""
     remedy = f"Source /opt/ros/{ROS_DISTRO}/setup.bash, or install ROS 2's wheels with make setup."

@@ -9,7 +9,7 @@ import psutil
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command
+from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command, verb_command
 
 
 def script(path):
@@ -43,6 +43,18 @@ def test_a_checkout_runs_its_own_modules_and_the_scripts_of_its_environment(tmp_
         executable_command("other_node")
     other = script(tmp_path / "other_node")
     assert executable_command("other_node") == [other]
+
+
+def test_what_lies_in_the_working_directory_is_not_run(tmp_path, monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    stub = tmp_path / "straightcomp_ros" / "cli" / "main.py"
+    stub.parent.mkdir(parents=True)
+    for file in (stub, tmp_path / "argparse.py", tmp_path / "straightcomp_ros" / "__init__.py"):
+        file.write_text("raise SystemExit('a stub')\n")
+    done = subprocess.run(verb_command("--version"), cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("straightcomp ")
+    node, verb = executable_command("driver_node")[2], verb_command("demo")[2]
+    assert node.splitlines()[0] == verb.splitlines()[0]
 
 
 def test_a_program_that_ends_is_reported_with_its_last_line_and_appends_to_its_log_when_started_again(tmp_path):
