@@ -36,7 +36,7 @@ class CommandFailed(Exception):
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came; what ends the command does so as after Ctrl-C."""
+    """SIGTERM or SIGHUP came; what ends the command does so as after Ctrl-C."""
 
 
 _ASCII = str.maketrans({"µ": "u", "–": "-", "−": "-", "±": "+-", "→": "->", "≥": ">=", "≤": "<=", "…": "...", "×": "x"})

@@ -47,7 +47,8 @@ def _hub_arguments(parser: argparse.ArgumentParser) -> None:
 def _hub(options: argparse.Namespace) -> None:
     """Be a bus between processes of this computer, where the kernel has no CAN: programs that use python-can join it
     with interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all
-    links once. SIGINT or SIGTERM ends it; it then prints its counters."""
+    links once. SIGINT, SIGTERM or SIGHUP ends it; it then prints its counters."""
+    from straightcomp_ros.cell.stop_signals import terminating
     from straightcomp_ros.hardware.can.hub import Faults, Hub
     from straightcomp_ros.timing import realtime
 
@@ -59,7 +60,7 @@ def _hub(options: argparse.Namespace) -> None:
     hub = Hub(options.socket, faults)
     stopping: list[int] = []
     cutting: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, *terminating()):
         signal.signal(number, lambda number, _: stopping.append(number))
     signal.signal(signal.SIGUSR1, lambda number, _: cutting.append(number))
 

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Be the board until SIGINT or SIGTERM."""
+    """Be the board until SIGINT, SIGTERM or SIGHUP."""
     from straightcomp_ros.nodes.dsp_emulator import emulate
 
     parameters = node_parameters("driver", chosen_parameters(options))

@@ -41,7 +41,7 @@ _WRONG_USE |= {"OutputRefused", "ParameterError", "SurveyError"}
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""
 _SIGNALS = {KeyboardInterrupt: ("interrupted", 130), Terminated: ("terminated", 143)}
-"""What is said of SIGINT and SIGTERM, and the same exit codes."""
+"""What is said of SIGINT and SIGTERM, and the same exit codes; SIGHUP counts as SIGTERM."""
 _Help = functools.partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
 
 

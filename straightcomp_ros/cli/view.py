@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve until SIGINT or SIGTERM."""
+    """Serve until SIGINT, SIGTERM or SIGHUP."""
     from straightcomp_ros.cell.launcher import in_namespace
     from straightcomp_ros.parameters.declaration import from_mapping
     from straightcomp_ros.timing.realtime import RealtimeParameters

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from straightcomp_ros.cell.stop_signals import terminating
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
@@ -126,15 +127,15 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
 
 
 def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:
-    """Emulate the board until SIGINT or SIGTERM, with ``own_hub`` the hub of the bus too; print ``ready`` when it
-    samples.
+    """Emulate the board until SIGINT, SIGTERM or SIGHUP, with ``own_hub`` the hub of the bus too; print ``ready`` when
+    it samples.
 
     Raises:
         SurveyError: the guide's file cannot be used.
         HardwareError: the hub's socket cannot be made, or the firmware's program cannot be started or has ended.
     """
     stopping: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, *terminating()):
         signal.signal(number, lambda number, _: stopping.append(number))
     if parameters.can.firmware:
         return _run_firmware(parameters, lambda: bool(stopping), own_hub)

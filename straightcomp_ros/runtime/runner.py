@@ -17,6 +17,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from straightcomp_ros.cell.stop_signals import terminating
 from straightcomp_ros.runtime.guarded_node import REFUSALS, RUN_FAILURES, GuardedNode
 from straightcomp_ros.runtime.intra_process import IntraProcess
 from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, Loop
@@ -69,7 +70,7 @@ def run(
     arguments: Sequence[str] | None = None,
     make_nodes: Callable[[], Sequence[GuardedNode]] | None = None,
 ) -> int:
-    """Run what ``make`` makes of the node ``name`` until SIGINT, SIGTERM, shutdown of the context or its own end.
+    """Run what ``make`` makes of the node ``name`` until a stop signal, shutdown of the context or its own end.
 
     Returns:
         Exit code: 0 after a requested stop that interrupted no work, 2 if parameters or files cannot be used, 1 if the
@@ -77,7 +78,7 @@ def run(
     """
     # rclpy's own handlers shut the context down during a callback; ours let the callback end first.
     stop = Future()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, *terminating()):
         signal.signal(number, lambda *_: _complete(stop, 0))
     try:
         with own_profile():

@@ -1,5 +1,6 @@
 import os
 import random
+import signal
 
 import pytest
 from parameters_of_tests import short_parameters, without_priority
@@ -34,6 +35,15 @@ def untraced_nodes(request, monkeypatch):
     """Nodes that keep time against each other run without coverage, which makes each step two or three times longer."""
     if request.node.get_closest_marker("keeps_time") or request.node.get_closest_marker("untraced"):
         monkeypatch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
+
+
+@pytest.fixture
+def in_a_terminal():
+    """The tests themselves may have been started by `nohup`, which ignores SIGHUP; so would their
+    nodes."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture

@@ -81,11 +81,12 @@ BROKEN = "from straightcomp_ros.nodes import cell_node as c; c.CellNode._follow_
     [
         (signal.SIGINT, None, "interrupted"),
         pytest.param(signal.SIGTERM, None, "interrupted", marks=pytest.mark.nightly),
+        pytest.param(signal.SIGHUP, None, "interrupted", marks=pytest.mark.nightly),
         pytest.param(0, [sys.executable, "-c", BROKEN], "ZeroDivisionError", marks=pytest.mark.nightly),
     ],
 )
 def test_a_cell_that_is_stopped_or_fails_in_mid_cycle_switches_off_and_does_not_end_with_0(
-    cell_at_work, participant, number, command, words
+    cell_at_work, in_a_terminal, participant, number, command, words
 ):
     def stop(cell):
         if number:

@@ -29,11 +29,13 @@ MANAGED = {
     for one in (driver_node.DRIVER, feedforward_node.FEEDFORWARD, controller_node.CONTROLLER, logger_node.LOGGER)
 }
 
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 @pytest.fixture
 def refusal(capfd, monkeypatch):
     """A function that starts a node which its parameters must end with exit code 2; returns the last line it prints."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in STOPPING}
 
     def started(node, **parameters):
         arguments = ["--ros-args"]
@@ -53,15 +55,15 @@ def refusal(capfd, monkeypatch):
         signal.signal(number, handler)
 
 
-EVERYDAY = [("driver", signal.SIGINT), ("logger", signal.SIGTERM)]
-SELDOM = [(node, number) for number in (signal.SIGINT, signal.SIGTERM) for node in (*MANAGED, "cell")]
+EVERYDAY = [("driver", signal.SIGINT), ("logger", signal.SIGTERM), ("logger", signal.SIGHUP)]
+SELDOM = [(node, number) for number in STOPPING for node in (*MANAGED, "cell")]
 
 
 @pytest.mark.parametrize(
     ("node", "number"),
     [*EVERYDAY, *nightly(one for one in SELDOM if one not in EVERYDAY)],
 )
-def test_a_node_stops_on_a_signal_without_a_traceback(single, tmp_path, node, number):
+def test_a_node_stops_on_a_signal_without_a_traceback(single, in_a_terminal, tmp_path, node, number):
     process = single.start(node, {"output": str(tmp_path / "bag")} if node == "logger" else {})
     wait_for_line(single, node, "ready")
     process.send_signal(number)

@@ -194,6 +194,11 @@ def terminate():
     os.kill(os.getpid(), signal.SIGTERM)
 
 
+def hang_up():
+    """What a terminal does that is closed."""
+    os.kill(os.getpid(), signal.SIGHUP)
+
+
 def failed():
     raise CommissioningError("no samples come")
 
@@ -211,7 +216,7 @@ def stands_for_graph(monkeypatch):
             try:
                 yield Access(None, shipped_parameters(), lambda doing: act())
             finally:
-                if act is terminate:
+                if act in (terminate, hang_up):
                     act()
                 seen.released = True
 
@@ -221,11 +226,15 @@ def stands_for_graph(monkeypatch):
     return stands_for
 
 
-def test_sigterm_releases_the_machine_even_if_it_comes_twice(stands_for_graph, capsys):
-    before, one = signal.getsignal(signal.SIGTERM), stands_for_graph(terminate)
+@pytest.mark.parametrize("act", [terminate, hang_up])
+def test_sigterm_and_a_closed_terminal_release_the_machine_even_if_they_come_twice(
+    stands_for_graph, in_a_terminal, capsys, act
+):
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    before, one = [signal.getsignal(number) for number in numbers], stands_for_graph(act)
     assert main(["frequency-response", "--graph", "running"]) == 143
     assert one.released and "terminated" in capsys.readouterr().err
-    assert signal.getsignal(signal.SIGTERM) == before
+    assert [signal.getsignal(number) for number in numbers] == before
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.cell.stop_signals import terminating
 from straightcomp_ros.cli.options import add_namespace
 from straightcomp_ros.cli.output import CommandFailed, Terminated, require_ros
 
@@ -36,7 +37,8 @@ def refuse_parameters_of_running(options: argparse.Namespace, *names: str) -> No
 def graph_access(options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], folder: Path) -> Iterator[Any]:
     """The `Access` to the machine that --graph names.
 
-    Nodes that are started get ``values``; ``folder`` gets bags and logs. SIGTERM releases the machine like SIGINT.
+    Nodes that are started get ``values``; ``folder`` gets bags and logs. SIGTERM and SIGHUP release the machine like
+    SIGINT.
 
     Raises:
         CommandFailed: the options contradict each other, or ROS is not there.
@@ -51,15 +53,17 @@ def graph_access(options: argparse.Namespace, values: Mapping[str, Mapping[str, 
         access = running_graph(folder, options.namespace)
     else:
         access = started_graph(values, folder, emulated=options.graph == EMULATED)
-    before = signal.signal(signal.SIGTERM, _terminate)
+    before = {number: signal.signal(number, _terminate) for number in terminating()}
     try:
         with access as machine:
             yield machine
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _terminate(*_: object) -> None:
     # A second one must not interrupt what the first has begun: to release the machine.
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for number in terminating():
+        signal.signal(number, signal.SIG_IGN)
     raise Terminated

@@ -1,6 +1,8 @@
 """The bus between processes, as python-can sees it, and the link that comes back."""
 
 import contextlib
+import signal
+import subprocess
 import threading
 import time
 from functools import partial
@@ -9,6 +11,7 @@ import can
 import pytest
 from waiting import comes_true
 
+from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import ERROR, FD, FD_FRAME, Faults, Frame, Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
@@ -52,6 +55,23 @@ def make(tmp_path):
 @pytest.fixture
 def world(make):
     return make()
+
+
+@pytest.mark.parametrize("handling", [signal.SIG_DFL, signal.SIG_IGN])
+def test_a_terminal_that_is_closed_ends_the_program_in_order_unless_nohup_started_it(tmp_path, handling):
+    command = verb_command("can", "hub", "--socket", str(tmp_path / "bus"))
+    begin = partial(signal.signal, signal.SIGHUP, handling)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=begin) as hub:
+        try:
+            assert hub.stdout.readline() == "ready\n"
+            hub.send_signal(signal.SIGHUP)
+            if handling is signal.SIG_IGN:
+                with pytest.raises(subprocess.TimeoutExpired):
+                    hub.wait(1.0)
+                hub.terminate()
+            assert hub.stdout.readline().startswith("passed 0,") and hub.wait(120.0) == 0
+        finally:
+            hub.kill()
 
 
 def message(identifier, data=b"", **options):
