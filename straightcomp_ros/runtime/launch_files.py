@@ -1,7 +1,9 @@
 """What the files in launch/ share: a node's arguments, and the parameters that they override. Only they import it."""
 
+import os
 import tempfile
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -21,10 +23,19 @@ from launch_ros.substitutions import FindPackageShare
 
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import STAGE
-from straightcomp_ros.parameters.parameter_file import as_parameter_file, files_beside, read_parameter_file
+from straightcomp_ros.parameters.parameter_file import (
+    DEFAULT_FILE,
+    DEFAULT_STAGE,
+    as_parameter_file,
+    files_beside,
+    read_parameter_file,
+)
 from straightcomp_ros.parameters.share import PACKAGE
 
 SHARE = FindPackageShare(PACKAGE)
+_SHIPPED_FILE, _SHIPPED_STAGE = (
+    PathJoinSubstitution([SHARE, *Path(name).parts]) for name in (DEFAULT_FILE, DEFAULT_STAGE)
+)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 OVERRIDES: Mapping[str, tuple[str, type, str]] = {
     "law": ("control.law", str, "Control law"),
@@ -37,8 +48,8 @@ OVERRIDES: Mapping[str, tuple[str, type, str]] = {
 """Arguments that set a parameter, with its type and meaning; one that is given takes precedence over the file."""
 OF_ALL = {
     "namespace": ("", "Namespace of all started nodes"),
-    "params_file": (PathJoinSubstitution([SHARE, "config", "straightcomp.yaml"]), "YAML file of parameters"),
-    "stage": (PathJoinSubstitution([SHARE, "config", "stage_synthetic.yaml"]), "YAML file that describes the stage"),
+    "params_file": (_SHIPPED_FILE, "YAML file of parameters"),
+    "stage": ("", "YAML file that describes the stage; empty: as params_file describes it, in ours the shipped stage"),
 }
 """Default and meaning of the arguments of each launch file."""
 IN_THE_LOOP = {
@@ -73,7 +84,7 @@ def launched(
         if runs_cycle and not _is_true(context, "record"):
             parameters["nodes"] = ParameterValue("driver feedforward controller", value_type=str)
         at_end = EmitEvent(event=Shutdown(reason=f"the {name} has ended")) if runs_cycle else None
-        return _started(f"{name}_node", [parameters] if parameters else [], at_end, name=name)
+        return _started(context, f"{name}_node", [parameters] if parameters else [], at_end, name=name)
 
     return described(choices, overrides, [OpaqueFunction(function=actions)])
 
@@ -87,7 +98,7 @@ def launched_composed() -> LaunchDescription:
         with tempfile.NamedTemporaryFile("w", prefix="servo_", suffix=".yaml", delete=False) as file:
             file.write(as_parameter_file(given))
         remove = OpaqueFunction(function=lambda _: Path(file.name).unlink(missing_ok=True))
-        return _started("servo_node", [file.name], remove)
+        return _started(context, "servo_node", [file.name], remove)
 
     return described({}, dict.fromkeys(sum(IN_THE_LOOP.values(), ())), [OpaqueFunction(function=actions)])
 
@@ -110,14 +121,14 @@ def described(choices: Mapping[str, str], overrides: Iterable[str], actions: Ite
 
 
 def _started(
-    executable: str, parameters: Iterable[object], at_end: object | None, **name: str
+    context: LaunchContext, executable: str, parameters: Iterable[object], at_end: object | None, **name: str
 ) -> list[RegisterEventHandler | Node]:
     """Start a process with these ``parameters`` beyond the files; ``at_end`` is done when it has ended."""
     node = Node(
         package=PACKAGE,
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
-        parameters=[LaunchConfiguration("params_file"), LaunchConfiguration("stage"), *parameters],
+        parameters=[LaunchConfiguration("params_file"), *_stage_files(context), *parameters],
         output="screen",
         **name,
     )
@@ -125,16 +136,24 @@ def _started(
     return [*([RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[at_end]))] if at_end else []), node]
 
 
+def _stage_files(context: LaunchContext) -> list[LaunchConfiguration | PathJoinSubstitution]:
+    """The file behind the parameter file that describes the stage; none where a parameter file of the user does."""
+    file, stage = (LaunchConfiguration(name).perform(context) for name in ("params_file", "stage"))
+    if stage:
+        return [LaunchConfiguration("stage")]
+    ours = os.path.realpath(file) == os.path.realpath(_SHIPPED_FILE.perform(context))
+    return [_SHIPPED_STAGE] if ours else []
+
+
 def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[str, object]:
     """Parameters of ``node`` by the arguments, whose values are known only now: an empty one leaves the parameter to
     the file or the default. A file in the folder of the stage file is named, as a node alone would not look there."""
     stage, namespace = (LaunchConfiguration(name).perform(context) for name in ("stage", "namespace"))
     given: dict[str, object] = {}
-    try:
-        found = files_beside(stage, read_parameter_file(stage, namespace))
+    # The node refuses a wrong file, and says why; or it is for nodes of other namespaces.
+    with suppress(ParameterError):
+        found = files_beside(stage, read_parameter_file(stage, namespace)) if stage else {}
         given = {f"{STAGE}.{name}": file for name, file in found.get(STAGE, {}).items()} | found.get(node, {})
-    except ParameterError:
-        pass  # the node refuses the file, and says why; or it is for nodes of other namespaces
     for argument in overrides:
         if value := LaunchConfiguration(argument).perform(context):
             parameter, kind, _ = OVERRIDES[argument]

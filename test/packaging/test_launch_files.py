@@ -4,6 +4,7 @@ The stand-in knows exactly the names that the launch files may use, as they are 
 fails here. What launch does with the actions is not tested.
 """
 
+import os
 import re
 import runpy
 import sys
@@ -15,11 +16,12 @@ import pytest
 
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.parameters.parameter_file import read_parameter_file
+from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, read_parameter_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 CELL = REPOSITORY / "launch" / "cell.launch.py"
+SHIPPED, SHIPPED_STAGE = (str(REPOSITORY / name) for name in (DEFAULT_FILE, DEFAULT_STAGE))
 KNOWN = {
     "launch": "LaunchContext LaunchDescription",
     "launch.actions": "DeclareLaunchArgument EmitEvent IncludeLaunchDescription OpaqueFunction RegisterEventHandler "
@@ -45,8 +47,9 @@ class Recorded:
         self.args, self.kwargs = args, kwargs
 
     def perform(self, context):
-        """What LaunchConfiguration does: the value of the launch argument that it names."""
-        return context[self.args[0]]
+        """What LaunchConfiguration does: the value of the launch argument that it names; or PathJoinSubstitution."""
+        [name] = self.args
+        return context[name] if isinstance(name, str) else str(REPOSITORY.joinpath(*name[1:]))
 
 
 @pytest.fixture(autouse=True)
@@ -72,8 +75,8 @@ def entities(path, arguments=None):
     [described] = runpy.run_path(str(path))["generate_launch_description"]().args
     arguments_of = [entity for entity in described if kind(entity) == "DeclareLaunchArgument"]
     defaults = {entity.args[0]: entity.kwargs["default_value"] for entity in arguments_of}
-    # A place in the package is found by launch alone.
-    context = {name: value if isinstance(value, str) else "" for name, value in defaults.items()} | (arguments or {})
+    context = {name: value if isinstance(value, str) else value.perform({}) for name, value in defaults.items()}
+    context |= arguments or {}
     found = []
     for entity in described:
         found.append(entity)
@@ -147,7 +150,7 @@ def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_th
     assert named(nodes) == [*others, "opcua" if opcua == "true" else "cell"]
     assert all(configurations(node.kwargs["namespace"]) == {"namespace"} for node in nodes)
     file, stage, *chosen = last.kwargs["parameters"]
-    assert configurations(file) == {"params_file"} and configurations(stage) == {"stage"}
+    assert configurations(file) == {"params_file"} and stage.perform({}) == SHIPPED_STAGE
     waited = [given["nodes"].args for given in chosen if "nodes" in given]
     assert waited == ([] if record == "true" else [(" ".join(others),)])
     for node in nodes:
@@ -159,6 +162,24 @@ def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_th
     assert kind(on_exit) == "OnProcessExit" and on_exit.kwargs["target_action"] is last
     assert [kind(action.kwargs["event"]) for action in on_exit.kwargs["on_exit"]] == ["Shutdown"]
     assert found.index(handler) < found.index(last)
+
+
+@pytest.mark.parametrize("composed", ["true", "false"])
+@pytest.mark.parametrize(
+    ("arguments", "behind"),
+    [
+        ({}, [SHIPPED_STAGE]),
+        ({"params_file": os.path.relpath(SHIPPED)}, [SHIPPED_STAGE]),
+        ({"params_file": "trial/tuned.yaml"}, []),
+        ({"stage": "gantry/stage.yaml"}, ["gantry/stage.yaml"]),
+        ({"params_file": "trial/tuned.yaml", "stage": "gantry/stage.yaml"}, ["gantry/stage.yaml"]),
+    ],
+)
+def test_the_shipped_stage_takes_the_place_of_no_description_of_the_users(arguments, behind, composed):
+    for node in of_kind("Node", CELL, **arguments, composed=composed):
+        [file, *stages] = [one for one in node.kwargs["parameters"] if isinstance(one, Recorded)]
+        assert configurations(file) == {"params_file"}
+        assert [stage.perform(arguments) for stage in stages] == behind
 
 
 OVERRIDES = """controller law control.law
