@@ -1,6 +1,8 @@
 # The nodes with a simulated stage, for whoever wants to look without installing anything:
 #   docker build -t straightcomp_ros . && docker run --rm -it straightcomp_ros
-# With its picture and bag in ./demo_output: docker run --rm -it -v "$PWD/demo_output:/home/straightcomp/demo_output" …
+# With its picture and bag in ./demo_output, as files of yours; it compiles the control laws anew:
+#   mkdir -p demo_output && docker run --rm -it --user "$(id -u):$(id -g)" -e HOME=/tmp -w /tmp \
+#     -v "$PWD/demo_output:/tmp/demo_output" straightcomp_ros
 # Real time, on a computer that runs nothing else: docker run --cap-add SYS_NICE --ulimit rtprio=98 --ulimit memlock=-1 …
 FROM python:3.12-slim
 RUN useradd --create-home straightcomp
