@@ -1,7 +1,9 @@
 """What is imported, setup.py and package.xml name the same dependencies, by the names in dependencies.yaml."""
 
+import itertools
 import re
 import runpy
+import shlex
 import sys
 from functools import cache
 from pathlib import Path
@@ -79,13 +81,19 @@ def test_everything_that_is_imported_is_listed_with_a_key_or_the_reason_why_not(
     assert [name for name, entry in LISTED.items() if ("rosdep" in entry) == ("no_key" in entry)] == []
 
 
-def test_setup_requires_what_the_package_imports_and_nothing_else(monkeypatch):
+@pytest.fixture
+def requirements(monkeypatch):
+    """What setup.py requires, and its extras."""
     given = {}
     monkeypatch.chdir(REPOSITORY)
     monkeypatch.setattr(setuptools, "setup", lambda **arguments: given.update(arguments))
     runpy.run_path("setup.py")
+    return given["install_requires"], given["extras_require"]
+
+
+def test_setup_requires_what_the_package_imports_and_nothing_else(requirements):
     optional = {name for name in LISTED if "extra" in LISTED[name]}
-    required, extras = given["install_requires"], given["extras_require"]
+    required, extras = requirements
     assert pip_names(from_pypi(by_package()) - optional) == names_of(required)
     for extra in ("tuning", "fleet", "opcua"):
         assert pip_names(name for name in optional if LISTED[name]["extra"] == extra) == names_of(extras[extra])
@@ -100,12 +108,15 @@ def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(extra):
     assert servo & {name for name, entry in LISTED.items() if entry.get("extra") == extra} == set()
 
 
-def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line():
+def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line(requirements):
     by_key = {name for name in LISTED if "rosdep" in LISTED[name]}
     for imports, kinds in ((by_package(), ["exec"]), (by_tests(), ["exec", "test"])):
         assert of_ros(imports) | {LISTED[name]["rosdep"] for name in imports & by_key} <= depends(*kinds)
     line = re.search(r"python3 -m pip install ([^;]*);", MANIFEST)
     assert line, "package.xml has no pip line that ends with a semicolon"
-    assert pip_names(from_pypi(by_package()) - by_key) <= names_of(word.strip("'") for word in line[1].split())
+    by_pip, (required, extras) = pip_names(from_pypi(by_package()) - by_key), requirements
+    wanted = {one for one in (*required, *itertools.chain(*extras.values())) if names_of([one]) <= by_pip}
+    # Of the versions that setup.py wants; the shell goes on behind a backslash.
+    assert set(shlex.split(line[1].replace("\\\n", " "))) == wanted
     known = {entry["rosdep"] for entry in LISTED.values() if "rosdep" in entry}
     assert depends("exec", "test") <= known | of_ros(by_package() | by_tests()) | ONLY_ON_ROS
