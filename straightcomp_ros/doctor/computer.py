@@ -315,7 +315,8 @@ def python_can() -> Finding:
     try:
         known = importlib.import_module("can.interfaces").BACKENDS
     except ImportError as error:
-        return Finding("python-can", "fail", str(error), "Install it: python3 -m pip install 'python-can>=4.2'.")
+        remedy = "Install what this package needs: make setup, or rosdep install."
+        return Finding("python-can", "fail", str(error), remedy)
     ours = _OUR_INTERFACE in known
     detail = f"{len(known)} interfaces, {_OUR_INTERFACE} {'among them' if ours else 'not among them'}"
     remedy = "Install this package, so that its entry points are registered: make setup, or colcon build."

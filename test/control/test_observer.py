@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from straightcomp_ros.control.observer import (
     Estimate,
@@ -75,7 +76,7 @@ def test_the_mean_of_an_interval_is_the_integral_of_the_coils_decay():
     for duration in (1e-6, PERIOD, 0.02):
         times = np.linspace(0.0, duration, 20_001)
         decay = np.exp(-RATE * times)
-        mean = np.trapezoid(decay, times) / duration
+        mean = trapezoid(decay, times) / duration
         assert interval(RATE, duration) == pytest.approx((duration, decay[-1], mean), rel=1e-5)
     assert interval(RATE, 0.0) == (0.0, 1.0, 1.0)
 
@@ -92,7 +93,7 @@ def test_a_period_is_divided_at_the_delay_and_a_step_of_current_counts_by_its_me
     slope = magnetic_force(ACTUATOR, 0.0, ACTUATOR.bias_current, 1e-6) / 1e-6 / 3.0
     assert found.current_gain == pytest.approx(slope, rel=1e-6)
     risen = 1.0 - np.exp(-RATE * np.linspace(0.0, acting, 20_001))
-    share = np.trapezoid(risen, dx=acting / 20_000) / PERIOD / risen[-1] if acting else 0.0
+    share = trapezoid(risen, dx=acting / 20_000) / PERIOD / risen[-1] if acting else 0.0
     assert found.current_share == pytest.approx(share, rel=1e-6)
 
 

@@ -50,6 +50,13 @@ class PaperFigure(NamedTuple):
     picture: Figure
 
 
+def legend_below(figure: Figure, *entries: Any, **looks: Any) -> None:
+    """Put ``figure.legend(*entries, **looks)`` below all axes of a :func:`sheet`; as "outside lower center" does, which
+    is new in matplotlib 3.7."""
+    top = figure.legend(*entries, loc="lower center", **looks).get_window_extent().y1 / figure.bbox.height
+    figure.set_layout_engine("constrained", rect=(0.0, top, 1.0, 1.0 - top))
+
+
 def sheet(title: str, places: str, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     """A figure with its title, and its axes in the order of their first place, e.g. ``"ab;cc"``; size in inches."""
     figure = Figure(figsize=size, dpi=150, layout="constrained")

@@ -7,7 +7,7 @@ from straightcomp_ros.analysis.pictures import label
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
-from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
+from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, legend_below, sheet
 from straightcomp_ros.tuning.paper.machine import Machine, Response, release
 
 PAPER_LIMIT = 0.35
@@ -51,7 +51,7 @@ def gain_error(machine: Machine) -> PaperFigure:
         axes.axvline(sign * PAPER_LIMIT, color=VERMILION, linewidth=1.4, linestyle="--", label=printed)
     title = "grey: |$m_i$| > 1; dashed: −0.05; the two lines through the centre: 0"
     label(axes, title, "position y/$y_0$ / 1", "control current $i_c$/$I_0$ / 1")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", fontsize=SMALL, ncols=2)
+    legend_below(figure, *axes.get_legend_handles_labels(), fontsize=SMALL, ncols=2)
 
     closed = f"the paper reads its figure; the closed form (√3 − 1)/2 is {UNIT_GAIN_ERROR_LIMIT:.6f}"
     sufficient = "above zero everywhere: |m_i| ≤ 1 is sufficient for the law's sign to be right, not necessary"

@@ -22,7 +22,7 @@ from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import run_cycle
-from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
+from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, legend_below, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
 from straightcomp_ros.tuning.paper.machine import Machine
 
@@ -195,7 +195,7 @@ def recovery(machine: Machine) -> PaperFigure:
         Line2D([], [], color=BLACK, linestyle="--", label="the same through amplifier and delay"),
         Line2D([], [], color=VERMILION, marker="o", linestyle="", label="Fig. 4: at rest at 0.6 $y_0$"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", fontsize=SMALL + 1, ncols=3)
+    legend_below(figure, handles=handles, fontsize=SMALL + 1, ncols=3)
 
     claims = []
     for law, one in machines.items():

@@ -8,7 +8,7 @@ import pytest
 
 from scripts import fit_paper_plant as fit
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.tuning.paper.figure import Claim
+from straightcomp_ros.tuning.paper.figure import Claim, legend_below, sheet
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 PAPER, PLANT = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("paper.md", "evidence/plant.md"))
@@ -20,6 +20,17 @@ def test_a_claim_holds_up_to_its_tolerance_where_the_paper_prints_a_number(ours,
     assert shown["within"] is within and shown["ours"] == (None if math.isnan(ours) else ours)
     without = Claim("a", ours, "m", "").to_display()
     assert without["within"] is without["tolerance"] is without["paper"] is None
+
+
+def test_a_legend_below_a_sheet_covers_no_axes_and_nothing_of_their_labels():
+    figure, axes = sheet("a title", "ab;cc", (12.0, 8.0))
+    for one in axes:
+        one.plot([0.0, 1.0], label="a line")
+        one.set_xlabel("time / s")
+    legend_below(figure, *axes[0].get_legend_handles_labels())
+    figure.draw_without_rendering()
+    top = figure.legends[0].get_window_extent().y1
+    assert 0.0 < top < min(one.get_tightbbox().y0 for one in axes)
 
 
 @pytest.mark.parametrize("output", ["quick", pytest.param("whole", marks=pytest.mark.nightly)])
