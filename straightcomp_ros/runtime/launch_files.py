@@ -147,12 +147,16 @@ def _stage_files(context: LaunchContext) -> list[LaunchConfiguration | PathJoinS
 
 def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[str, object]:
     """Parameters of ``node`` by the arguments, whose values are known only now: an empty one leaves the parameter to
-    the file or the default. A file in the folder of the stage file is named, as a node alone would not look there."""
-    stage, namespace = (LaunchConfiguration(name).perform(context) for name in ("stage", "namespace"))
+    the file or the default. A file in the folder of that which describes the stage is named, as a node alone would not
+    look there."""
+    file, stage, namespace = (
+        LaunchConfiguration(name).perform(context) for name in ("params_file", "stage", "namespace")
+    )
+    describing = stage or file
     given: dict[str, object] = {}
     # The node refuses a wrong file, and says why; or it is for nodes of other namespaces.
     with suppress(ParameterError):
-        found = files_beside(stage, read_parameter_file(stage, namespace)) if stage else {}
+        found = files_beside(describing, read_parameter_file(describing, namespace))
         given = {f"{STAGE}.{name}": file for name, file in found.get(STAGE, {}).items()} | found.get(node, {})
     for argument in overrides:
         if value := LaunchConfiguration(argument).perform(context):

@@ -212,11 +212,12 @@ def stage(tmp_path):
     return tmp_path / "stage.yaml"
 
 
+@pytest.mark.parametrize("argument", ["stage", "params_file"])
 @pytest.mark.parametrize("namespace", ["", "left"])
-def test_a_survey_next_to_the_stage_file_is_found_wherever_the_launch_is_started(stage, namespace):
+def test_a_survey_next_to_the_description_is_found_wherever_the_launch_is_started(stage, namespace, argument):
     stage.write_text(stage.read_text().replace("/**", f"{namespace}/**"))
-    for node in of_kind("Node", CELL, stage=str(stage), namespace=namespace):
-        [_, _, given] = node.kwargs["parameters"]
+    for node in of_kind("Node", CELL, **{argument: str(stage)}, namespace=namespace):
+        [*_, given] = node.kwargs["parameters"]
         assert given["stage.guide.file"].args == (str(stage.with_name("guide.csv")),)
 
 
