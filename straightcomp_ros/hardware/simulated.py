@@ -215,7 +215,7 @@ class SimulatedHardware(Hardware):
             reason = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {limit_ms:g} ms)"
             self.fault = Fault.COMMAND_TIMEOUT, reason
             self._currents_off()
-        _, velocity, _, control, _, friction, magnetic, *_, y, reading = self._plant.state.tolist()
+        _, _, _, control, _, friction, magnetic, *_, velocity, y, reading = self._plant.state.tolist()
         measured = control if self.state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide_offset - self._guide(x)[0])
         return Sample(time_ns, self._reading(x - self.zero), reading, measured), truth

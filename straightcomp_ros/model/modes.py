@@ -163,7 +163,7 @@ def at_coil(k: Array, state: Array, rate: int) -> float:
 
 
 @compilable
-def at_encoder(k: Array, state: Array) -> float:
-    """Position in m where the encoder of y looks."""
-    moved = k[_MODE + 6] * state[MODE_STATE] + k[_MODE + _FIELDS + 6] * state[MODE_STATE + 2]
-    return float(state[0] + moved)
+def at_encoder(k: Array, state: Array, rate: int) -> float:
+    """The same where the encoder of y looks."""
+    moved = k[_MODE + 6] * state[MODE_STATE + rate] + k[_MODE + _FIELDS + 6] * state[MODE_STATE + 2 + rate]
+    return float(state[rate] + moved)

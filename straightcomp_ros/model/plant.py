@@ -94,6 +94,15 @@ class Plant(NamedTuple):
         return np.array([self.mass, self.stop, self.amplifier_rate, *self.actuator, *self.lugre, *flexure, *extension])
 
 
+def substep_for(mass: float, lugre: LuGre, stiffness: float, damping: float) -> int:
+    """Longest substep in ns that resolves how ``mass`` in kg swings on its bristles and a flexure of this stiffness in
+    N/m, and how they and its damping in N·s/m slow it down."""
+    bristles = lugre.bristle_stiffness if lugre.static > 0.0 else 0.0
+    fastest = math.sqrt((bristles + stiffness) / mass)
+    fastest = max(fastest, (lugre.bristle_damping + lugre.viscous + damping) / mass)
+    return min(SUBSTEP_NS, max(_SHORTEST_SUBSTEP_NS, int(_RESOLVED * 1e9 / max(fastest, 1.0))))
+
+
 @dataclass(frozen=True)
 class PlatformParameters:
     """The platform on the slider."""
@@ -123,14 +132,11 @@ class PlantParameters:
         """The constants of the equations, for :func:`advance`: (75,), and a table of force over x behind them."""
         rate = 2.0 * math.pi * self.drive.bandwidth
         lugre, actuator, platform = self.friction.constants(), self.actuator.constants(), self.platform
-        bristles = lugre.bristle_stiffness if lugre.static > 0.0 else 0.0
-        fastest = math.sqrt((bristles + platform.stiffness) / platform.mass)
-        fastest = max(fastest, (lugre.bristle_damping + lugre.viscous + platform.damping) / platform.mass)
-        substep = min(SUBSTEP_NS, max(_SHORTEST_SUBSTEP_NS, int(_RESOLVED * 1e9 / max(fastest, 1.0))))
-        plant = Plant(
-            platform.mass, platform.stop, rate, actuator, lugre, platform.stiffness, platform.damping, substep
-        )
-        modes, more = self.platform.modes, self.disturbances.any
+        modes, more, flexure = platform.modes, self.disturbances.any, (platform.stiffness, platform.damping)
+        # Where the forces act, at the coils, the modes make the platform lighter.
+        lightest = platform.mass / (1.0 + sum(mode.coil**2 for mode in modes.present))
+        substep = substep_for(lightest, lugre, *flexure)
+        plant = Plant(platform.mass, platform.stop, rate, actuator, lugre, *flexure, substep)
         friction = self.contact.extension(self.friction.bristle_stiffness, extended=more or bool(modes.present))
         return plant.as_array((*friction, *modes.constants(), *self.disturbances.constants()))
 
@@ -229,17 +235,19 @@ def advance(
         if next_duration_ns > 0:
             _hold(plant, state, next_command, bias_command, next_duration_ns)
         state[5] = friction_force(plant.lugre, state[2], state[1])
+        state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
     else:
         if duration_ns > 0:
             _hold_extended(constants, plant, state, command, bias_command, duration_ns)
         if next_duration_ns > 0:
             _hold_extended(constants, plant, state, next_command, bias_command, next_duration_ns)
-        lugre = lugre_now(constants, plant.lugre, state, at_coil(constants, state, 0))
+        place = at_coil(constants, state, 0)
+        lugre = lugre_now(constants, plant.lugre, state, place)
         state[5] = extended_force(constants, lugre, state, at_coil(constants, state, 1))
-    state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
+        state[6] = magnetic_force(plant.actuator, place, state[4], state[3] + state[OFFSET])
 
 
-BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, PLACE, READING = range(_FIELDS, _FIELDS + 7)
+BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, SPEED, PLACE, READING = range(_FIELDS, _FIELDS + 8)
 """Indices in :attr:`CommandedPlant.state`, after the plant's own."""
 _NOW, _HOLD_AT, _HOLDING = range(3)
 _AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION = range(-8, 0)
@@ -267,10 +275,11 @@ class CommandedPlant(NamedTuple):
     Attributes:
         constants: those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes
             below zero, resolution of the encoder in m.
-        state: (36,) that of the plant, see :func:`plant_state`; bias current and control
+        state: (37,) that of the plant, see :func:`plant_state`; bias current and control
             current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
-            position that is held, position where the encoder of y looks and its newest reading, in m. While the bias
-            current asked for is zero, the amplifier is off and commands have no effect.
+            position that is held, in m; where the encoder of y looks the velocity in m/s and the position in m; its
+            newest reading in m. While the bias current asked for is zero, the amplifier is off and commands have no
+            effect.
         times: (3,) int64: the present and the time at which the board begins to hold in ns, and whether it holds.
     """
 
@@ -293,7 +302,7 @@ def commanded_plant(plant: PlantParameters, hold: Hold, initial: Array) -> Comma
     drive, encoder = plant.drive, plant.encoder
     return CommandedPlant(
         np.array([*plant.constants(), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
-        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, initial[0], encoder.y_reading(float(initial[0]))]),
+        np.array([*initial, *[0.0] * 5, initial[1], initial[0], encoder.y_reading(float(initial[0]))]),
         np.array([0, _NEVER, False]),
     )
 
@@ -368,9 +377,10 @@ def advance_to_sample(
         # A literal 0 would be a type of its own to numba, for which it compiles advance() once more.
         advance(constants, state, state[BIAS], state[COMMAND], rest, 0.0, rest - rest)
         times[_NOW] = until
-    state[PLACE] = seen = state[0]
+    state[SPEED], state[PLACE] = state[1], state[0]
+    seen = state[0]
     if extended:
-        state[PLACE] = at_encoder(constants, state)
+        state[SPEED], state[PLACE] = at_encoder(constants, state, 1), at_encoder(constants, state, 0)
         seen = interpolated(constants, state[PLACE])
     state[READING] = nearest_count(constants[_RESOLUTION], seen + noise)
     _count_impulse(constants, state)

@@ -2,6 +2,7 @@
 
 import math
 from collections import namedtuple
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,12 +18,15 @@ from straightcomp_ros.model.actuator import (
     stiffness_errors,
 )
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
+from straightcomp_ros.model.disturbances import OFFSET, DisturbanceParameters, DriftParameters
 from straightcomp_ros.model.friction import LuGre, LuGreParameters
 from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, at_coil, modes_of
 from straightcomp_ros.model.plant import (
     BIAS,
     COMMAND,
+    PLACE,
     READING,
+    SPEED,
     SUBSTEP_NS,
     Hold,
     Plant,
@@ -217,6 +221,30 @@ def test_a_platform_stuck_on_very_stiff_bristles_swings_at_its_own_rate():
     speeds = [run(stuck, State(velocity=1e-6, bias=1.0), 0.0, n * 1e-6).velocity for n in range(1, 40)]
     expected = [1e-6 * math.cos(rate * n * 1e-6) for n in range(1, 40)]
     assert speeds == pytest.approx(expected, abs=0.1e-6)
+
+
+def test_a_platform_whose_modes_let_the_coils_yield_far_comes_to_rest_on_its_bristles():
+    platform = PlatformParameters(mass=0.1, modes=modes_of(ModeParameters(300.0, 0.01, 5.0, 1.0)))
+    state = plant_state(velocity=1e-6)
+    advance(PlantParameters(platform).constants(), state, 0.0, 0.0, 30_000_000)
+    assert abs(state[1]) < 0.1e-6
+
+
+def test_the_truth_has_the_rate_where_the_encoder_looks_and_all_that_the_coils_pull_with():
+    modes, drift = modes_of(ModeParameters(180.0, 0.01, 0.5, -2.0)), DriftParameters(current=0.05, time=1e6)
+    off = replace(DisturbanceParameters(), drift=drift).machine()
+    plant = PlantParameters(PlatformParameters(modes=modes), disturbances=off)
+    shaken = commanded_plant(plant, HOLD, plant_state(y=2e-6))
+    shaken.state[BIAS] = plant.actuator.bias_current
+    sample(shaken, 0)
+    for n in range(10):
+        sample(shaken, (n + 1) * PERIOD, [(n * PERIOD, 0.3 * (-1) ** n)])
+    now, later = shaken.state.copy(), shaken.state
+    sample(shaken, 10 * PERIOD + 1000)
+    assert abs(now[OFFSET]) > 0.01 and abs(now[SPEED] - now[1]) > 1e-5
+    assert (later[PLACE] - now[PLACE]) / 1e-6 == pytest.approx(now[SPEED], rel=1e-2)
+    accelerated = (now[6] - now[5]) / plant.platform.mass
+    assert (later[1] - now[1]) / 1e-6 == pytest.approx(accelerated, rel=1e-2)
 
 
 DESCRIBED = ActuatorParameters()

@@ -25,7 +25,7 @@ from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording
 from straightcomp_ros.model.actuator import MU_0, Actuator
 from straightcomp_ros.model.friction import LuGre
-from straightcomp_ros.model.plant import Plant
+from straightcomp_ros.model.plant import Plant, substep_for
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -86,7 +86,9 @@ class Unknowns:
         platform, given = self.stage.platform, self.stage.actuator
         actuator = Actuator(MU_0 * turns * turns * given.pole_area / 4.0, gap, given.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)
-        return Plant(mass, _STOP * gap, rate, actuator, lugre, platform.stiffness, platform.damping).as_array()
+        flexure = platform.stiffness, platform.damping
+        substep = substep_for(mass, lugre, *flexure)
+        return Plant(mass, _STOP * gap, rate, actuator, lugre, *flexure, substep).as_array()
 
 
 def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
