@@ -44,6 +44,9 @@ def advanced(current: Array, lag: int) -> Array:
 
 SHORTEST, LONGEST = 2000, 60_000
 """Samples of a stretch: from a second to half a minute at 2 kHz; more would cost much and improve little."""
+_MEAN = 0.01
+"""s; over which positions are averaged before their changes are summed up: the flicker of a count from sample to sample
+adds up to more than a motion."""
 LEAST_TRAVEL = 2e-6
 """Travel of the platform in m below which it only creeps on its bristles."""
 SWITCH_ON = 10
@@ -68,7 +71,8 @@ class Recording:
 
 
 def read_recording(bag: Path) -> Recording:
-    """The longest stretch of a bag in which the amplifier is on and no sample is missing.
+    """The longest stretch of a bag in which the amplifier is on and no sample is missing; of more than :data:`LONGEST`
+    samples those in which the platform moves most.
 
     Raises:
         BagError: the bag cannot be read.
@@ -101,6 +105,7 @@ def read_recording(bag: Path) -> Recording:
             f"bag {bag}: the longest stretch with the amplifier on and no sample lost has {stop - start} samples; "
             f"allowed: >= {SHORTEST}"
         )
+    start += _busiest(y[start:stop], max(1, round(_MEAN * 1e9 / period_ns)))
     stretch = slice(start, min(stop, start + LONGEST))
     travel = float(np.ptp(y[stretch]))
     if travel < LEAST_TRAVEL:
@@ -112,6 +117,16 @@ def read_recording(bag: Path) -> Recording:
     before = np.searchsorted(commands.stamp, encoder.stamp[stretch], side="right") - 1
     command = np.where(before >= 0, commands.columns["control_current"][np.maximum(before, 0)], 0.0)
     return Recording(period_ns, x[stretch], y[stretch], current[stretch], command, len(steps) + 1)
+
+
+def _busiest(y: Array, block: int) -> int:
+    """Where in ``y`` (n,) the :data:`LONGEST` samples begin in which the means of ``block`` samples go the longest way.
+
+    Of the platform, not of the stage: an excitation may move it while the stage stands.
+    """
+    means, length = y[: len(y) // block * block].reshape(-1, block).mean(axis=1), LONGEST // block
+    way = np.cumsum(np.abs(np.diff(means, prepend=means[:1])))
+    return block * int(np.argmax(way[length - 1 :] - way[: len(way) - length + 1])) if len(way) > length else 0
 
 
 _TUNING = 1.345

@@ -94,6 +94,7 @@ class StraightnessMap:
         reversal: travel in m after a reversal from one to the other.
         span: first and last x of the survey in m.
         offset: the constant in r(x) = offset − δ(x), in m.
+        largest: |r| in m, where it runs out too.
         reference: gives r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN; of two tables the mean.
 
     Raises:
@@ -119,15 +120,15 @@ class StraightnessMap:
         self.offset = float(extremes.max() + extremes.min()) / 2.0
         self._mean = _Curve(spline, self.offset, parameters.runout)
         self.reference = self._mean.at
-        largest = max(float(np.ptp(extremes)) / 2.0, self._mean.largest_beyond)
+        self.largest = max(float(np.ptp(extremes)) / 2.0, self._mean.largest_beyond)
         self._half: _Curve | None = None
         if half is not None:
             self._half, self.noise = _Curve(half[0], 0.0, parameters.runout), half[1]
-            largest += max(float(np.abs(half[0](x)).max()), self._half.largest_beyond)
+            self.largest += max(float(np.abs(half[0](x)).max()), self._half.largest_beyond)
         self.directed = self._half is not None
-        if largest > parameters.travel:
+        if self.largest > parameters.travel:
             raise SurveyError(
-                f"survey {survey.source}: the correction reaches {largest * 1e6:.4g} µm to each side; "
+                f"survey {survey.source}: the correction reaches {self.largest * 1e6:.4g} µm to each side; "
                 f"allowed: <= {parameters.travel * 1e6:.4g} µm (travel)"
             )
 

@@ -8,6 +8,7 @@ import pytest
 from bag_of_rows import bag_of_rows
 
 from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.analysis import current_path as path_module
 from straightcomp_ros.analysis.current_path import Recording, current_path, read_recording
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
@@ -109,6 +110,18 @@ def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
     assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)
     np.testing.assert_allclose(recording.y, MOVING[1011:])
+
+
+def test_of_a_long_stretch_those_samples_are_used_in_which_the_platform_moves_whatever_flickers_at_rest(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(path_module, "LONGEST", 2000)
+    flicker = 1e-7 * (np.arange(4000) % 2)
+    assert np.abs(np.diff(flicker)).mean() > np.abs(np.diff(MOVING)).mean()
+    y = np.concatenate([flicker, MOVING[:2000], MOVING[1999] + flicker])
+    # The current is the number of the sample.
+    recording = read_recording(written(tmp_path / "bag", y, np.arange(y.size)))
+    assert len(recording.y) == 2000 and recording.current[0] == pytest.approx(4000, abs=20)
 
 
 def test_one_command_that_never_came_does_not_cost_the_path_of_a_quiet_current():

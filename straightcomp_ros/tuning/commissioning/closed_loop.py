@@ -50,6 +50,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     POOR,
     Estimate,
     estimate_from_bag,
+    excitation_runout,
     excitation_scale,
     excitation_survey,
 )
@@ -168,9 +169,9 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     length = min(_LENGTH, high - low)
     excitation.parent.mkdir(parents=True, exist_ok=True)
     scale = excitation_scale(stage.motion, length)
-    write_survey(excitation, excitation_survey(length, low, scale), ("Made up: excites the platform.",))
+    write_survey(excitation, excitation_survey(length, low, scale, stage.guide), ("Made up: excites the platform.",))
     stroke = {"motion.start": low, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
-    guide = {"guide.file": str(excitation), "guide.runout": min(1.0, scale) * stage.guide.runout}
+    guide = {"guide.file": str(excitation), "guide.runout": excitation_runout(stage.guide, scale)}
     # What is demanded of the user's survey is not demanded of this one.
     guide |= {f"guide.{name}": getattr(MapParameters(), name) for name in ("min_points", "max_gap")}
     values = with_values(work.values, "stage", {**guide, **stroke})

@@ -21,6 +21,7 @@ from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.parameter_file import as_yaml
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.tuning.identification.fit import Fit, fit
 from straightcomp_ros.tuning.identification.unknowns import (
@@ -78,6 +79,10 @@ _SPEED = 0.3
 _SPACING, _FEWEST = 1e-3, 50
 """Of the points, in m, at that speed and faster; and the fewest."""
 _PHASE = 1.0
+_REACH = 0.9
+"""Share of the platform's travel that the excitation uses at most: the law that follows it is a safe one, or one for an
+unknown machine, and the platform may overshoot its short waves."""
+_GUIDE = MapParameters()
 _HEAD = """\
 # Plant parameters estimated from a bag, for `straightcomp simulate --stage` and for the description of the stage.
 # Only the plant is here: all other parameters take the defaults of their declarations.
@@ -256,17 +261,27 @@ def parameter_file(estimate: Estimate) -> str:
 
 def excitation_scale(motion: MotionParameters, length: float) -> float:
     """Factor of the excitation's lengths along x, with which its waves have their frequencies in this ``motion`` over
-    ``length`` in m. The run-out of the map needs it too where it is below 1: it goes on as the waves end."""
+    ``length`` in m."""
     # A short stroke may end before the stage has its speed.
     return min(motion.speed, math.sqrt(motion.acceleration * length)) / _SPEED
 
 
-def excitation_survey(length: float, first: float = 0.0, scale: float = 1.0) -> Survey:
-    """The map that excites all parameters, over ``length`` in m from x = ``first``."""
+def excitation_runout(guide: MapParameters, scale: float) -> float:
+    """Length in m over which the excitation's map runs out in place of that of ``guide``: it goes on as the waves end,
+    steeply where they are short."""
+    return min(1.0, scale) * guide.runout
+
+
+def excitation_survey(length: float, first: float = 0.0, scale: float = 1.0, guide: MapParameters = _GUIDE) -> Survey:
+    """The map that excites all parameters, over ``length`` in m from x = ``first``, within the platform's travel along
+    ``guide``."""
     x = np.linspace(0.0, length, max(_FEWEST, round(length / (min(1.0, scale) * _SPACING))) + 1)
-    deviation = sum(
+    waves = sum(
         # Of a wave longer than the stroke the platform would reach one side only.
         amplitude * np.sin(2.0 * math.pi * x / min(scale * wavelength, length) + number * _PHASE)
         for number, (wavelength, amplitude) in enumerate(WAVES)
     )
-    return Survey((Run("1", "forward", first + x, np.asarray(deviation)),), "excitation")
+    survey = Survey((Run("1", "forward", first + x, np.asarray(waves)),), "excitation")
+    whole = StraightnessMap(survey, MapParameters(travel=math.inf, runout=excitation_runout(guide, scale)))
+    share = min(1.0, _REACH * guide.travel / whole.largest)
+    return Survey((Run("1", "forward", first + x, share * np.asarray(waves)),), "excitation")

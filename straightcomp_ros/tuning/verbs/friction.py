@@ -49,6 +49,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_runout,
     excitation_scale,
     excitation_survey,
     parameter_file,
@@ -59,7 +60,7 @@ PURPOSE = "tune"
 _DEFAULT_KNOWN = "actuator.turns"
 _EXCITATION_COMMENTS = (
     "Made up, not measured: a map for stage.guide.file that excites friction, mass and stiffness.",
-    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
+    "Written by straightcomp friction --excitation.",
 )
 
 
@@ -83,12 +84,16 @@ def run(options: argparse.Namespace) -> None:
         low, high = reach(stage.motion)
         scale = excitation_scale(stage.motion, high - low)
         file = output_file(options, "--excitation")
-        write_survey(file, excitation_survey(high - low, low, scale), _EXCITATION_COMMENTS)
+        waves = excitation_survey(high - low, low, scale, stage.guide)
+        deviation = waves.runs[0].deviation
+        half = 0.5 * float(deviation.max() - deviation.min())
+        moves = f"The platform moves up to {half * 1e6:.0f} um to each side."
+        write_survey(file, waves, (*_EXCITATION_COMMENTS, moves))
         if not options.json:
             # After the user's own: the last one counts.
             guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]
             if scale < 1.0:
-                guides.append(f"stage.guide.runout={scale * stage.guide.runout:.3g}")
+                guides.append(f"stage.guide.runout={excitation_runout(stage.guide, scale):.3g}")
             command = _simulate(options, options.stage, [*options.set, *guides])
             print_written(file, then=f"{command} --bag BAG, or run it on the machine")
         return

@@ -333,7 +333,7 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(work, monkeypatch, step):
 
 
 def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(work):
-    """Nor is it held to what is demanded of theirs."""
+    """Nor is it held to what is demanded of theirs; but it keeps to the platform's travel."""
     mine, moved_along = work.folder / "excitation.csv", []
     mine.write_text("a survey that took a day")
 
@@ -342,7 +342,7 @@ def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of
         load_map(node_parameters("driver", values).stage.guide)
         raise LeftTravel("far enough")
 
-    values = with_values(work.values, "stage", {"guide.min_points": 1000, "guide.max_gap": 1e-4})
+    values = with_values(work.values, "stage", {"guide.min_points": 1000, "guide.max_gap": 1e-4, "guide.travel": 4e-5})
     machine = SimpleNamespace(stroke=stroke)
     assert not identification(dataclasses.replace(work, values=values, machine=machine)).passed
     assert mine.read_text() == "a survey that took a day"

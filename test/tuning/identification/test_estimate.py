@@ -22,12 +22,14 @@ from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, by_node, node_parameters
 from straightcomp_ros.parameters.parameter_file import read_parameter_file
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.survey import read_survey, write_survey
 from straightcomp_ros.tuning.identification import fit as fitting
 from straightcomp_ros.tuning.identification.estimate import (
@@ -36,6 +38,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
+    excitation_runout,
     excitation_scale,
     excitation_survey,
     parameter_file,
@@ -346,13 +349,14 @@ def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
     assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
 
 
-@pytest.mark.parametrize(("start", "stroke"), [(0.4, -0.3), (0.2, 0.3)])
+@pytest.mark.parametrize(("start", "stroke", "travel"), [(0.4, -0.3, 1e-4), (0.2, 0.3, 4e-5)])
 def test_the_command_after_an_excitation_is_of_the_users_stage_with_that_guide_and_stays_on_the_map(
-    tmp_path, verb, start, stroke
+    tmp_path, verb, start, stroke, travel
 ):
     own, waves = tmp_path / "my stage.yaml", tmp_path / "waves.csv"
     own.write_text(
-        f"/**: {{ros__parameters: {{stage.name: mine, stage.motion: {{start: {start}, stroke: {stroke}}}}}}}"
+        f"/**: {{ros__parameters: {{stage.name: mine, stage.motion: {{start: {start}, stroke: {stroke}}}, "
+        f"stage.guide.travel: {travel}}}}}"
     )
     chosen = ["--stage", str(own), "--law", "smc", "--set", "stage.motion.pause=0.2"]
     code, _, said = verb("friction", "--excitation", waves, *chosen)
@@ -364,6 +368,24 @@ def test_the_command_after_an_excitation_is_of_the_users_stage_with_that_guide_a
     assert {*chosen, f"driver.simulated.truth.guide={waves}"} < set(words)
     # The safest law follows the waves badly; what counts is that it stays on the map.
     assert verb(*words, "--json").json["verdict"] in ("in_order", "inaccurate")
+
+
+@pytest.mark.parametrize(
+    ("length", "speed", "acceleration"), [(STROKE, 0.3, 0.2), (0.45, 0.3, 2.0), (0.05, 0.3, 2.0), (0.05, 0.05, 0.5)]
+)
+def test_an_excitation_stays_within_the_platforms_travel_where_it_runs_out_too_and_is_the_usual_one_where_it_does(
+    length, speed, acceleration
+):
+    scale = excitation_scale(MotionParameters(speed=speed, acceleration=acceleration), length)
+    usual = excitation_survey(length, scale=scale, guide=MapParameters(travel=1e-2))
+    for travel in (2e-5, 4e-5, 1e-4, 3e-4):
+        guide = MapParameters(travel=travel)
+        waves = excitation_survey(length, scale=scale, guide=guide)
+        # It is refused where it reaches farther.
+        made = StraightnessMap(waves, dataclasses.replace(guide, runout=excitation_runout(guide, scale)))
+        whole = made.largest < 0.89 * travel
+        assert np.array_equal(waves.runs[0].deviation, usual.runs[0].deviation) == whole
+        assert whole or made.largest == pytest.approx(0.9 * travel)
 
 
 @pytest.mark.parametrize("chosen", [(), ("--params-file",), ("--stage",), ("--params-file", "--stage")])
@@ -485,6 +507,15 @@ def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
         unknowns(StageParameters(), ["friction.coulomb"])
     with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
         unknowns(StageParameters(), ["weight"])
+
+
+def test_the_model_resolves_stiff_bristles_under_a_light_platform_as_the_simulated_machine_does():
+    stiff = dataclasses.replace(START.friction, bristle_stiffness=1e9)
+    stage = dataclasses.replace(START, platform=dataclasses.replace(START.platform, mass=0.1), friction=stiff)
+    searched = unknowns(stage, ["platform.mass"])
+    state = plant_state(velocity=1e-6)
+    advance(searched.constants(searched.start, 3000.0), state, 0.0, 0.0, 30_000_000)
+    assert abs(state[1]) < 0.2e-6
 
 
 def test_a_slow_short_stage_without_friction_on_a_fine_encoder_is_found_within_its_intervals(tmp_path):
