@@ -63,7 +63,8 @@ class Assessment:
         if evaluation.encoder and (seen := evaluation.encoder.strokes):
             off, first, last = evaluation.encoder.off, time[seen[0].start], time[seen[-1].stop - 1]
             self.amplifier_off = [one for one in _intervals(time, off) if one.start <= last and one.end >= first]
-        self.stick_slips = [event for one, _ in strokes for event in stick_slips(one.time, one.x, one.y, one.r)]
+        parts = [(one.time, one.x, one.y, one.r) for one, _ in strokes]
+        self.stick_slips = [event for part in parts for event in stick_slips(*part, evaluation.count)]
         known = evaluation.parameters, evaluation.map, evaluation.stalls, evaluation.latency, evaluation.readings
         judged = judged_motion(record, reference, *known)
         self.uncompensated, self.verdict = judged.still, partial or verdict_of(judged)

@@ -32,10 +32,11 @@ _LEAST_SAMPLES = 16
 """Fewer have no spectrum."""
 FILLED = 0.02
 """Gap in s that may be interpolated: two periods of the highest frequency, 100 Hz, that a loop of this kind follows."""
-STUCK = 0.4e-6
-"""Way in m by which the reference runs on while the platform stands, that makes a stick: four counts of the encoder."""
-STANDING = 0.15e-6
-"""Distance in m within which the platform counts as standing: one count of 0.1 µm to and fro."""
+STUCK, STUCK_COUNTS = 0.4e-6, 4.0
+"""Way by which the reference runs on while the platform stands, that makes a stick: the larger one, in m and in counts
+of the encoder."""
+STANDING, STANDING_COUNTS = 0.15e-6, 1.5
+"""Distance within which the platform counts as standing, likewise: one count to and fro."""
 SLIP_TIME = 0.02
 """Time in s after a stick within which the platform must have jumped."""
 SLIP = 0.5
@@ -114,13 +115,14 @@ class StickSlip:
     slip: float
 
 
-def stick_slips(time: Array, x: Array, y: Array, r: Array) -> list[StickSlip]:
-    """The events in one stroke; all arrays (n,), in s and m, as the encoders see them."""
-    events = []
-    for start, stop in _standing(y):
+def stick_slips(time: Array, x: Array, y: Array, r: Array, count: float = 0.0) -> list[StickSlip]:
+    """The events in one stroke; all arrays (n,), in s and m, as the encoders see them. ``count`` is that of the encoder
+    of y in m; 0: not known."""
+    events, stuck = [], max(STUCK, STUCK_COUNTS * count)
+    for start, stop in _standing(y, max(STANDING, STANDING_COUNTS * count)):
         last = stop - 1
         ahead = r[last] - r[start]
-        if abs(ahead) < STUCK:
+        if abs(ahead) < stuck:
             continue
         after = slice(last, int(np.searchsorted(time, time[last] + SLIP_TIME)) + 1)
         moved = y[after] - y[last]
@@ -131,11 +133,11 @@ def stick_slips(time: Array, x: Array, y: Array, r: Array) -> list[StickSlip]:
     return events
 
 
-def _standing(y: Array) -> list[tuple[int, int]]:
-    """Samples (first, one after the last) of each longest stretch that stays within :data:`STANDING` of its start."""
+def _standing(y: Array, within: float) -> list[tuple[int, int]]:
+    """Samples (first, one after the last) of each longest stretch that stays ``within`` m of its start."""
     stretches, start = [], 0
     for place in (np.flatnonzero(np.diff(y)) + 1).tolist():
-        if abs(y[place] - y[start]) > STANDING:
+        if abs(y[place] - y[start]) > within:
             stretches.append((start, place))
             start = place
     return [*stretches, (start, len(y))]

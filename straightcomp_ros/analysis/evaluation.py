@@ -122,6 +122,11 @@ class BagEvaluation:
         return self.expected_samples - self.received_samples
 
     @cached_property
+    def count(self) -> float:
+        """One count of the encoder of y in m, as its readings show it."""
+        return encoder_count(self.record.y)
+
+    @cached_property
     def _record_stamps(self) -> Stamps:
         """Of the record's samples (m,), ns."""
         return np.asarray(self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
@@ -183,7 +188,7 @@ class BagEvaluation:
         if not left.any() or not (moving & judged).any():
             return ""
         usual, whole = (float(np.ptp(self.seen_error[of])) for of in (moving & judged, moving & (judged | left)))
-        if whole <= HARM * usual or whole - usual <= encoder_count(self.record.y):
+        if whole <= HARM * usual or whole - usual <= self.count:
             return ""
         since = float(stamps[left.argmax()] - stamps[0]) * 1e-9
         samples = f"{np.count_nonzero(left)} samples of the motion, from {since:.3f} s on,"

@@ -69,6 +69,10 @@ def test_a_sine_in_the_error_shows_in_the_figure_of_its_band_in_micrometres(make
     assert figures["error_rms_0_10_Hz_um"] < 0.02 and figures["error_rms_100_1000_Hz_um"] < 0.02
 
 
+def test_a_coarse_encoder_that_counts_along_a_smooth_motion_shows_no_stick_slip(make_record, assessed):
+    assert assessed(make_record(quantum=2e-6)).stick_slips == []
+
+
 def test_latency_is_shown_by_percentiles_and_spread_in_microseconds(make_record, assessed):
     latency = np.arange(101) * 1e-6
     figures = assessed(make_record(), latency=latency, lateness=3.0 * latency).figures()

@@ -101,8 +101,12 @@ def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
         assert stick_slips(time, 0.1 * time, creeping, r) == []
         away = np.where(time > 1.5, r[1000] - 5e-6 * way, y)
         assert [event for event in stick_slips(time, 0.1 * time, away, r) if event.time < 1.1] == []
-        # Nor one that lags, seen in counts.
-        assert stick_slips(time, 0.1 * time, np.round((r - 1.5e-6 * way) / 1e-7) * 1e-7, r) == []
+        # Nor one that lags, seen in counts, fine or coarse: of these each is as long as a stick of a fine encoder.
+        for count in (1e-7, 1e-6):
+            lagging = np.round((r - 1.5e-6 * way) / count) * count
+            assert stick_slips(time, 0.1 * time, lagging, r, count) == []
+        (coarse,) = stick_slips(time, 0.1 * time, np.round(y / 1e-6) * 1e-6, r, 1e-6)
+        assert (coarse.time, coarse.slip) == pytest.approx((1.0, 5e-6), rel=0.25)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
