@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from straightcomp_ros.control.filters import FilterParameters
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import ControlParameters, make_law, quantum_of
 from straightcomp_ros.control.margins import AS_DESCRIBED, unstable_where
 from straightcomp_ros.model.disturbances import GRAVITY, DisturbanceParameters
 from straightcomp_ros.model.modes import ModesParameters
@@ -34,6 +34,8 @@ _FRICTION = ("friction.coulomb", "friction.static", "friction.viscous")
 _FRICTIONLESS = 1e-2
 """Of the friction: nearly none. The platform then also misses the damping that friction gives."""
 _AMPLIFIER = 10.0
+_QUANTA = 10.0
+"""Forces of a count and a step of the converter that stand for F_C where there is none."""
 
 
 class BudgetEntry(NamedTuple):
@@ -174,15 +176,16 @@ def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:
 
 
 def _disturbed(own: _Run) -> dict[str, _Run]:
-    """Each disturbance added to the machine, of a size that its friction or its encoder gives."""
-    coulomb, stiffness = own.stage.friction.coulomb, own.stage.actuator.current_stiffness
-    tenth = 0.1 * coulomb
+    """Each disturbance added to the machine, of a size that its friction or, without any, its converters give."""
+    stiffness = own.stage.actuator.current_stiffness
+    force = own.stage.friction.coulomb or _QUANTA * quantum_of(own.stage)
+    tenth = 0.1 * force
     sizes = {
         f"with mains of {tenth:.2g} N at 50 Hz": {"mains.force": tenth},
-        f"with cogging of {coulomb:.2g} N over 30 mm": {"cogging.force": coulomb},
+        f"with cogging of {force:.2g} N over 30 mm": {"cogging.force": force},
         f"with cables that drag with {tenth:.2g} N": {"cable.drag": tenth},
-        f"with a constant force of {coulomb:.2g} N (tilt)": {
-            "tilt": math.asin(min(1.0, coulomb / (GRAVITY * own.stage.platform.mass)))
+        f"with a constant force of {force:.2g} N (tilt)": {
+            "tilt": math.asin(min(1.0, force / (GRAVITY * own.stage.platform.mass)))
         },
         f"with an amplifier's offset that drifts by {tenth / stiffness * 1e3:.2g} mA RMS in 1 s": {
             "drift.current": tenth / stiffness

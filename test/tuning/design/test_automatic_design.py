@@ -14,10 +14,12 @@ from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.doctor import Finding
+from straightcomp_ros.model.disturbances import Disturbances
 from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import read_stage_file, shipped_parameters
+from straightcomp_ros.tuning.design import error_budget as error_budget_module
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.tuning.design.error_budget import EXACT, OWN, RIGID, BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains
@@ -35,6 +37,7 @@ from straightcomp_ros.tuning.design.stability import StabilityCheck
 from straightcomp_ros.tuning.verbs import design as design_command
 
 LAW = "smc_observer"
+NONE = Disturbances()
 FEW = {"evaluations": 18, "machines": 4, "jobs": 1}
 
 
@@ -328,6 +331,14 @@ def test_a_design_warns_of_stiction_as_the_check_does(stage, verb):
     (finding,) = (one for one in verb("stage", "check", stage, "--json").json["checks"] if one["name"] == "stiction")
     assert finding["state"] == "warn"
     assert warning.startswith("stiction: ") and finding["remedy"] in warning
+
+
+def test_every_disturbance_of_a_budget_disturbs_a_stage_without_friction_too(shipped):
+    friction = dataclasses.replace(shipped.description.friction, coulomb=0.0, static=0.0)
+    free = shipped.on(dataclasses.replace(shipped.description, friction=friction))
+    causes = error_budget_module._causes(free, LAW, closed_form(free, LAW), 1)
+    disturbed = {cause: one.plant.disturbances for cause, one in causes.items() if one.plant.disturbances != NONE}
+    assert len(disturbed) == 7 and all(one.any for one in disturbed.values())
 
 
 def test_what_would_be_unstable_is_left_out_of_the_budget(shipped):
