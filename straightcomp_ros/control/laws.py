@@ -187,7 +187,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     period = stage.period
     loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
     friction = stage.friction
-    quantum = quantum_of(stage)
+    quantum = stage.quantum
     coulomb = max(friction.coulomb, _SMALLEST_SIZE * quantum)
     turn, amplitude, knee = dither_of(design, stage)
     band = design.rest_band * stage.encoder.y_resolution
@@ -250,7 +250,7 @@ def needs_dither(stage: StageParameters) -> bool:
     unseen = max(_BENDING * stage.encoder.y_resolution, _SHAKEN * friction.coulomb / inertia)
     switches = friction.static <= unseen * friction.bristle_stiffness
     slides = friction.bristle_stiffness >= _SPRING * inertia
-    return switches and slides and friction.coulomb >= _SWITCHING * quantum_of(stage)
+    return switches and slides and friction.coulomb >= _SWITCHING * stage.quantum
 
 
 def dither_of(design: ObserverDesign, stage: StageParameters) -> Dithering:
@@ -278,13 +278,7 @@ def can_hold(stage: StageParameters) -> bool:
 
 def _holding(stage: StageParameters) -> float:
     """Friction in N that holds the platform a count beside the balance, with half a step of the converter too much."""
-    return quantum_of(stage) - 0.5 * stage.drive.current_step * stage.actuator.current_stiffness
-
-
-def quantum_of(stage: StageParameters) -> float:
-    """Force in N of the encoder's count against magnets and flexure, and of a step of the D/A converter."""
-    count = abs(stage.negative_stiffness) * stage.encoder.y_resolution
-    return count + stage.drive.current_step * stage.actuator.current_stiffness
+    return stage.quantum - 0.5 * stage.drive.current_step * stage.actuator.current_stiffness
 
 
 def _stiffness(design: ObserverDesign, factor: float, stage: StageParameters) -> smc_observer.Stiffness:
@@ -313,7 +307,7 @@ def _slow(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
 
 def _certain(stage: StageParameters) -> bool:
     """Whether the least friction that the uncertainty allows counts."""
-    return stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * quantum_of(stage)
+    return stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * stage.quantum
 
 
 def states_of(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
@@ -338,6 +332,6 @@ def states_of(control: ControlParameters, stage: StageParameters) -> dict[str, C
 def described_state(control: ControlParameters, stage: StageParameters) -> tuple[str, ControlParameters]:
     """Of :func:`states_of` the one that the law takes on a stage that is as described: its name, and the law there."""
     states = states_of(control, stage)
-    counts = "free" not in states or stage.friction.coulomb >= _COUNTING * quantum_of(stage)
+    counts = "free" not in states or stage.friction.coulomb >= _COUNTING * stage.quantum
     name = "quiet" if counts else "free"
     return name, states[name]

@@ -42,6 +42,12 @@ class EncoderParameters:
         return partial(nearest_count, self.y_resolution)
 
     @property
+    def x_noise(self) -> float:
+        """Difference in m that two readings of x may have at rest: each half a count off by rounding, and half a one by
+        noise."""
+        return 2.0 * self.x_resolution
+
+    @property
     def y_rounding(self) -> float:
         """RMS error of y in m by rounding to counts."""
         return self.y_resolution / math.sqrt(12.0)

@@ -43,8 +43,9 @@ class FeedforwardComponent:
         self._node, self._parameters = node, parameters
         self._map = load_map(parameters.stage.guide)
         self._report_map()
-        tracking = parameters.stage.tracking(parameters.feedforward, self._map)
-        self._feedforward = Feedforward(self._map, tracking, parameters.stage.motion.highest_speed)
+        stage = parameters.stage
+        tracking = stage.tracking(parameters.feedforward, self._map)
+        self._feedforward = Feedforward(self._map, tracking, stage.motion.highest_speed, stage.encoder.x_noise)
         self._publish = node.streams.publisher(REFERENCE, None)
         self._trip = tripper(node)
         self._samples = 0

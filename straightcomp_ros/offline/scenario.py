@@ -262,7 +262,8 @@ class Scenario:
         true_x = self.trajectory.at(stamps)
         x = readings(self.driver.stage.encoder.x_resolution, true_x)
         tracking = self.followed.tracking(self.feedforward, straightness)
-        found = references(straightness, tracking, self.followed.motion.highest_speed, stamps, x)
+        limits = self.followed.motion.highest_speed, self.followed.encoder.x_noise
+        found = references(straightness, tracking, *limits, stamps, x)
         # As `Pairing` gives them to the law: extrapolated from those of the lead before each sample.
         earlier = np.searchsorted(stamps, np.maximum(stamps - self.lead_ns, stamps[0]), side="right") - 1
         given = np.column_stack(extrapolated(*found[earlier].T, (stamps - stamps[earlier]) * 1e-9))
@@ -359,12 +360,12 @@ def readings(resolution: float, positions: NDArray[np.float64]) -> NDArray[np.fl
 
 
 @compiled
-def _follow(bandwidth, gap_ns, max_speed, stamps, x, v, a):  # type: ignore[no-untyped-def]
+def _follow(bandwidth, gap_ns, max_speed, noise, stamps, x, v, a):  # type: ignore[no-untyped-def]
     tracked = restarted(x[0])
     v[0], a[0] = tracked.v, tracked.a
     for k in range(1, x.size):
         elapsed = stamps[k] - stamps[k - 1]
-        if continues(gap_ns, max_speed, elapsed, x[k] - x[k - 1]):
+        if continues(gap_ns, max_speed, noise, elapsed, x[k] - x[k - 1]):
             tracked = updated(bandwidth, tracked, elapsed * 1e-9, x[k])
         else:
             tracked = restarted(x[k])
@@ -375,6 +376,7 @@ def references(
     straightness: StraightnessMap,
     parameters: FeedforwardParameters,
     highest_speed: float,
+    noise: float,
     stamps: NDArray[np.int64],
     x: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -382,9 +384,9 @@ def references(
 
     r in m, ṙ in m/s and r̈ in m/s², (n, 3), at ``stamps``, (n,) in ns, all different, and ``x``, (n,) in m.
 
-    ``highest_speed`` is that which the stage cannot reach, m/s.
+    ``highest_speed`` is that which the stage cannot reach, m/s; ``noise`` what two readings may differ by at rest, m.
     """
     v, a = np.empty_like(x), np.empty_like(x)
-    _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, stamps, x, v, a)
+    _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, noise, stamps, x, v, a)
     r, slope, curvature = along(straightness, x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])

@@ -65,8 +65,10 @@ class Simulation:
         hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
         self._period_ns = hardware.period_ns
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
-        tracking = feedforward.stage.tracking(feedforward.feedforward, self.map)
-        self._feedforward = Feedforward(self.map, tracking, feedforward.stage.motion.highest_speed)
+        followed = feedforward.stage
+        tracking = followed.tracking(feedforward.feedforward, self.map)
+        limits = followed.motion.highest_speed, followed.encoder.x_noise
+        self._feedforward = Feedforward(self.map, tracking, *limits)
         self._pairing = Pairing(controller.lead_ns, wait=True)
         learning = controller.learning
         self._learning = Learning(learning, control.law, stage.rate) if learning.learn else None

@@ -16,8 +16,6 @@ from straightcomp_ros.stage.description import StageParameters
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
 _BEYOND = 1.2
-_ZERO_COUNTS = 4.0
-"""Noise of an extrapolation from two readings, each half a count off and one more by noise."""
 _GAP_NS = 20_000_000
 """Longest gap between samples of one run, as of the pairing."""
 
@@ -45,15 +43,19 @@ class WatchParameters:
     )
 
 
-def current_against_friction(stage: StageParameters) -> float:
-    """Change of the control current in A that must move the platform, on each machine of ``stage.uncertainty``.
+def moving_current(stage: StageParameters, time: float) -> float:
+    """Change of the control current in A that must move the platform by a count within ``time`` in s, on each machine
+    of ``stage.uncertainty``.
 
-    It takes friction from −F_S to F_S with the least K̄_i; `_BEYOND` is for friction that grows while it holds.
+    It takes friction from −F_S to F_S, and a count against magnets and flexure, with the least K̄_i; `_BEYOND` is for
+    friction that grows while it holds. A platform that slides may stay within a count h while the force turns it back,
+    as what is thrown up and falls again: that takes an acceleration of 8 h / time².
     """
     ranges = stage.uncertainty
-    most = stage.friction.static * ranges.friction
+    friction = _BEYOND * stage.friction.static * ranges.friction
+    turned = stage.platform.mass * (1.0 + ranges.mass) * 8.0 * stage.encoder.y_resolution / time**2
     least = stage.actuator.current_stiffness * (1.0 - ranges.force) / (1.0 + ranges.air_gap) ** 2
-    return _BEYOND * 2.0 * most / least
+    return 2.0 * (friction + stage.quantum + turned) / least
 
 
 class SampleWatch:
@@ -64,10 +66,14 @@ class SampleWatch:
         self.travel = parameters.travel
         """Largest movement of y since the amplifier was switched on, m; a change holds from the next switch-on."""
         self._period_ns = period_ns = stage.period_ns
-        self._x_step = stage.motion.highest_speed * period_ns * 1e-9
+        self._fastest, self._noise = stage.motion.highest_speed * 1e-9, stage.encoder.x_noise
+        self._x_step = self._fastest * period_ns + self._noise
         self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
         self._frozen_samples = math.ceil(parameters.frozen_time / (period_ns * 1e-9))
-        self._frozen_current = parameters.frozen_current or current_against_friction(stage)
+        # What lasts shorter than the mean's memory does not show in it.
+        self._frozen_current = parameters.frozen_current or moving_current(
+            stage, max(parameters.frozen_time, _MEAN_TIME)
+        )
         self.restart()
 
     def restart(self) -> None:
@@ -122,8 +128,7 @@ class SampleWatch:
         if math.isnan(self._x):
             return None
         # Lost samples are not a jump.
-        allowed = self._x_step * max(1.0, (stamp_ns - self._stamp_ns) / self._period_ns)
-        if abs(x - self._x) <= allowed:
+        if abs(x - self._x) <= self._fastest * max(self._period_ns, stamp_ns - self._stamp_ns) + self._noise:
             return None
         return Fault.X_JUMP, f"x went from {self._x * 1e3:.4f} to {x * 1e3:.4f} mm within one sample"
 
@@ -166,7 +171,8 @@ class ZeroWatch:
 
     def __init__(self, stage: StageParameters) -> None:
         self._bend = StageLimits.of(stage.motion, 0.0, 0.0).acceleration * 1e-18
-        self._noise, self._fastest = _ZERO_COUNTS * stage.encoder.x_resolution, stage.motion.highest_speed * 1e-9
+        # An extrapolation from two readings has the noise of two differences.
+        self._noise, self._fastest = 2.0 * stage.encoder.x_noise, stage.motion.highest_speed * 1e-9
         self._samples = deque[Sample](maxlen=2)
         self._referenced = self._counted = False
         self._shift, self.finding = 0.0, ""

@@ -149,6 +149,12 @@ class StageParameters:
         return self.actuator.position_stiffness - self.platform.stiffness
 
     @property
+    def quantum(self) -> float:
+        """Force in N of the encoder's count against magnets and flexure, and of a step of the D/A converter."""
+        count = abs(self.negative_stiffness) * self.encoder.y_resolution
+        return count + self.drive.current_step * self.actuator.current_stiffness
+
+    @property
     def dead_time(self) -> float:
         """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
         return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)

@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -119,10 +120,11 @@ def updated(bandwidth: float, last: Tracked, dt: float, x: float) -> Tracked:
 
 
 @compilable
-def continues(gap_ns: int, max_speed: float, elapsed_ns: int, distance: float) -> bool:
-    """Whether a sample ``elapsed_ns`` and ``distance`` (m) from the last one updates the estimate or restarts it. A NaN
-    compares false, so it restarts the estimate, and so does the sample after it."""
-    return 0 < elapsed_ns <= gap_ns and abs(distance) <= max_speed * (elapsed_ns * 1e-9)
+def continues(gap_ns: int, max_speed: float, noise: float, elapsed_ns: int, distance: float) -> bool:
+    """Whether a sample ``elapsed_ns`` and ``distance`` (m) from the last one updates the estimate or restarts it;
+    ``noise`` is what two readings may differ by at rest, m. A NaN compares false, so it restarts the estimate, and so
+    does the sample after it."""
+    return 0 < elapsed_ns <= gap_ns and abs(distance) <= max_speed * (elapsed_ns * 1e-9) + noise
 
 
 def rates(slope: T, curvature: T, v: T, a: T) -> tuple[T, T]:
@@ -195,7 +197,8 @@ def along(straightness: StraightnessMap, x: NDArray[np.float64]) -> tuple[NDArra
 class Feedforward:
     """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers.
 
-    ``highest_speed`` in m/s is what the stage cannot reach. It is tracked with ``bandwidth`` (Hz), which may be set.
+    ``highest_speed`` in m/s is what the stage cannot reach; ``noise`` as of :func:`continues`. It is tracked with
+    ``bandwidth`` (Hz), which may be set.
     """
 
     def __init__(
@@ -203,9 +206,10 @@ class Feedforward:
         straightness: StraightnessMap,
         parameters: FeedforwardParameters = FeedforwardParameters(),
         highest_speed: float = MotionParameters().highest_speed,
+        noise: float = EncoderParameters().x_noise,
     ) -> None:
         self._reference = follower(straightness)
-        self._left_ns, self._max_speed = 0, highest_speed
+        self._left_ns, self._max_speed, self._noise = 0, highest_speed, noise
         self.bandwidth, self._restart_gap_ns = parameters.bandwidth, parameters.restart_gap_ns
         self.reset()
 
@@ -241,7 +245,7 @@ class Feedforward:
         elapsed_ns = stamp_ns - self._stamp_ns
         if elapsed_ns == 0:
             return self._last
-        if continues(self._restart_gap_ns, self._max_speed, elapsed_ns, x - self._x):
+        if continues(self._restart_gap_ns, self._max_speed, self._noise, elapsed_ns, x - self._x):
             self._tracked = updated(self.bandwidth, self._tracked, elapsed_ns * 1e-9, x)
         else:
             self._tracked = restarted(x)

@@ -199,7 +199,8 @@ class ServoDriver(Driver):
         own = controller.stage
         self._servo = Servo(make_law(controller.control, own).prepare())
         self.map = load_map(own.guide)
-        self._feedforward = Feedforward(self.map, FeedforwardParameters(), own.motion.highest_speed)
+        limits = own.motion.highest_speed, own.encoder.x_noise
+        self._feedforward = Feedforward(self.map, FeedforwardParameters(), *limits)
         # Last, for it begins to receive, and what was not read for a second is a fault.
         super().__init__(fd, file, stage=stage)
 

@@ -8,7 +8,10 @@ import pytest
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import (
     ClockWatch,
@@ -17,13 +20,15 @@ from straightcomp_ros.safety.watch import (
     StageWatch,
     WatchParameters,
     ZeroWatch,
-    current_against_friction,
+    moving_current,
 )
 from straightcomp_ros.stage.description import StageParameters
+from trials.faulty_machine import FaultyHardware
 
 STAGE = StageParameters()
 T = STAGE.period_ns
 COUNT = 1e-7
+COARSE = {"encoder.x_resolution": 1e-6}
 TRAJECTORY = Trajectory(forward_and_back(MotionParameters()))
 SECOND = 10**9
 
@@ -63,6 +68,10 @@ def test_x_that_jumps_is_found_and_neither_full_speed_nor_lost_samples_nor_a_res
     step = T * 1e-9
     assert feed(found, 0, 0.0, 0.0) is None and feed(found, 2, 2.0 * step, 0.0) is None
     assert feed(found, 4, 4.001 * step, 0.0)[0] == Fault.X_JUMP
+    # A count of x is more than this stage moves between two samples.
+    found = watch(from_mapping(StageParameters, {"motion.highest_speed": 1e-3, "motion.speed": 5e-4, **COARSE}))
+    assert feed(found, 0, 0.0, 0.0) is None and feed(found, 1, 1e-6, 0.0) is None
+    assert feed(found, 2, 5e-6, 0.0)[0] == Fault.X_JUMP
 
 
 def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
@@ -134,8 +143,46 @@ def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
         found = watch(rough)
         assert any([feed(found, k, 0.0, COUNT, change if k else 0.0) for k in range(400)]) == frozen
     # With a smaller uncertainty a dead encoder is found sooner.
-    assert current_against_friction(STAGE) == pytest.approx(0.105, abs=0.001)
-    assert current_against_friction(rough) > 0.3
+    assert moving_current(STAGE, 0.01) == pytest.approx(0.108, abs=0.001)
+    assert moving_current(rough, 0.01) > 0.3
+
+
+FREE = {"friction.coulomb": 0.0, "friction.static": 0.0}
+
+
+def first_fault(facts, frozen_at=-1):
+    """What the watch finds in two strokes of the simulated machine; from sample ``frozen_at`` on y stays."""
+    values = shipped_parameters()
+    values["stage"] |= {**facts, "motion.stroke": 0.05, "motion.settle": 0.5}
+    found, machines, applied, faults = watch(node_parameters("driver", values).stage), [], [0.0], []
+
+    def wired(machine):
+        machines.append(FaultyHardware(machine))
+        return machines[0]
+
+    def observe(sample, truth, reference, command, age):
+        if len(applied) == frozen_at:
+            machines[0].inject("encoder y frozen")
+        faults.append(found.check(sample, applied[-1]))
+        applied.append(command.current)
+
+    Simulation(values, wiring=wired).run(observe=observe)
+    return next((finding[0] for finding in faults if finding), None)
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        FREE,
+        {**FREE, "platform.stiffness": 1e5},
+        {**FREE, "platform.stiffness": STAGE.actuator.position_stiffness, "encoder.y_resolution": 1e-6},
+        {"friction.coulomb": 0.03, "friction.static": 0.04, "encoder.y_resolution": 1e-6},
+    ],
+    ids=["no friction", "flexure", "balanced", "coarse"],
+)
+def test_a_platform_with_hardly_any_friction_is_not_frozen_within_a_count_and_a_dead_encoder_is_found(facts):
+    assert first_fault(facts) is None
+    assert first_fault(facts, frozen_at=1500) is Fault.Y_FROZEN
 
 
 def follow(positions, start_ns=0):

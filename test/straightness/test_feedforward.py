@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import (
@@ -125,6 +126,13 @@ def test_the_limits_are_parameters(straightness, stamp_after, distance):
     assert feedforward._tracked.v == pytest.approx(0.09)
     feedforward.step(stamp_after, 0.5 + 0.9e-4 + distance)
     assert feedforward._tracked.v == 0.0
+
+
+def test_a_count_that_is_more_than_a_slow_stage_moves_between_two_samples_does_not_restart_the_estimate(straightness):
+    count, v = 1e-6, 5e-4
+    feedforward = Feedforward(straightness, highest_speed=1e-3, noise=EncoderParameters(x_resolution=count).x_noise)
+    _run(feedforward, 0.5 + np.round(np.arange(2000) * v * T / count) * count)
+    assert feedforward._tracked.v == pytest.approx(v, rel=0.2)
 
 
 SPEED = 0.1

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from straightcomp_ros.control.filters import FilterParameters
-from straightcomp_ros.control.laws import ControlParameters, make_law, quantum_of
+from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import AS_DESCRIBED, unstable_where
 from straightcomp_ros.model.disturbances import GRAVITY, DisturbanceParameters
 from straightcomp_ros.model.modes import ModesParameters
@@ -178,7 +178,7 @@ def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:
 def _disturbed(own: _Run) -> dict[str, _Run]:
     """Each disturbance added to the machine, of a size that its friction or, without any, its converters give."""
     stiffness = own.stage.actuator.current_stiffness
-    force = own.stage.friction.coulomb or _QUANTA * quantum_of(own.stage)
+    force = own.stage.friction.coulomb or _QUANTA * own.stage.quantum
     tenth = 0.1 * force
     sizes = {
         f"with mains of {tenth:.2g} N at 50 Hz": {"mains.force": tenth},
