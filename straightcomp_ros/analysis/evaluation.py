@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import interruption
 from straightcomp_ros.analysis.interruption import ENDS_APART, PAUSE, EncoderRun, LatchedFault, Stall, Stamps
-from straightcomp_ros.analysis.judged_motion import HARM, encoder_count
+from straightcomp_ros.analysis.judged_motion import HARM, encoder_count, recorded_limit
 from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, STARVED, Verdict
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of, speed_at_end
 from straightcomp_ros.bags import BagError
@@ -139,8 +139,9 @@ class BagEvaluation:
     @cached_property
     def at_current_limit(self) -> NDArray[np.bool_]:
         """The samples (m,) of the record with the command at the law's limit; none where that was not recorded."""
-        limit = self.parameters.get("controller", {}).get("stage.actuator.current_limit", math.inf)
-        return np.asarray(np.abs(self.record.current) >= AT_LIMIT * float(limit))
+        controller = self.parameters.get("controller")
+        limit = recorded_limit(controller) if controller else math.inf
+        return np.asarray(np.abs(self.record.current) >= AT_LIMIT * limit)
 
     def partial(self, begin_ns: int = 0, until_ns: int = FOR_EVER) -> Verdict | None:
         """The verdict on a run whose figures are those of a part of its motion, or of that from ``begin_ns`` to before

@@ -70,7 +70,7 @@ def bounds_of(
     bounds: dict[str, Any] = {}
     shipped, limits = StageParameters(), []
     if "controller" in parameters:
-        limits.append(parameters["controller"].get("stage.actuator.current_limit", shipped.actuator.current_limit))
+        limits.append(recorded_limit(parameters["controller"]))
     driver = parameters.get("driver", {"hardware": "unknown"})
     if is_simulated(driver):
         bounds["stop"] = float(driver.get("stage.platform.stop", shipped.platform.stop))
@@ -129,6 +129,13 @@ def recorded_drive(driver: Mapping[str, Any]) -> DriveParameters:
     """D/A converter and amplifier from the driver's parameters by dotted name; defaults for what they do not name."""
     given = {name: driver.get(f"stage.drive.{name}", value) for name, value in asdict(DriveParameters()).items()}
     return DriveParameters(int(given.pop("dac_bits")), *map(float, given.values()))
+
+
+def recorded_limit(controller: Mapping[str, Any]) -> float:
+    """Largest control current in A that the law may command, from the controller's parameters as of
+    :func:`recorded_drive`."""
+    limit = controller.get("stage.actuator.current_limit", StageParameters().actuator.current_limit)
+    return min(float(limit), recorded_drive(controller).largest_current)
 
 
 class Left(NamedTuple):

@@ -109,7 +109,7 @@ def nominal_loop(stage: StageParameters, *, delay_samples: float, gain_allowance
         interval(rate, acting),
         mass,
         stage.platform.stiffness,
-        stage.actuator.current_limit,
+        stage.highest_current,
         stage.actuator.current_stiffness / mass,
         (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
         stage.actuator.constants(),

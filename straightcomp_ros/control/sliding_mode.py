@@ -70,25 +70,25 @@ def reaching_demand(
 ) -> float:
     """ρ in m/s² that (11) demands at rest at ``y`` >= 0 in m, for the current i_c in A, with nothing integrated.
 
-    There SAx + SB_r r = (K̄_y/M) y on the reference (x₁ = 0, ẏ = 0, y = r), and ωn² y more where the platform is
-    ``released`` with r = 0. The matched disturbance is friction over mass and the stiffness error m_y. Infinite where
-    |m_i| >= 1.
+    There SAx + SB_r r = ((K̄_y − k)/M) y on the reference (x₁ = 0, ẏ = 0, y = r), with a flexure's stiffness k, and
+    ωn² y more where the platform is ``released`` with r = 0. The matched disturbance is friction over mass and the
+    stiffness error m_y of the magnets. Infinite where |m_i| >= 1.
     """
     actuator, mass = stage.actuator, stage.platform.mass
     m_y, m_i = stiffness_errors(y / actuator.air_gap, current / actuator.bias_current)
     if abs(m_i) >= 1.0:
         return math.inf
-    position = actuator.position_stiffness / mass * y
+    position = stage.negative_stiffness / mass * y
     motion = position + design.omega_n**2 * y if released else position
-    disturbance = m_y * position + stage.friction.static / mass
-    return (abs(m_i) * motion + disturbance + design.gamma) / (1.0 - abs(m_i))
+    disturbance = m_y * (actuator.position_stiffness / mass * y) + stage.friction.static / mass
+    return (abs(m_i) * abs(motion) + disturbance + design.gamma) / (1.0 - abs(m_i))
 
 
 def reaching_bound(design: SlidingDesign, stage: StageParameters) -> float:
     """Smallest ρ in m/s² that fulfils (11) within the travel, at rest on the reference: |m_i| is largest at full travel
-    with the current that holds position and friction."""
+    with the current that holds position and friction, taken with the sign of y: with the other |m_i| is smaller."""
     actuator, travel = stage.actuator, stage.guide.travel
-    hold = (actuator.position_stiffness * travel + stage.friction.static) / actuator.current_stiffness
+    hold = (abs(stage.negative_stiffness) * travel + stage.friction.static) / actuator.current_stiffness
     return reaching_demand(design, stage, travel, min(actuator.bias_current, hold), released=False)
 
 
@@ -152,7 +152,7 @@ def gains(
         feedforward=follow,
         k_switching=design.rho / input_gain if switching else 0.0,
         boundary_layer=design.boundary_layer,
-        current_limit=stage.actuator.current_limit,
+        current_limit=stage.highest_current,
         filters=filters,
     )
 

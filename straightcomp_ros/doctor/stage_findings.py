@@ -336,7 +336,7 @@ def _drive_findings(stage: StageParameters, found: Consequences) -> Iterator[Fin
         f"friction, pull and acceleration need up to {found.holding_current:.3g} A; limit {limit:g} A, "
         f"converter {drive:g} A, bias {bias:g} A"
     )
-    usable = min(limit, drive)
+    usable = stage.highest_current
     if found.holding_current > usable:
         remedy = "Raise current limit, converter's range and bias, or reduce friction, mass or speed."
         yield Finding("force", "fail", detail, remedy)

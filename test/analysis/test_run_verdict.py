@@ -333,7 +333,8 @@ def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_kno
     assert bounds_of(named) == {"stop": 1e-3, "current_limit": 0.5, **described}
     assert bounds_of({"driver": {}, "controller": {}}) == {"stop": 1.2e-3, "current_limit": 0.9, **described}
     weak = {"stage.drive.gain": 0.01, "stage.drive.dac_bits": 4}
-    assert bounds_of({"driver": weak, "controller": {}})["current_limit"] == pytest.approx(7 * 0.2 / 16)
+    for parameters in ({"driver": weak, "controller": {}}, {"controller": weak}):
+        assert bounds_of(parameters)["current_limit"] == pytest.approx(7 * 0.2 / 16)
     board = {"hardware": "can", "stage.platform.stop": 1e-3}
     assert bounds_of({"driver": board}) == {}
     assert bounds_of({"driver": {**board, "can.simulated_stage": True}})["stop"] == 1e-3

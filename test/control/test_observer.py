@@ -21,6 +21,7 @@ from straightcomp_ros.control.observer import (
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current, magnetic_force
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 ACTUATOR = ActuatorParameters().constants()
@@ -89,6 +90,8 @@ def nominal(delay_samples=0.5):
 def test_a_period_is_divided_at_the_delay_and_a_step_of_current_counts_by_its_mean_over_its_end(delay):
     found, acting = nominal(delay), (1.0 - delay) * PERIOD
     assert (found.period, found.delay, found.mass, found.current_limit) == (PERIOD, delay * PERIOD, 3.0, 0.9)
+    weak = from_mapping(StageParameters, {"drive.gain": 0.01})
+    assert nominal_loop(weak, delay_samples=delay).current_limit == weak.drive.largest_current
     assert (found.before_action, found.after_action) == (interval(RATE, delay * PERIOD), interval(RATE, acting))
     slope = magnetic_force(ACTUATOR, 0.0, ACTUATOR.bias_current, 1e-6) / 1e-6 / 3.0
     assert found.current_gain == pytest.approx(slope, rel=1e-6)

@@ -26,8 +26,13 @@ DESIGN, STAGE = SlidingDesign(), StageParameters()
 
 
 def limited(current):
-    """The stage with another limit of the current in A."""
-    return dataclasses.replace(STAGE, actuator=ActuatorParameters(current_limit=current))
+    """The stage with another limit of the current in A, and a converter that gives as much."""
+    drive = dataclasses.replace(STAGE.drive, gain=max(STAGE.drive.gain, 1.01 * current / STAGE.drive.dac_range))
+    return dataclasses.replace(STAGE, actuator=ActuatorParameters(current_limit=current), drive=drive)
+
+
+NARROW_DRIVE = from_mapping(StageParameters, {"drive.gain": 0.005})
+"""The stage with a converter that gives less than the limit."""
 
 
 def by_equation_9(x, r, rho, boundary_layer):
@@ -72,13 +77,16 @@ def test_with_feedforward_the_surface_is_that_of_the_error():
     assert answer.current == pytest.approx((acceleration - a[2, 1] * r) / b[2], rel=1e-3)
 
 
-def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it():
-    gains = sliding_mode.gains(DESIGN, limited(0.05), switching=False, feedforward=False)
+@pytest.mark.parametrize(
+    ("stage", "limit"), [(limited(0.05), 0.05), (NARROW_DRIVE, NARROW_DRIVE.drive.largest_current)]
+)
+def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it(stage, limit):
+    gains = sliding_mode.gains(DESIGN, stage, switching=False, feedforward=False)
     for sign in (1.0, -1.0):
         wound = sliding_mode.State(-1e-4 * sign, 0.0, 0.0)
         for error, held in ((1e-6, False), (-1e-6, True)):
             after, answer = sliding_mode.step(gains, wound, sign * error, 0.0, 0.0, 0.0, 0.0)
-            assert answer.current == sign * 0.05
+            assert answer.current == sign * limit
             assert after.integral == pytest.approx(wound.integral + (0.0 if held else sign * error * T), rel=1e-12)
 
 
@@ -108,6 +116,22 @@ def test_the_reaching_bound_is_that_of_equation_11_where_the_stiffness_errors_co
     assert reaching_bound(DESIGN, stage_with(travel=0.6 * actuator.air_gap)) == math.inf  # no ρ for |m_i| = 1
     # Each part is one that shows.
     assert min(m_i * position, m_y * position, friction, DESIGN.gamma) > 0.01 * expected
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e5, 3e5])
+def test_a_flexure_moves_the_platform_and_takes_a_current_to_hold_it_in_equation_11(stiffness):
+    """By the surface's own matrices, for the current of either sign that holds the platform at its travel."""
+    stage = from_mapping(StageParameters, {"platform.stiffness": stiffness})
+    actuator, mass, y = stage.actuator, stage.platform.mass, stage.guide.travel
+    a, b = state_matrices(stage)
+    motion, friction = abs(a[2, 1] * y), stage.friction.static / mass
+    demands = []
+    for sign in (1.0, -1.0):
+        hold = sign * (motion + friction) / b[2]
+        m_y, m_i = stiffness_errors(y / actuator.air_gap, hold / actuator.bias_current)
+        magnets = m_y * actuator.position_stiffness / mass * y
+        demands.append((abs(m_i) * motion + magnets + friction + DESIGN.gamma) / (1.0 - abs(m_i)))
+    assert reaching_bound(DESIGN, stage) == pytest.approx(max(demands), rel=1e-12)
 
 
 def test_a_rho_below_the_reaching_bound_is_refused_unless_it_is_wanted():

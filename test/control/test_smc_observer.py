@@ -358,9 +358,11 @@ def test_under_dither_friction_is_a_curve_of_the_velocity_without_memory(velocit
     assert after.bristle == 0.0
 
 
+@pytest.mark.parametrize("limit", ["actuator.current_limit", "drive.gain"])
 @given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
-def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(y, r, rate):
-    servo = make_law(ControlParameters(), from_mapping(StageParameters, {"actuator.current_limit": 0.4}))
+def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(limit, y, r, rate):
+    facts = {"actuator.current_limit": 0.4, "drive.gain": 0.04}
+    servo = make_law(ControlParameters(), from_mapping(StageParameters, {limit: facts[limit]}))
     servo.reset(y)
     for reading in (y, -y, 0.0, y):
         command = servo.step(reading, r, rate, 0.0)

@@ -85,7 +85,7 @@ class Machine:
         return replace(
             free,
             plant=replace(self.plant, drive=drive, encoder=EncoderParameters(1e-12, 1e-12)),
-            stage=replace(free.stage, rate=IDEAL_RATE, drive=replace(self.stage.drive, delay=0.0)),
+            stage=replace(free.stage, rate=IDEAL_RATE, drive=replace(drive, delay=0.0)),
             control=replace(self.control, smc=smc),
         )
 

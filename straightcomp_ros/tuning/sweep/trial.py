@@ -75,7 +75,7 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     window, target = motion_of(time, stroke.x).window, along(stroke.map, stroke.true_x)[0]
     first, last = stroke.map.span
     bounds: dict[str, Any] = {
-        "current_limit": min(stage.actuator.current_limit, nominal.drive.largest_current),
+        "current_limit": min(stage.highest_current, nominal.drive.largest_current),
         "stop": nominal.platform.stop,
         "span": (first - stage.guide.runout, last + stage.guide.runout),
         "modes": tuple(mode.frequency for mode in stage.platform.modes.present),
