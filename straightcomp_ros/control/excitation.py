@@ -194,11 +194,16 @@ def multisine(parameters: MultisineParameters, rate: float, expected: Callable[[
     Hz, as far as known.
 
     Raises:
-        FrequencyResponseError: the lowest frequency does not fit the period, or the highest one.
+        FrequencyResponseError: the lowest frequency does not fit the period, or the period or the lowest frequency not
+            the highest one.
     """
     samples = round(parameters.period * rate)
-    spacing = rate / samples
     highest = min(parameters.highest or max(_HIGHEST, _USUAL_SHARE * rate), _HIGHEST_SHARE * rate)
+    if not rate < highest * samples:
+        raise FrequencyResponseError(
+            f"period of {parameters.period:g} s; allowed: > {1.0 / highest:g} s, that of the highest frequency"
+        )
+    spacing = rate / samples
     if not spacing <= parameters.lowest < highest:
         raise FrequencyResponseError(
             f"lowest frequency {parameters.lowest:g} Hz with a period of {parameters.period:g} s; "
@@ -232,9 +237,14 @@ def multisine_injection(
     parameters: MultisineParameters, law: Law, stage: StageParameters
 ) -> tuple[Multisine, Injection]:
     """The multisine shaped for ``law`` on ``stage`` as described, and its injection; raises as `multisine`, and
-    ValueError for a law without a linearisation at rest."""
+    NotLinear for a law without a linearisation at rest."""
     made = multisine(parameters, stage.rate, lambda lines: loop_response(law, stage, lines, stage.friction.viscous))
     fade = max(1, round(_FADE * stage.rate))
+    if made.currents.size < 2 * fade:
+        raise FrequencyResponseError(
+            f"{parameters.draws} draws with a period of {parameters.period:g} s last {parameters.seconds:g} s; "
+            f"allowed: >= {2.0 * _FADE:g} s, in which the excitation rises and falls: take more draws"
+        )
     return made, Injection(made.currents, fade=fade, limit=stage.highest_current, travel=parameters.travel)
 
 

@@ -23,6 +23,7 @@ limit is missed.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -34,6 +35,7 @@ from straightcomp_ros.control.law import Law, flat
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, described_state, make_law, states_of
 from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.modes import off
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 
 _STEPS = (1e-9, 1e-12)
@@ -63,6 +65,10 @@ _HALVINGS = 10
 
 Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+
+class NotLinear(ValueError):
+    """A law has no linearisation at rest, and so no linear margins or responses."""
 
 
 class StateSpace(NamedTuple):
@@ -165,9 +171,11 @@ def with_modes_off(stage: StageParameters) -> dict[str, StageParameters]:
     return found
 
 
-def with_facts_off(stage: StageParameters, facts: Sequence[str] = MECHANICS) -> dict[str, StageParameters]:
+def with_facts_off(
+    stage: StageParameters, facts: Sequence[str] = MECHANICS, *, possible: bool = False
+) -> dict[str, StageParameters]:
     """The stage at all corners of what it leaves open of ``facts``, by a name in words; ParameterError if one is
-    impossible."""
+    impossible, or with ``possible`` without those."""
     ranges = stage.uncertainty
     sides = {
         "mass": (1.0 - ranges.mass, 1.0 + ranges.mass),
@@ -179,10 +187,12 @@ def with_facts_off(stage: StageParameters, facts: Sequence[str] = MECHANICS) -> 
     found = {}
     for factors in itertools.product(*(sorted(set(sides[fact])) for fact in facts)):
         at = dict(zip(facts, factors, strict=True))
-        plant = deviating(stage.plant, Factors(at["mass"], at["force"], at["gap"], amplifier=at.get("amplifier", 1.0)))
-        drive = replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
+        machine = Factors(at["mass"], at["force"], at["gap"], amplifier=at.get("amplifier", 1.0))
         name = ", ".join(f"{fact} × {factor:g}" for fact, factor in at.items())
-        found[name] = replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
+        with suppress(*((ParameterError,) if possible else ())):
+            plant = deviating(stage.plant, machine)
+            drive = replace(plant.drive, delay=at.get("delay", 1.0) * stage.drive.delay)
+            found[name] = replace(stage, platform=plant.platform, actuator=plant.actuator, drive=drive)
     return found
 
 
@@ -194,7 +204,7 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     second input; otherwise none is measured.
 
     Raises:
-        ValueError: the law is not linear there.
+        NotLinear: the law is not linear there.
     """
     inputs, size = (2 if with_current else 1), len(flat(law.start(0.0)))
     for step in _STEPS:
@@ -205,7 +215,10 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
         kept = np.ix_([*looped, size], [*looped, *range(size, size + inputs)])
         if np.allclose(columns[kept], coarser[kept], rtol=_LINEAR_WITHIN, atol=0.0):
             return StateSpace(all_a[np.ix_(looped, looped)], all_b[looped], all_c[:, looped], columns[size:, size:])
-    raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
+    raise NotLinear(
+        "this law has no linearisation at rest: its slope there depends on the step; smc has one with a "
+        "'control.smc.boundary_layer' above 0"
+    )
 
 
 def _slopes_at_rest(law: Law, inputs: int, size: int, step: float) -> Matrix:
@@ -259,7 +272,7 @@ def loop_margins(
     ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
 
     Raises:
-        ValueError: the law has no linearisation at rest.
+        NotLinear: the law has no linearisation at rest.
     """
     late, period = stage.drive.delay * stage.period if delay is None else delay, stage.period
     plant, linear = sampled_plant(stage, late), linearised(law, with_current=with_current)
@@ -286,9 +299,9 @@ def unstable_where(control: ControlParameters, stage: StageParameters) -> str:
         linear = linearised(make_law(described_state(control, stage)[1], stage))
         if not _stable(sampled_plant(stage, delay), linear):
             return AS_DESCRIBED
-        corners = with_facts_off(stage)
     except ValueError:
         return ""
+    corners = with_facts_off(stage, possible=True)
     return next((name for name, one in corners.items() if not _stable(sampled_plant(one, delay), linear)), "")
 
 
@@ -360,7 +373,7 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     plant act as on the position.
 
     Raises:
-        ValueError: the law has no linearisation at rest.
+        NotLinear: the law has no linearisation at rest.
     """
     plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
     z = np.exp(2j * math.pi * frequencies * stage.period)
@@ -391,7 +404,7 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 
 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
-    """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
+    """Each limit that the law misses, in words; NotLinear if the law has no linearisation at rest."""
     plant = sampled_plant(stage, stage.drive.delay * stage.period)
     laws = {state: make_law(one, stage) for state, one in states_of(control, stage).items()}
     for state, law in laws.items():

@@ -8,6 +8,7 @@ import pytest
 
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law, states_of
 from straightcomp_ros.control.margins import (
+    AS_DESCRIBED,
     LEAST_GAINS,
     StateSpace,
     closed_loop,
@@ -17,10 +18,12 @@ from straightcomp_ros.control.margins import (
     missing_margin,
     phase_margin,
     sampled_plant,
+    unstable_where,
+    with_facts_off,
 )
 from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = from_mapping(StageParameters, {"drive.delay": 0.5})
@@ -153,6 +156,15 @@ def test_a_law_that_has_its_margins_is_taken(control, stage):
 def test_a_refusal_names_the_group_of_the_law_s_own_gains(law):
     group = re.search(r"'control\.(\w+)\.\*'", missing_margin(ControlParameters(law=law), on(rate=500)))[1]
     assert group == ("smc" if law == "linear" else law)
+
+
+def test_a_corner_that_no_machine_can_have_hides_no_other_one():
+    for gap in (0.19, 0.21):
+        uncertain = on(**{"uncertainty.mass": 0.5, "uncertainty.force": 0.5, "uncertainty.air_gap": gap})
+        assert unstable_where(ControlParameters(), uncertain) not in ("", AS_DESCRIBED)
+    # The narrowest gap does not hold the stop.
+    with pytest.raises(ParameterError):
+        with_facts_off(uncertain)
 
 
 SHARP = ControlParameters(law="smc", smc=SlidingDesign(boundary_layer=2e-3))

@@ -328,6 +328,14 @@ def test_the_highest_frequency_follows_the_rate_and_a_lowest_one_of_less_than_on
         multisine(MultisineParameters(lowest=0.5), HZ, flat)
 
 
+@pytest.mark.parametrize(
+    "facts", [{"period": 1e-4}, {"period": 1.5e-3, "lowest": 700.0}, {"period": 0.01, "lowest": 100.0, "draws": 3}]
+)
+def test_a_period_without_a_line_and_an_excitation_shorter_than_its_fades_are_refused(facts):
+    with pytest.raises(FrequencyResponseError):
+        injected(ExcitationParameters(**facts), "smc_observer")
+
+
 def injected(parameters, law=OPEN_LOOP):
     """All currents (n,) in A of an injection."""
     injection = made_injection(parameters, make_law(ControlParameters(law=law), STAGE), STAGE)

@@ -151,6 +151,19 @@ def test_a_platform_that_leaves_the_travel_ends_the_measurement(verb):
 
 
 @pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--period 0.0001", "period"),
+        ("--period 0.01 --lowest 100 --draws 3", "draws"),
+        ("--law smc --set controller.control.smc.boundary_layer=0.0", "boundary_layer"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_in_a_sentence(verb, options, named):
+    code, out, said = verb("frequency-response", *options.split())
+    assert code == 1 and not out and named in said and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
     ("mass", "verdict"), [(1.4, "does not explain the plant"), *nightly([(1.0, "explains the plant")])]
 )
 def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(verb, tmp_path, mass, verdict):
