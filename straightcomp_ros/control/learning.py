@@ -324,7 +324,7 @@ _SETTLED = 100
 _SHORTEST, _LONGEST = 200, 1_000_000
 """Samples of a pass that is learned from; a longer one is dropped."""
 _JUMP = 0.01
-"""m, more than any stage moves from sample to sample."""
+"""m from where its speed takes a stage within a sample, more than any stage is."""
 _ORDER = 2
 """Of the low-pass, which runs forward and backward."""
 
@@ -381,7 +381,7 @@ class Learning:
         self.tables = {forward: LearnedTable(parameters.spacing, parameters.margin) for forward in (True, False)}
         if parameters.file and Path(parameters.file).exists():
             read_tables(Path(parameters.file), law, self.tables)
-        self._tracked = restarted(0.0)
+        self._tracked, self._stamp_ns = restarted(0.0), 0
         self._forward = True
         self.cut = False
         self.interrupt()
@@ -393,13 +393,14 @@ class Learning:
 
     def step(self, stamp_ns: int, x: float, y: float, reference: Reference) -> Reference:
         """The law's reference (m, m/s, m/s²) for a sample: stamp, x and y in m, and the reference asked for."""
-        if not abs(x - self._tracked.x) < _JUMP or not self._samples:
+        last, dt = self._tracked, (stamp_ns - self._stamp_ns) * 1e-9
+        if not (self._samples and abs(x - last.x - dt * last.v) < _JUMP):
             self.interrupt()
             if math.isfinite(x):
                 self._tracked = restarted(x)
                 self._stamp_ns, self._samples = stamp_ns, 1
             return reference
-        self._tracked = tracked = updated(_STAGE_BANDWIDTH, self._tracked, (stamp_ns - self._stamp_ns) * 1e-9, x)
+        self._tracked = tracked = updated(_STAGE_BANDWIDTH, last, dt, x)
         self._stamp_ns = stamp_ns
         self._samples += 1
         self._spoiled = self._spoiled or self.cut

@@ -345,6 +345,14 @@ def test_the_rates_of_the_corrected_reference_are_its_derivatives_on_a_stage_tha
         assert np.abs(rate - expected)[10:-10].max() < 0.005 * np.abs(expected).max()
 
 
+def test_a_stage_that_moves_by_more_than_a_jump_within_a_sample_is_learned_from():
+    fast = MotionParameters(stroke=4.0, speed=6.0, highest_speed=10.0, acceleration=20.0, settle=0.5)
+    learner, trajectory = Learning(LearningParameters(learn=True), "smc", 500.0), Trajectory(forward_and_back(fast))
+    for at_ns in range(0, trajectory.end_ns, 2_000_000):
+        learner.step(at_ns, trajectory.position(at_ns), 0.0, (1e-7, 0.0, 0.0))
+    assert {forward: table.updates for forward, table in learner.tables.items()} == {True: 1, False: 1}
+
+
 @pytest.mark.parametrize("x", [None, math.nan, 7.0])
 def test_nothing_is_learned_from_a_pass_that_was_interrupted_or_in_which_x_jumps(x):
     learner = learning()
