@@ -22,7 +22,7 @@ from straightcomp_ros.analysis.judged_motion import Left, destabilised
 from straightcomp_ros.analysis.record import MOVING, SPEED_SPAN, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.offline.scenario import LOWEST_RATE, Scenario
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import STARTS, offset
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import (
@@ -125,8 +125,6 @@ def _strokes(
     """What simulates the error of a stroke: as described, for None, or the one of this number as they come; each once.
     ``runs`` of the survey: direction, x and deviation."""
     stage = controller.stage
-    if stage.rate < LOWEST_RATE:
-        return lambda number: None
     law = make_law(controller.control, stage)
     guide = dataclasses.replace(feedforward.stage.guide, smooth=smooth)
     scenario = Scenario(

@@ -145,9 +145,6 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
     return Compiled(loop, cached=ours)
 
 
-LOWEST_RATE = 100
-"""Hz; below, a period comes near the gap after which the Servo restarts a law, which the kernel does not model."""
-
 _MOST_SAMPLES = 20_000_000
 """Of a cycle: they are in memory at once, some 3 GB."""
 
@@ -313,9 +310,6 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
     for law in laws:
         nodes = node_set({**values, "controller": {**values.get("controller", {}), "control.law": law}})
         nodes.check_rates()
-        rate = nodes.controller.stage.rate
-        if rate < LOWEST_RATE:
-            raise ParameterError(f"parameter 'stage.rate': {rate} Hz; allowed in a sweep: >= {LOWEST_RATE}")
         controls[law] = nodes.controller.control
     driver, feedforward, controller, _ = nodes
     stage, uncertainty = controller.stage, controller.stage.uncertainty

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.offline.scenario import LOWEST_RATE, Cycle, Scenario, Stroke, laws_of, make_scenario, node_set
+from straightcomp_ros.offline.scenario import Cycle, Scenario, Stroke, laws_of, make_scenario, node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.feedforward import along
@@ -89,7 +89,7 @@ def can_run(values: Values) -> bool:
     rate = driver.stage.rate
     oldest_command = (driver.stage.drive.delay + 1.0) / rate
     answers_in_time = oldest_command < driver.simulated.command_timeout
-    return rate == controller.stage.rate and rate >= LOWEST_RATE and answers_in_time and not controller.learning.learn
+    return rate == controller.stage.rate and answers_in_time and not controller.learning.learn
 
 
 def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple[StrokeRecord, StraightnessMap]:

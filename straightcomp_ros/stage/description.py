@@ -97,7 +97,8 @@ class StageParameters:
 
     name: str = parameter("synthetic", "Name of the stage, for reports")
     serial: str = parameter("", "Serial number of the machine, for its certificate; empty: not given")
-    rate: int = parameter(DEFAULT_RATE, "Samples and control cycles per second", "[10, 20000] Hz")
+    # At lower ones a period comes near the gap between samples after which a run begins anew (servo.py, pairing.py).
+    rate: int = parameter(DEFAULT_RATE, "Samples and control cycles per second", "[100, 20000] Hz")
     motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
     guide: MapParameters = group(MapParameters, "Map of the guide")
     platform: PlatformParameters = group(PlatformParameters, "Platform")

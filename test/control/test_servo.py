@@ -14,6 +14,7 @@ from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, ma
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FADE_TIME as MAP_FADE_TIME
 from straightcomp_ros.straightness.feedforward import Feedforward
@@ -57,6 +58,18 @@ def test_after_a_long_gap_or_a_clock_step_backward_the_law_starts_anew(next_ns):
     for step in range(100):
         loop.step(10**12 + step * T, 0.0, 0.0, HELD)
     assert same(loop.step(next_ns, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
+
+
+def test_at_the_lowest_rate_a_sample_that_is_as_late_as_any_jitter_makes_it_does_not_start_the_law_anew():
+    (lowest, latest) = (
+        next(one for one in declarations(StageParameters) if one.name == name)
+        for name in ("rate", "uncertainty.jitter")
+    )
+    late = round((1.0 + 2.0 * latest.maximum) * 1e9 / lowest.minimum)
+    loop = servo()
+    answers = [loop.step(step * late, 0.0, 0.0, HELD) for step in range(3)]
+    # The integral goes on.
+    assert answers[0].current < answers[1].current < answers[2].current
 
 
 def test_in_open_loop_the_command_is_zero_and_the_error_is_reported():
