@@ -103,6 +103,10 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     before, after = np.maximum(moving - half, 0), np.minimum(moving + half, record.time.size - 1)
     speeds = np.abs(record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
     start, stroke, speed = float(x.min()), float(np.ptp(x)), max(float(np.quantile(speeds, 0.999)), MOVING)
+    if described.file:
+        # The list of positions is not in a bag. Its movements are there, and equal ones are much the same.
+        ways = [float(np.ptp(record.x[one.samples])) for one in record.motion.strokes]
+        described = dataclasses.replace(described, file="", steps=max(1, round(stroke / float(np.median(ways)))))
     reached = min(described.speed, math.sqrt(described.acceleration * stroke))
     same_place = abs(start - described.start) < _SAME * stroke and abs(stroke / described.stroke - 1.0) < _SAME
     if same_place and abs(speed / reached - 1.0) < _SAME:

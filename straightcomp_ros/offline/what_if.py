@@ -1,6 +1,7 @@
 """Simulates the loop over a recorded motion of the stage, with the recorded law or another."""
 
 import tempfile
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +18,8 @@ from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values, by_node, changed
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values, by_node, changed
+from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.survey_table import SurveyError
@@ -26,6 +28,8 @@ _WAYPOINT_EVERY = 0.01
 """Time in s between waypoints: at a corner of the speed profile, 0.2 m/s², x errs by up to 3 µm, r by 1 nm."""
 _APPROACH_NS = 1_000_000_000
 """Time for the simulated stage to go from 0 to the recorded start, before the first sample."""
+
+_FORCE_FILE = "simulated.truth.disturbances.force_file"
 
 
 class Run(NamedTuple):
@@ -45,8 +49,8 @@ def what_if(
     """Simulate a recorded run: it as it was recorded, simulated with its own parameters, and, if any are given, with
     the changes. The difference of the first two is the error of the simulation.
 
-    The plant is that of the bag's parameters; the loop's delay is the recorded median. If no truth was recorded, the
-    guide is that of the map.
+    The plant is that of the bag's parameters, without a table of force that is not on this computer; the loop's delay
+    is the recorded median. If no truth was recorded, the guide is that of the map.
 
     ``changes`` are values by node and dotted name, over those of the bag; ``remap`` and ``given`` as of
     :func:`~straightcomp_ros.offline.audit.audit`.
@@ -76,9 +80,17 @@ def what_if(
 
 def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:
     values = {node: dict(parameters.get(node, {})) for node in NODE_PARAMETERS}
+    # The board of the machine is simulated, too: its DBC file need not be here.
+    driver = {name: value for name, value in values["driver"].items() if not name.startswith("can.")}
+    values["driver"] = driver
+    driver["hardware"] = "simulated"
+    if (force := str(driver.get(_FORCE_FILE, ""))) and not named_file(force).is_file():
+        text = f"{force} is not on this computer: simulated without this force, unless --set names the file"
+        warnings.warn(f"parameter '{_FORCE_FILE}': {text}", stacklevel=2)
+        driver[_FORCE_FILE] = ""
     if survey is not None:
         values["feedforward"]["stage.guide.file"] = str(survey)
-    driver, guide = values["driver"], str(values["driver"].get("simulated.truth.guide", ""))
+    guide = str(driver.get("simulated.truth.guide", ""))
     try:
         if evaluation.record.guide is None:
             raise SurveyError("no truth")

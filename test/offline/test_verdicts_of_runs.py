@@ -15,6 +15,10 @@ from straightcomp_ros.analysis.judged_motion import Left
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters
+from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed
 from straightcomp_ros.cli import demo
@@ -23,6 +27,7 @@ from straightcomp_ros.offline.promise import promise_of
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import first_cycle
 from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.yaml_text import dump_yaml, load_yaml
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 from straightcomp_ros.timing.node_timing import HeldUp, Report, summarise
@@ -185,6 +190,18 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
     assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
 
 
+def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_the_list_is(tmp_path):
+    (tmp_path / "positions.txt").write_text("0.1\n0.2\n0.3\n")
+    by_list, in_steps = (
+        {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE | motion}
+        for motion in ({"motion.file": str(tmp_path / "positions.txt"), "motion.stroke": 1.0}, {"motion.steps": 3})
+    )
+    record, straightness = first_cycle(by_list)
+    (tmp_path / "positions.txt").unlink()
+    promises = [promise_of(record, by_node(values), straightness).smooth.pp for values in (by_list, in_steps)]
+    assert promises[0] == pytest.approx(promises[1], rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("name", "verdict"), [("uncompensated", "in_order"), ("smc", "in_order"), ("cut_off", "interrupted")]
 )
@@ -293,6 +310,24 @@ def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(verb):
     assert ended.code == 1 and found["what_if"]["verdict"] == found["verdict"] == "oscillates"
     ended = verb("replay", BAGS / "smc", "--law", "linear")
     assert ended.code == 0 and ended.out.count("in order: error") == 3
+
+
+def test_the_board_of_a_recorded_machine_is_simulated_without_its_files(tmp_path, verb):
+    def edit(name: str, data: bytes) -> bytes:
+        tree = load_yaml(data) if name == PARAMETERS_ATTACHMENT else {}
+        for node, section in tree.items():
+            if node.endswith("driver"):
+                section["ros__parameters"] |= files
+        return dump_yaml(tree).encode() if tree else data
+
+    files = {"hardware": "can", "can.dbc": "/nowhere/board.dbc"}
+    files["simulated.truth.disturbances.force_file"] = "/nowhere/force.csv"
+    recover(BAGS / "smc", tmp_path / "bag", edit=edit)
+    assert recorded_parameters(tmp_path / "bag", read_attachments(tmp_path / "bag"))["driver"].items() > files.items()
+    with pytest.warns(UserWarning, match="/nowhere/force.csv"):
+        found, whole = (verb("replay", bag, "--law", "linear", "--json") for bag in (tmp_path / "bag", BAGS / "smc"))
+    assert found.code == whole.code == 0
+    assert found.json["what_if"] == whole.json["what_if"]
 
 
 def demonstration(bag, timing=None, verdict=None, killed=()):
