@@ -1,6 +1,7 @@
 """The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, error_spectrum, stick_slips
-from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag, percentile_us
 from straightcomp_ros.analysis.metrics import LINES, evaluate, standstill_figures, stroke_figures
 from straightcomp_ros.analysis.record import Array, MetricsError, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
@@ -130,6 +131,16 @@ def _intervals(time: Array, mask: NDArray[np.bool_]) -> list[Interval]:
 
 class LimitCheck(NamedTuple):
     """The smallest and the largest value that is allowed for a figure, and its value; None if it was not recorded."""
+def assessed(bag: Path, remap: Mapping[str, str] | None = None, sensor: float | None = None) -> Assessment:
+    """The assessment of the bag with the reader's warnings, each once, which are given nowhere else; arguments and
+    errors as of :func:`evaluate_bag` and :class:`Assessment`."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = Assessment(bag, evaluate_bag(bag, remap), sensor)
+    found.warnings = list(dict.fromkeys(str(one.message) for one in caught))
+    return found
+
+
 
     name: str
     minimum: float

@@ -15,7 +15,6 @@ from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, ch
 from straightcomp_ros.cli.output import (
     CommandFailed,
     console,
-    noted_warnings,
     notes,
     print_json,
     print_written,
@@ -110,18 +109,17 @@ def parsed_remap(assignments: list[str]) -> dict[str, str]:
 
 
 def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessment:
-    from straightcomp_ros.analysis.assessment import Assessment
-    from straightcomp_ros.analysis.evaluation import evaluate_bag
+    from straightcomp_ros.analysis.assessment import assessed
     from straightcomp_ros.analysis.record import MetricsError
 
-    with noted_warnings() as texts:
-        try:
-            with working("evaluating"):
-                assessment = Assessment(bag, evaluate_bag(bag, remap), sensor)
-        except MetricsError as error:
-            raise CommandFailed(f"bag {bag}: {error}") from error
-    assessment.warnings = texts
-    return assessment
+    try:
+        with working("evaluating"):
+            found = assessed(bag, remap, sensor)
+    except MetricsError as error:
+        raise CommandFailed(f"bag {bag}: {error}") from error
+    for text in found.warnings:
+        notes.print(f"warning: {text}", style="yellow")
+    return found
 
 
 def _print(assessment: Assessment, other: Assessment | None) -> None:

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.assessment import Assessment
-from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.assessment import Assessment, assessed
 from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
@@ -65,7 +64,7 @@ _SECRET_IN_TEXT = re.compile(
     r"|(?P<user>://[^\s/:@]+:)(?P<password>[^\s/@]+)(?=@)",
     re.IGNORECASE,
 )
-_LEFT_OUT, NO_REASON = "(left out)", "without a reason"
+_LEFT_OUT, NO_REASON, _NO_FAULT = "(left out)", "without a reason", "no fault"
 _PACKAGES = ("numpy", "scipy", "numba", "mcap", "rclpy", "rmw-fastrtps-cpp", "python-can", "asyncua")
 
 
@@ -96,7 +95,7 @@ def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
     """Judge a bag, whatever is wrong with it; ``logs`` are the nodes' by name."""
     found = Judged()
 
-    def without_place(error: Exception) -> str:
+    def without_place(error: Exception | str) -> str:
         """Where the bag was copied to, or unpacked, says nothing."""
         return str(error).replace(f"{bag.parent}/", "")
 
@@ -108,7 +107,8 @@ def judged(bag: Path, logs: Mapping[str, str]) -> Judged:
         except BagError:
             pass
         try:
-            found.assessment = Assessment(bag, evaluate_bag(bag))
+            found.assessment = assessed(bag)
+            found.assessment.warnings = [without_place(text) for text in found.assessment.warnings]
             found.verdict = str(found.assessment.verdict)
         except (BagError, MetricsError, ParameterError) as error:
             found.verdict = f"none: {without_place(error)}"
@@ -130,14 +130,15 @@ def _cause(found: Judged, logs: Mapping[str, str]) -> str:
         # A node that ends, or a disk that is full, no longer reports.
         words = "|".join(LABELLED)
         for text in logs.values():
-            faults += re.findall(rf"^.*?\b({words})\b:? *(.*)$", text, re.MULTILINE)[:1]
+            # As nodes log one: behind what they say of it, its label and its reason. Some labels are plain words.
+            faults += re.findall(rf"^(?:.*?: )?({words}): *(.*)$", text, re.MULTILINE)[:1]
         stopped = re.compile(r"recording stopped: (.*)$", re.MULTILINE)
         faults += [("recording_stopped", line) for text in logs.values() for line in stopped.findall(text)]
         faults += [(one.label, one.reason) for one in found.faults]
     if faults:
         label, reason = faults[0]
         return f"fault {label}: {reason.strip() or NO_REASON}"
-    return f"no fault; verdict {found.verdict}"
+    return f"{_NO_FAULT}; verdict {found.verdict}"
 
 
 @dataclass(frozen=True)
@@ -347,7 +348,7 @@ def incident_page(found: Judged, details: Mapping[str, Any], doctor: Sequence[Ma
 
     fault = explained(found.cause)
     remedy = f"It means: {fault['means']}. Likely causes: {fault['causes']}. What to do: {fault['remedy']}"
-    well = bool(found.assessment and found.assessment.verdict.in_order)
+    well = found.cause.startswith(_NO_FAULT) and bool(found.assessment and found.assessment.verdict.in_order)
     first = blocks.card(fault["text"], remedy if fault["remedy"] else f"Audit: {found.audit}", well)
     facts = [("packed", details.get("made")), ("bag", details.get("bag")), ("audit", found.audit)]
     facts += [(f"{name} on the computer that packed it", details.get(name)) for name in ("verdict", "audit")]

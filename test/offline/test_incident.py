@@ -12,7 +12,7 @@ from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline import incident
-from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, judged, pack, unpack
+from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, incident_page, judged, pack, unpack
 from straightcomp_ros.safety.faults import Fault
 from trials.incidents import one_incident
 
@@ -79,7 +79,38 @@ def test_a_run_that_was_cut_off_is_still_cut_off_in_its_incident(tmp_path, last)
     found = pack(BAG.with_name("cut_off"), tmp_path / "a.zip", [], last=last)
     (tmp_path / "opened").mkdir()
     unpack(tmp_path / "a.zip", tmp_path / "opened")
-    assert found.cause == judged(tmp_path / "opened" / "bag", {}).cause and "verdict interrupted: " in found.cause
+    opened = judged(tmp_path / "opened" / "bag", {})
+    assert found.cause == opened.cause and "verdict interrupted: " in found.cause
+    # Its page says what the reader noticed, as a report does; what was recovered of the end is a bag of its own.
+    assert ("was not finished" in incident_page(opened, {}, [])) == (last == 0.0)
+
+
+REASON = "no state for 0.5 s: it restarted"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"[ERROR] [1764.5] [driver]: fault, amplifier off: board: {REASON}",
+        f"[ERROR] [1764.5] [cell]: cycle failed: board: {REASON}",
+        f"[ERROR] [1764.5] [cell]: cycle failed: driver: board: {REASON}",
+        f"board: {REASON}",
+    ],
+)
+def test_a_fault_in_a_log_is_its_label_and_reason_and_no_sentence_with_such_a_word(line):
+    said = "[WARN] [1764.5] [driver]: there is no heartbeat: a board that restarts is found only by its samples\n"
+    said += "[INFO] [1764.5] [logger]: packing the incident of tripped: /run/1_tripped.zip\n"
+    there_is_none, there_is = (judged(Path("/nowhere"), {"logs/a.log": log}).cause for log in (said, said + line))
+    assert there_is_none.startswith("no fault") and there_is == f"fault board: {REASON}"
+
+
+def test_a_fault_after_a_run_in_order_is_no_good_news():
+    found = judged(BAG, {"cell.log": "[ERROR] [cell]: cycle failed: heartbeat_lost: controller"})
+    assert found.assessment.verdict.in_order
+    for cause, well in ((found.cause, False), ("no fault; verdict in order", True)):
+        found.cause = cause
+        first = incident_page(found, {}, []).partition('<div class="card')[2]
+        assert first.startswith(" well") == well
 
 
 def changed(source: Path, target: Path, change) -> Path:
