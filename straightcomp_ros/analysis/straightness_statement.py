@@ -110,12 +110,13 @@ class Statement(NamedTuple):
 
     @property
     def standard_uncertainty(self) -> float:
-        """In m, of the contributions that are known."""
-        return math.sqrt(sum(one.share**2 for one in self.budget if one.counts))
+        """In m, of the contributions that are known; NaN where none is."""
+        known = [one.share for one in self.budget if one.counts and one.uncertainty is not None]
+        return math.sqrt(sum(share**2 for share in known)) if known else math.nan
 
     @property
     def expanded_uncertainty(self) -> float:
-        """In m, with the coverage factor 2."""
+        """In m, with the coverage factor 2; NaN where the standard uncertainty is."""
         return COVERAGE_FACTOR * self.standard_uncertainty
 
     @property
@@ -124,11 +125,14 @@ class Statement(NamedTuple):
         return [one.name for one in self.budget if one.uncertainty is None]
 
     def to_display(self) -> dict[str, Any]:
-        """As a person reads it: lengths in µm, the budget as a list."""
-        lengths = ("measured", "value", "standard_uncertainty", "expanded_uncertainty")
+        """As a person reads it: lengths in µm, None where not known; the budget as a list."""
+        lengths = {
+            name: getattr(self, name) * 1e6
+            for name in ("measured", "value", "standard_uncertainty", "expanded_uncertainty")
+        }
         return {
             **{name: getattr(self, name) for name in ("when", "direction", "line", "strokes", "left_out")},
-            **{f"{name}_um": getattr(self, name) * 1e6 for name in lengths},
+            **{f"{name}_um": None if math.isnan(length) else length for name, length in lengths.items()},
             "coverage_factor": COVERAGE_FACTOR,
             "unknown": self.unknown,
             "budget": [
@@ -166,7 +170,7 @@ def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         # Statements of a stored certificate may be older.
         what += f", without {statement['left_out']} shorter strokes" if statement.get("left_out") else ""
         figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
-        shown = {f"{name}_um": f"{figure:.3f}" for name, figure in figures.items()}
+        shown = {f"{name}_um": "?" if figure is None else f"{figure:.3f}" for name, figure in figures.items()}
         rows.append({"straightness": what, **shown, **cells})
     return rows
 

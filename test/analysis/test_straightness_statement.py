@@ -10,7 +10,8 @@ from tiers import nightly
 
 from straightcomp_ros.analysis.metrics import LINES
 from straightcomp_ros.analysis.record import Stroke, whole_ways
-from straightcomp_ros.analysis.straightness_statement import Input, stated, statements
+from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, stated, statements
+from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, minimum_zone
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 
@@ -102,7 +103,16 @@ def test_what_a_run_does_not_tell_is_named_and_left_out(make_record, assessed):
     # The platform follows to a count, which is the encoder's error and no deviation: the truth is straight.
     assert after["measured_um"] == pytest.approx(0.1, abs=0.02)
     assert after["value_um"] == pytest.approx(0.0, abs=0.03)
-    assert assessed(make_record()).as_json()["straightness"][3]["unknown"] == ["repeatability", "encoder", "map"]
+    # The encoder's share alone is an uncertainty, where the rest is named; no share at all is none.
+    assert before["expanded_uncertainty_um"] is None and after["expanded_uncertainty_um"] > 0.0
+    record = make_record(truth=False)
+    silent = assessed(record, coil_current=np.full(record.time.size, np.nan))
+    before, after = (silent.as_json()["straightness"][row] for row in (0, 3))
+    assert after["unknown"] == ["repeatability", "encoder", "map"]
+    assert before["expanded_uncertainty_um"] is after["standard_uncertainty_um"] is None
+    assert {row["expanded_uncertainty_um"] for row in budget_rows(silent.straightness)} == {"?"}
+    for row in rows_of(silent.evaluation, {}):
+        assert row.before_least_squares_U_um is row.after_minimum_zone_U_um is None
 
 
 def test_a_centred_reference_is_not_the_guide(make_record, assessed, cosine_map):

@@ -78,7 +78,7 @@ class StrokeRow:
     after_minimum_zone_um: float | None = column("the same of the workpiece", None)
     before_least_squares_U_um: float | None = column(
         "expanded uncertainty (k = 2) of before_least_squares_um as the mean of the bag's strokes in this direction, "
-        "of the contributions that are known (docs/accuracy.md)",
+        "of the contributions that are known (docs/accuracy.md); null where none is",
         None,
     )
     before_end_points_U_um: float | None = column("the same of before_end_points_um", None)

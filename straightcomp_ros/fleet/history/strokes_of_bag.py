@@ -98,7 +98,7 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
     uncertainties: dict[str, dict[str, Any]] = {}
     for stated in statements(evaluation):
         name = f"{stated.when}_{stated.line}_U_um"
-        uncertainties.setdefault(stated.direction, {})[name] = stated.expanded_uncertainty * 1e6
+        uncertainties.setdefault(stated.direction, {})[name] = _known(stated.expanded_uncertainty * 1e6)
     after: list[dict[str, Any]] = [
         {name: None if value is None else _known(value) for name, value in one.to_display().items()}
         for one in standstill_figures(record, record.reference)
