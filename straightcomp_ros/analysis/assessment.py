@@ -43,7 +43,8 @@ class Assessment:
             moving = record.moving
         except MetricsError as found:
             raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
-        reference, time = record.reference, (evaluation.stamps - evaluation.stamps[0]) * 1e-9
+        reference = record.reference
+        time = np.asarray((evaluation.stamps - evaluation.begin_ns) * 1e-9, dtype=np.float64)
         strokes = [(record.part(one.samples), one.direction) for one in record.motion.strokes]
         self.metrics = evaluate(record, reference, evaluation.map)
         self.strokes = [stroke_figures(one, reference, direction, evaluation.map) for one, direction in strokes]
@@ -71,7 +72,8 @@ class Assessment:
         self.uncompensated, self.verdict = judged.still, partial or verdict_of(judged)
 
     def figures(self) -> dict[str, Any]:
-        """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""
+        """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded; infinite: a
+        settling time without end."""
         evaluation = self.evaluation
         counts = ("expected_samples", "received_samples", "lost_samples", "lost_references", "lost_commands")
         figures: dict[str, Any] = {
@@ -85,10 +87,10 @@ class Assessment:
             for name in (f"{when}_{line}" for when in ("before", "after") for line in LINES):
                 worst = max((getattr(stroke, name) for stroke in ours), default=None)
                 figures[f"straightness_{name}_{way}_um"] = None if worst is None else worst * 1e6
-        settling = [one.settling for one in self.standstills if one.settling is not None]
-        figures["settling_median_s"] = float(np.median(settling)) if settling else math.nan
-        # A movement that is never settled makes the worst unknown, and a limit of it fails.
-        figures["settling_max_s"] = float(np.max(settling)) if settling else math.nan
+        # A movement that does not settle takes longer than any limit.
+        settling = np.nan_to_num([one.settling for one in self.standstills if one.settling is not None], nan=math.inf)
+        figures["settling_median_s"] = float(np.median(settling)) if settling.size else math.nan
+        figures["settling_max_s"] = float(np.max(settling)) if settling.size else math.nan
         for name in ("standstill_pp", "reversal_pp"):
             known = [value for one in self.standstills if (value := getattr(one, name)) is not None]
             figures[f"{name}_um"] = max(known) * 1e6 if known else None
@@ -129,8 +131,6 @@ def _intervals(time: Array, mask: NDArray[np.bool_]) -> list[Interval]:
     return [Interval(float(time[a]), float(time[b - 1]), b - a) for a, b in runs_of(mask).tolist()]
 
 
-class LimitCheck(NamedTuple):
-    """The smallest and the largest value that is allowed for a figure, and its value; None if it was not recorded."""
 def assessed(bag: Path, remap: Mapping[str, str] | None = None, sensor: float | None = None) -> Assessment:
     """The assessment of the bag with the reader's warnings, each once, which are given nowhere else; arguments and
     errors as of :func:`evaluate_bag` and :class:`Assessment`."""
@@ -141,6 +141,8 @@ def assessed(bag: Path, remap: Mapping[str, str] | None = None, sensor: float | 
     return found
 
 
+class LimitCheck(NamedTuple):
+    """The smallest and the largest value that is allowed for a figure, and its value; None if it was not recorded."""
 
     name: str
     minimum: float
@@ -197,7 +199,7 @@ def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any] | None)
     minimum, maximum, value = bounds.get("min", -math.inf), bounds.get("max", math.inf), (figures or {}).get(name)
     if minimum > maximum:
         raise ParameterError(f"{where}: {name}: min {minimum:g} is above max {maximum:g}")
-    return LimitCheck(name, minimum, maximum, value if value is not None and math.isfinite(value) else None)
+    return LimitCheck(name, minimum, maximum, None if value is None or math.isnan(value) else value)
 
 
 def _number(value: Any) -> float:

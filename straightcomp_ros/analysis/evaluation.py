@@ -151,7 +151,8 @@ class BagEvaluation:
             return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
         if self.lost_files:
             return Verdict(INTERRUPTED, f"{self.lost_files} could not be recovered; the figures are those of the rest")
-        if reason := self.encoder.interruption(self.faults, begin_ns, until_ns) if self.encoder else "":
+        of_run = self.encoder
+        if reason := of_run.interruption(self.faults, begin_ns, until_ns, self.begin_ns) if of_run else "":
             return Verdict(INTERRUPTED, f"{reason}; the figures are those of a part of the motion")
         if reason := self._unjudged_harm(begin_ns, until_ns):
             return Verdict(STARVED, f"the computer was busy: {reason}")
@@ -191,7 +192,7 @@ class BagEvaluation:
         usual, whole = (float(np.ptp(self.seen_error[of])) for of in (moving & judged, moving & (judged | left)))
         if whole <= HARM * usual or whole - usual <= self.count:
             return ""
-        since = float(stamps[left.argmax()] - stamps[0]) * 1e-9
+        since = float(stamps[left.argmax()] - self.begin_ns) * 1e-9
         samples = f"{np.count_nonzero(left)} samples of the motion, from {since:.3f} s on,"
         made = f"the error is {whole * 1e6:.3g} µm p-p in place of {usual * 1e6:.3g}; allowed: {HARM:g} times"
         return f"{samples} lack reference, command or truth, and with them {made}; the figures are those without them"
@@ -311,7 +312,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         on_at=on_at,
     )
     for pause in np.searchsorted(encoder, run.pauses).tolist():
-        begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
+        begin, end = ((int(encoder[at]) - int(common[0])) * 1e-9 for at in (pause, pause + 1))
         warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
     straightness = attached_map(attachments, parameters)
     stalls = interruption.stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)

@@ -133,11 +133,12 @@ class EncoderRun(NamedTuple):
             moving[stroke.samples] = True
         return np.asarray(moving & (self.stamps >= begin_ns) & (self.stamps < until_ns))
 
-    def interruption(self, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
-        """Why the law did not run for the whole motion from ``begin_ns`` to before ``until_ns``; empty if it did."""
+    def interruption(self, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int, zero_ns: int) -> str:
+        """Why the law did not run for the whole motion from ``begin_ns`` to before ``until_ns``, with times since
+        ``zero_ns``; empty if it did."""
 
         def at(stamp_ns: int) -> str:
-            return f"{(stamp_ns - int(self.stamps[0])) * 1e-9:.3f} s"
+            return f"{(stamp_ns - zero_ns) * 1e-9:.3f} s"
 
         within = (self.stamps >= begin_ns) & (self.stamps < until_ns)
         steps = np.diff(self.stamps)

@@ -61,7 +61,8 @@ def assessed() -> Callable[..., Assessment]:
             "parameters": {"controller": {"stage.actuator.current_limit": 0.5}},
         } | changes
         stamps = values["stamps"]
-        run = encoder_run(stamps, record.x[np.isin(every, stamps)], values["amplifier_on"], int(stamps[-1]))
+        x = np.interp(stamps - values.get("begin_ns", 0), every, record.x)
+        run = encoder_run(stamps, x, values["amplifier_on"], int(stamps[-1]))
         found = Assessment(Path(bag), BagEvaluation(record, **values, encoder=run))
         found.warnings = warnings
         return found

@@ -12,8 +12,9 @@ import pytest
 from straightcomp_ros.analysis.assessment import checked_limits
 from straightcomp_ros.analysis.error_detail import error_spectrum
 from straightcomp_ros.analysis.html_report import report_html
-from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.metrics import StandstillFigures, evaluate
 from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.output_files import plain
 
 
 def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine_map, motion_profile):
@@ -45,6 +46,35 @@ def test_gaps_saturation_and_switch_off_are_reported_with_time_and_count(make_re
     assert json.loads(json.dumps(found.as_json()))["gap_intervals"][0]["samples"] == 4
     # An amplifier that was never on is no fault either.
     assert assessed(record, amplifier_on=on & False).amplifier_off == []
+
+
+def test_times_of_events_are_counted_from_the_first_sample_with_reference_and_command(make_record, assessed):
+    record = make_record()
+    every = np.round(record.time * 1e9).astype(np.int64)
+    # The reference comes 0.5 s after the encoder.
+    stamps = np.append(np.arange(1000) * 500_000, 500_000_000 + every)
+    answered = replace(record, current=np.where(np.arange(every.size) == 5000, 0.5, record.current))
+    on = np.ones(stamps.size, bool)
+    on[6000:6020] = False
+    kept = ~np.isin(np.arange(stamps.size), range(10_000, 10_004))
+    found = assessed(answered, stamps=stamps[kept], amplifier_on=on[kept], begin_ns=500_000_000)
+    assert found.saturated[0].start == found.amplifier_off[0].start == pytest.approx(2.5)
+    assert found.gaps == [pytest.approx((4.4995, 4.502, 4))]
+
+
+def test_one_movement_that_does_not_settle_leaves_the_median_of_the_others(make_record, assessed, tmp_path):
+    found = assessed(make_record())
+    one, never, unknown = (StandstillFigures(settling) for settling in (0.1, math.nan, None))
+    text = "settling_median_s: 0.2\nsettling_max_s: 0.2"
+    for standstills, median, failed in (([one, one, never], 0.1, 1), ([one, never, never], math.inf, 2)):
+        found.standstills = standstills
+        figures = found.figures()
+        assert (figures["settling_median_s"], figures["settling_max_s"]) == (median, math.inf)
+        checks = checked_limits(limits(tmp_path, text), figures)
+        assert [check.value for check in checks if not check.passed] == [math.inf] * failed
+        assert plain(figures)["settling_max_s"] is None
+    found.standstills = [unknown]
+    assert [check.value for check in checked_limits(limits(tmp_path, text), found.figures())] == [None, None]
 
 
 def test_the_figures_are_those_of_the_worst_stroke_of_each_direction(make_record, assessed):
