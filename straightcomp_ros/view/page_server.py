@@ -70,12 +70,13 @@ class Series:
             # The source was started anew.
             self._slots.clear()
         elif self._low <= self._high:
-            values = (float(f"{value * self._scale:.5g}") for value in (self._low, self._high))
+            values = (float(f"{value * self._scale:.7g}") for value in (self._low, self._high))
             self._slots.append([self._number, self._number * self._slot_ns * 1e-9, *values])
         self._number, self._low, self._high = number, math.inf, -math.inf
 
     def after(self, number: int) -> list[list[float]]:
-        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits.
+        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 7 digits: x
+        of some metres to a micrometre.
 
         All where none has that number: the source was started anew.
         """

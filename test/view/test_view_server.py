@@ -158,6 +158,12 @@ def test_a_peak_of_one_sample_is_kept_and_what_is_not_finite_is_not():
     assert series.after(0) == []
 
 
+def test_a_place_some_metres_along_the_guide_is_shown_to_a_micrometre():
+    series = Series(0.02, 1e3)
+    series.add([(k * MS, 2.345678 + k * 1e-6) for k in range(25)])
+    assert series.after(-1) == [[0, 0.0, 2345.678, 2345.697]]
+
+
 def test_a_source_that_starts_anew_is_sent_from_its_start():
     board = Board({"x": Series(0.02, 1.0)})
     seen = {}
