@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import get_font_names
 
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.metrics import Metrics, straightness_over
@@ -19,6 +22,10 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 _LENGTH_OF_MEAN_MM, _MEANS = 10.0, 50
 """Of the stage's travel that a point of the line is the mean of, and how many points the line has at least."""
 
+# The names of users may be Chinese or Japanese, of which matplotlib's own font has no character.
+_CHINESE_AND_JAPANESE = re.compile(r"CJK|Source Han|WenQuanYi|Droid Sans Fallback|IPA\w*Gothic")
+rcParams["font.family"] = ["DejaVu Sans", *sorted(filter(_CHINESE_AND_JAPANESE.search, get_font_names()))]
+
 
 def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: Path, title: str) -> None:
     """Draw ``record`` into the PNG ``path``, which is replaced if it exists.
@@ -28,7 +35,7 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
     if the stage does not move in the record.
     """
     figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
-    figure.suptitle(as_text(title), fontsize=13)
+    figure.suptitle(as_text(title), fontsize=13, wrap=True)
     rows = figure.add_gridspec(3, 2)
     both, after = figure.add_subplot(rows[0, 0]), figure.add_subplot(rows[0, 1])
     error = figure.add_subplot(rows[1, :])

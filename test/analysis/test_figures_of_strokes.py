@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from straightcomp_ros.analysis import html_report as report
 from straightcomp_ros.analysis import pictures as plot
@@ -201,6 +202,15 @@ def test_a_table_shows_numbers_to_four_digits_texts_as_they_are_and_a_dash_for_n
     cells = re.findall(r"<td[^>]*>(.*?)</td>", text)
     assert cells == ["–", "–", "–", "3", "0.1235", "a&lt;b", "passed", "FAILED"]
     assert text.count("<tr>") == len(values) + 1 and "<th>slip / µm<" in text.replace(' class="n"', "")
+
+
+def test_a_long_title_is_drawn_within_the_picture(make_record, cosine_map, drawn):
+    record = make_record(0.4e-6)
+    plot.plot_run(record, cosine_map, evaluate(record, cosine_map), Path("run.png"), "an incident: its cause " * 20)
+    FigureCanvasAgg(drawn[0]).draw()
+    title = drawn[0]._suptitle.get_window_extent()
+    assert title.x0 >= 0.0 and title.x1 <= drawn[0].bbox.width
+    assert title.y0 >= max(axes.get_tightbbox().y1 for axes in drawn[0].axes)
 
 
 def test_the_line_of_means_follows_a_short_stroke(make_record, cosine_map, drawn):

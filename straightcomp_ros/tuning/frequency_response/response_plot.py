@@ -20,7 +20,7 @@ def plot_response(found: ComparedResponse, path: Path, title: str) -> None:
     Bands are those of 95 % confidence. OSError or ValueError if ``path`` cannot be written, or has no picture's ending.
     """
     figure = Figure(figsize=(12.0, 9.0), dpi=150, layout="constrained")
-    figure.suptitle(as_text(title), fontsize=13)
+    figure.suptitle(as_text(title), fontsize=13, wrap=True)
     grid = figure.add_gridspec(3, 3)
     gains = {}
     for place, name, scale, label in (
