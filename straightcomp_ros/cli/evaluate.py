@@ -160,7 +160,8 @@ def _print_straightness(assessment: Assessment, words: Mapping[str, Any]) -> Non
     if not rows:
         return
     names = [in_words(name.removeprefix("u_"))[0] for name in rows[0]][4:]
-    title = "Straightness by map and encoder in µm (ISO 230-1); U: expanded (k = 2)"
+    by = "sensor" if "u_sensor_um" in rows[0] else "map"
+    title = f"Straightness by {by} and encoder in µm (ISO 230-1); U: expanded (k = 2)"
     table = titled_table(title, "straightness", "measured", "value", "U", *names)
     for what, *cells in (row.values() for row in rows):
         name = f"{what.split(',')[0]}_um"

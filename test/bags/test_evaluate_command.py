@@ -9,8 +9,13 @@ import sys
 import pytest
 from rewritten_bag import SMC
 
+from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
@@ -48,6 +53,23 @@ def test_two_bags_are_put_side_by_side_and_it_is_said_if_one_of_them_is_uncompen
     assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
     found = verb("evaluate", SMC, "--compare", SMC.with_name("uncompensated"))
     assert found.code == 0 and "uncompensated is uncompensated" in found.err
+
+
+def test_the_table_of_the_straightness_names_what_measured_the_guide(tmp_path, verb):
+    values = {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE}
+    simulation = Simulation(values)
+    with SimulatedRun(tmp_path / "bag", by_node(values), simulation.delay) as made:
+        made._bag.add(Topic("/displacement", DISPLACEMENT.layout.type_name))
+
+        def observe(sample, truth, *rest):
+            made.add(sample, truth, *rest)
+            stamp = START_NS + sample.stamp_ns
+            made._bag.write("/displacement", DISPLACEMENT.layout.pack(stamp, truth.guide_deviation), stamp, stamp)
+
+        simulation.run(observe=observe)
+    for words, by, other in (((), "map", "sensor"), (("--sensor-uncertainty", "0.01"), "sensor", "map")):
+        (title,) = (line for line in verb("evaluate", tmp_path / "bag", *words).out.splitlines() if "(k = 2)" in line)
+        assert by in title and other not in title
 
 
 def test_nothing_heavy_is_imported():

@@ -3,9 +3,11 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from generated_bags import run, write_bag
 from stores import COUNT, SAMPLES, added
@@ -14,6 +16,7 @@ from tiers import nightly
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.fleet.history.rows import stored_name
 from straightcomp_ros.fleet.history.store import Store
+from straightcomp_ros.fleet.maintenance.stage_report import over_time
 from straightcomp_ros.parameters.output_files import MARK
 from straightcomp_ros.stage.due_maintenance import read_advice
 from trials.wear import SOUND, WEARS
@@ -178,6 +181,33 @@ def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, history):
     for heading in ("Change of the guide over x", "Trends", "Straightness (ISO 230-1)", "Bags to look at"):
         assert heading in own
     assert "the guide moved" in own
+
+
+def test_a_stage_that_was_idle_since_a_day_does_not_keep_the_others_from_their_pages(tmp_path, history):
+    for number in (0, 9):
+        write_bag(tmp_path / "bags" / f"{number}", number, stages=2)
+    added(tmp_path / "store", tmp_path / "bags")
+    since = tmp_path / "store", "--since", "2025-10-10"
+    for verb, ending in (("report", ".html"), ("advise", ".json")):
+        found = history(verb, *since, "-o", tmp_path / verb)
+        assert found.code == 0 and "'stage_0' has no strokes since 2025-10-10" in found.err
+        assert [file.name for file in (tmp_path / verb).glob(f"[!.]*{ending}")] == [f"stage_1{ending}"]
+        assert history(verb, *since, "-o", tmp_path / "none", "--name", "stage_0", "--name", "stage_1").code == 1
+    assert history("report", tmp_path / "store", "--since", "2025-10-12", "-o", tmp_path / "none").code == 1
+    assert not any((tmp_path / "none").iterdir())
+
+
+def test_the_colours_over_x_and_time_leave_weeks_without_strokes_empty(make_levels):
+    levels = make_levels()
+    kept = np.flatnonzero((levels.day < levels.day[0] + 10) | (levels.day >= levels.day[0] + 40))
+    profiles = levels.profiles["error_bins_um"][kept]
+    (colours,) = over_time(replace(levels, day=levels.day[kept]), profiles).data
+    days = np.array(colours.x, "datetime64[D]").astype(int)
+    assert set(np.diff(days)) == {7} and days[0] == levels.day[0]
+    empty = ~np.isfinite(np.array(colours.z)).any(axis=0)
+    assert [days[0] + 14, days[0] + 21, days[0] + 28] == days[empty].tolist() and np.isfinite(
+        colours.z[:, ~empty]
+    ).all()
 
 
 BOMB = "a0: &a0 {x: 1}\n" + "".join(

@@ -160,7 +160,7 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
     for title, found, words in lists:
         shown = [
             {
-                "start": f"{row['start']:%Y-%m-%d %H:%M}",
+                "start (UTC)": f"{row['start']:%Y-%m-%d %H:%M}",
                 "bag": row["bag"],
                 "stroke": row["stroke"],
                 "direction": row["direction"],
@@ -252,13 +252,16 @@ def over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
     if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
         return None
     week = (levels.day - levels.day[0]) // WEEK
-    weeks, first = np.unique(week, return_index=True)
-    values = np.array([median_of(1e3 * profiles[week == one]) for one in weeks])
+    # Also weeks without strokes, which are empty: else the colours of their neighbours would reach over them.
+    weeks = np.arange(week[-1] + 1)
+    values = np.full((weeks.size, profiles.shape[1]), np.nan)
+    for one in np.unique(week):
+        values[one] = median_of(1e3 * profiles[week == one])
     largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
     figure = line_figure("", "slider position x / mm")
     figure.update_layout(height=_HEIGHT)
     figure.add_heatmap(
-        x=[levels.date(place).isoformat() for place in first],
+        x=np.datetime_as_string((levels.day[0] + WEEK * weeks).astype("datetime64[D]")).tolist(),
         y=levels.x * 1e3,
         z=values.T,
         zmin=-largest,

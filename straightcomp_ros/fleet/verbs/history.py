@@ -287,7 +287,8 @@ def _day(text: str) -> datetime:
 
 
 def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.Table]]:
-    """Each chosen stage with its strokes; CommandFailed where there are none."""
+    """Each chosen stage with its strokes. One without strokes is noted; CommandFailed if it was named, or none has
+    any."""
     import pyarrow.compute
 
     from straightcomp_ros.fleet.history.store import Store
@@ -297,13 +298,21 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
     if not names:
         fill = "fill it by `straightcomp history add`"
         raise CommandFailed(f"store {options.store} has no strokes; {fill}", exit_code=2)
+    found = False
     for name in names:
         strokes = store.strokes(name)
         if options.since is not None:
             strokes = strokes.filter(pyarrow.compute.greater_equal(strokes["start"], options.since))
-        if not strokes.num_rows:
-            raise CommandFailed(f"stage '{name}' has no strokes since {options.since:%Y-%m-%d}")
-        yield name, strokes
+        if strokes.num_rows:
+            found = True
+            yield name, strokes
+            continue
+        none = f"stage '{name}' has no strokes since {options.since:%Y-%m-%d}"
+        if options.name:
+            raise CommandFailed(none)
+        notes.print(none)
+    if not found:
+        raise CommandFailed(f"store {options.store} has no strokes since {options.since:%Y-%m-%d}")
 
 
 def _written(folder: Path, ending: str, texts: Mapping[str, str], force: bool) -> dict[str, Path]:
