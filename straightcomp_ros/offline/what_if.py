@@ -18,7 +18,7 @@ from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values, by_node, changed
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values, by_node, changed
 from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey
