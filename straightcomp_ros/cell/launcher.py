@@ -34,7 +34,8 @@ CLIENTS = ("cell", "opcua")
 SLACK_S = 700.0
 """Time for start, discovery and delays of a busy machine, beyond the duration of the cycle itself. A process that ends
 is seen at once, and what waits for the others gives up before."""
-_STOP_WITHIN_S = 5.0
+_STOP_WITHIN_S = 30.0
+"""Beyond what a busy machine or a slow disk takes: a logger that is killed leaves a bag without its index."""
 _PR_SET_PDEATHSIG = 1
 
 
