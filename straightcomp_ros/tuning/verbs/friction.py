@@ -39,7 +39,7 @@ from straightcomp_ros.cli.output import CommandFailed, console, notes, print_jso
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
-from straightcomp_ros.parameters.node_parameters import changed, node_parameters
+from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE
 from straightcomp_ros.stage.description import StageParameters
@@ -117,8 +117,10 @@ def _start(options: argparse.Namespace) -> tuple[StageParameters, bool]:
     if not (options.stage or options.params_file):
         driver = recorded_parameters(bag, read_attachments(bag)).get("driver")
         if driver is not None:
+            # Without the rest: a board's DBC file need not be on this computer.
+            facts = {name: value for name, value in driver.items() if name.startswith(f"{STAGE}.")}
             try:
-                return node_parameters("driver", changed({"driver": driver}, chosen_changes(options))).stage, True
+                return node_parameters("driver", changed({"driver": facts}, chosen_changes(options))).stage, True
             except ParameterError as error:
                 raise ParameterError(f"bag {bag}: {error}; --stage FILE describes its stage otherwise") from error
         without = f"bag {bag}: has no parameters of the driver attached: the stage of {DEFAULT_STAGE} is assumed"

@@ -431,6 +431,11 @@ def test_an_estimate_starts_from_the_stage_of_the_recorded_run_unless_another_is
     monkeypatch.setattr(friction, "_print", lambda estimate: None)
     if not attached:
         monkeypatch.setattr(friction, "read_attachments", lambda bag: {})
+    else:
+        # Of a board whose DBC file is on the machine.
+        driver = friction.recorded_parameters(stiff_bag, friction.read_attachments(stiff_bag))["driver"]
+        of_a_board = {"driver": {**driver, "hardware": "can", "can.dbc": "nowhere.dbc"}}
+        monkeypatch.setattr(friction, "recorded_parameters", lambda *_: of_a_board)
     monkeypatch.chdir(tmp_path)
     ended = verb("friction", stiff_bag, "-o", "plant.yaml", *options)
     assert ended.code == 0 and [start.platform.mass for start in starts] == [mass]
