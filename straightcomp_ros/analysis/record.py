@@ -262,10 +262,10 @@ def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator
                 yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
 
 
-def whole(travels: ArrayLike) -> NDArray[np.bool_]:
-    """Which movements with these travels (n,) go all the way, as the longest does."""
+def whole(travels: ArrayLike, way: float | None = None) -> NDArray[np.bool_]:
+    """Which movements with these travels (n,) go all the ``way``, or that of the longest."""
     travels = np.asarray(travels)
-    return np.asarray(travels >= _WHOLE * np.max(travels, initial=0.0))
+    return np.asarray(travels >= _WHOLE * (np.max(travels, initial=0.0) if way is None else way))
 
 
 def whole_ways(strokes: Sequence[Stroke], x: Array) -> tuple[list[list[Stroke]], list[list[Stroke]]]:

@@ -101,6 +101,21 @@ def test_jogs_say_nothing_of_the_guide_and_hide_nothing(make_levels, loose):
     assert [(one.cause, abs(one.place.first - 600) <= 20) for one in found] == [("bolt", True)] * (loose > 0.0)
 
 
+@pytest.mark.parametrize("loose", [0.0, 0.5])
+@pytest.mark.parametrize("longer", [[2 * 40], [2 * 70, 2 * 70 + 1, 2 * 110]])
+def test_strokes_that_went_farther_once_hide_nothing_of_the_guide(make_levels, longer, loose):
+    x = (np.arange(100) + 0.5) * 0.01
+    guide = 10.0 * (x - x.mean()) + loose * np.outer(np.repeat(STEP, 2), bump(300, 420))
+    daily = np.ones(2 * DAYS, bool)
+    daily[longer] = False
+    guide[np.ix_(daily, x > 0.7)] = np.nan
+    guide -= np.nanmean(guide, axis=1, keepdims=True)
+    levels = of_strokes(make_levels, guide, ["a"] * (2 * DAYS))
+    assert levels.measured.size == DAYS
+    found = advice_of(levels)
+    assert [(one.cause, abs(one.place.first - 300) <= 20) for one in found] == [("bolt", True)] * (loose > 0.0)
+
+
 def test_what_changed_with_an_update_names_it(make_levels):
     software = [*["1.1"] * BEGIN, *["1.2"] * (DAYS - BEGIN)]
     (found,) = advice_of(make_levels(latency_p50_us=1.0 + 0.3 * STEP, software=software))

@@ -1,5 +1,6 @@
 """A map from strokes: as good as a fresh survey, with its provenance, and refused where nothing was seen."""
 
+import itertools
 from dataclasses import replace
 
 import pyarrow
@@ -69,3 +70,59 @@ def test_jogs_make_no_proposal_and_change_none(pool):
     assert found.strokes == expected.strokes == 20 and found.change == pytest.approx(expected.change, abs=1e-12)
     with pytest.raises(MaintenanceError, match=r"4 whole strokes forward .* 20 shorter ones, 0 with another map"):
         proposed_map(only, old, 7.0)
+    fewer = pyarrow.Table.from_pylist(sound[:4] + jogs, schema_of(StrokeRow))
+    with pytest.raises(MaintenanceError, match=r"2 whole strokes forward .* 20 shorter ones"):
+        proposed_map(fewer, old, 7.0)
+
+
+MOVED = [0.5 * (30 <= place < 42) for place in range(170)]
+"""µm, of the guide's bins."""
+
+
+def of_places(pool, *stretches):
+    """Ten strokes each way over each stretch of bins, on a straight edge that is not parallel; the zero of each is the
+    mean over its own x."""
+    old = find_survey("config/survey_synthetic.csv")
+    sound, found = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist(), []
+    for first, last in stretches:
+        seen = [MOVED[place] + 0.1 * place for place in range(first, last)]
+        own = {"bins_from_mm": 10 * first, "guide_change_um": [one - sum(seen) / len(seen) for one in seen]}
+        found += [row | own for row in sound]
+    return found
+
+
+def proposal_of(strokes):
+    table = pyarrow.Table.from_pylist(strokes, schema_of(StrokeRow))
+    return proposed_map(table, find_survey("config/survey_synthetic.csv"), 7.0)
+
+
+@pytest.mark.parametrize("ends", [(0, 85, 170), (0, 43, 128, 170), (0, 17, 34, 51, 68, 85, 102, 119, 136, 153, 170)])
+def test_parts_of_a_stroke_make_no_proposal_however_long_they_are(pool, ends):
+    """As of a stage that stops on the way: the zero of each part is its own."""
+    parts, whole = of_places(pool, *itertools.pairwise(ends)), of_places(pool, (0, 170))
+    with pytest.raises(MaintenanceError, match="0 whole strokes"):
+        proposal_of(parts)
+    ways = {
+        way: [row for row in of if row["direction"] == way] for of, way in ((parts, "forward"), (whole, "backward"))
+    }
+    with pytest.raises(MaintenanceError, match="0 whole strokes forward"):
+        proposal_of([*ways["forward"], *ways["backward"]])
+    assert proposal_of(parts + whole).change == pytest.approx(proposal_of(whole).change, abs=1e-12)
+
+
+@pytest.mark.parametrize("farther", [(60, 130), (20, 130), (0, 120)])
+def test_strokes_that_went_farther_once_change_no_proposal(pool, farther):
+    daily, once = of_places(pool, (60, 120)), of_places(pool, farther)[:2]
+    found = proposal_of(daily + once)
+    assert found.strokes == 22 and found.change == pytest.approx(proposal_of(daily).change, abs=1e-9)
+
+
+def test_a_sensor_that_dropped_out_makes_parts_of_whole_strokes(pool):
+    sound = of_places(pool, (0, 170))
+    dropped = [row | {"guide_change_um": [*row["guide_change_um"][:50], *[None] * 120]} for row in sound[:6]]
+    silent = [row | {"guide_change_um": [None] * 170} for row in sound[:6]]
+    found = proposal_of(sound + dropped + silent)
+    assert found.strokes == 20 and found.change == pytest.approx(proposal_of(sound).change, abs=1e-12)
+    for left in (dropped, silent):
+        with pytest.raises(MaintenanceError, match="whole strokes forward"):
+            proposal_of(left)

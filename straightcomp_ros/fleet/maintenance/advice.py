@@ -31,6 +31,7 @@ from straightcomp_ros.fleet.maintenance.day_levels import (
     STIFFNESS,
     WATCHED,
     DayLevels,
+    median_of,
 )
 from straightcomp_ros.fleet.maintenance.level_change import WEEK, LevelChange, Place, changes_of_figure, moved_place
 
@@ -169,8 +170,8 @@ def _update_at(levels: DayLevels, place: int) -> str:
 def _advice(levels: DayLevels, change: LevelChange, others: list[LevelChange]) -> Advice:
     name, rose, since, place = change.figure, change.after > change.before, levels.date(change.begin), None
     if name == GUIDE:
-        week = levels.shifts[levels.measured[-WEEK:]]
-        place = moved_place(np.asarray(np.nanmedian(week, axis=0)), levels.x)
+        week = median_of(levels.shifts[levels.measured[-WEEK:]])
+        place = moved_place(week, levels.x)
         cause = "bolt" if change.step else "guide"
         moved = f"the guide moved from x = {place.first} to {place.last} mm by {change.after:.3g} µm"
     else:

@@ -69,6 +69,8 @@ BASELINE = 28
 _SMOOTH = 5
 """Bins over which a profile is averaged: guides move over centimetres, readings scatter from bin to bin."""
 _DEGREE = 2
+_WHOLE_DAYS = 0.9
+"""Quantile of the days' longest strokes that is the whole way: a stroke over all of it may be made once a week."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ class DayLevels:
     columns: Mapping[str, Array]  # by name of FIGURES, (n,) median of the day; NaN where no stroke has it
     x: Array  # (m,) m, middles of the bins
     # By name of the columns over x, (n, m) median of the day in µm; NaN where not known. That of the guide is known of
-    # the whole strokes with the last map alone: another map, or another travel, is another zero.
+    # the whole strokes with the last map alone: another map, or a shorter travel, is another zero.
     profiles: Mapping[str, Array]
     # By name of SETTINGS, (n,) of the last stroke of the day, empty where unknown.
     settings: Mapping[str, Sequence[str]]
@@ -101,7 +103,9 @@ class DayLevels:
         without a profile."""
         profiles = self.profiles[GUIDE_BINS]
         found = np.full(profiles.shape, np.nan)
-        inside = np.isfinite(profiles).any(axis=0)
+        measured = np.isfinite(profiles).any(axis=1)
+        # Where most days are known: single strokes went farther.
+        inside = np.count_nonzero(np.isfinite(profiles), axis=0) > 0.5 * np.count_nonzero(measured)
         days = np.flatnonzero(np.isfinite(profiles[:, inside]).all(axis=1))
         if not days.size or np.count_nonzero(inside) <= _DEGREE:
             return found
@@ -133,7 +137,7 @@ def day_levels(strokes: pyarrow.Table) -> DayLevels:
     """The levels from the strokes of a stage in the order of their start, at least one."""
     day = strokes["start"].to_numpy().astype("datetime64[D]").astype(np.int64)
     columns = {name: strokes[name].to_numpy().astype(np.float64) for name in FIGURES}
-    x, profiles = _on_one_grid(strokes)
+    x, profiles = on_one_grid(strokes)
     settings = {name: [value or "" for value in strokes[column].to_pylist()] for name, column in SETTINGS.items()}
     return levels_of(day, strokes["direction"].to_numpy() == "forward", columns, x, profiles, settings)
 
@@ -159,7 +163,7 @@ def levels_of(
         return found
 
     last = (first + counts - 1).tolist()
-    profiles = {**profiles, GUIDE_BINS: _comparable(profiles[GUIDE_BINS], settings["map"])}
+    profiles = {**profiles, GUIDE_BINS: _comparable(profiles[GUIDE_BINS], settings["map"], first)}
     return DayLevels(
         day=days,
         columns={name: levels(values) for name, values in columns.items()},
@@ -169,16 +173,22 @@ def levels_of(
     )
 
 
-def _comparable(profiles: Array, maps: Sequence[str]) -> Array:
+def _comparable(profiles: Array, maps: Sequence[str], first: NDArray[np.intp]) -> Array:
     """Profiles (N, m) of the guide with one zero, the others NaN: up to the last stroke whose map is not that of the
-    last one with a profile, and of jogs, whose mean is that of their own x."""
+    last one with a profile, and of jogs, whose mean is that of their own x. ``first`` are the days' first strokes.
+
+    A stroke is whole by the way that is gone on one day in ten: one that went farther once makes no jogs of the others.
+    """
     seen = np.flatnonzero(np.isfinite(profiles).any(axis=1)).tolist()
     others = [place for place in seen if maps[place] != maps[seen[-1]]]
     kept = profiles.copy()
     kept[: others[-1] + 1 if others else 0] = np.nan
     known = np.isfinite(kept)
     # From the first bin with a reading to the last.
-    kept[~whole(np.where(known.any(axis=1), known.shape[1] - known.argmax(1) - known[:, ::-1].argmax(1), 0))] = np.nan
+    travels = np.where(known.any(axis=1), known.shape[1] - known.argmax(1) - known[:, ::-1].argmax(1), 0)
+    longest = np.maximum.reduceat(travels, first)
+    if longest.any():
+        kept[~whole(travels, float(np.quantile(longest[longest > 0], _WHOLE_DAYS, method="lower")))] = np.nan
     return kept
 
 
@@ -191,8 +201,8 @@ def median_of(values: Array) -> Any:
     return np.where(empty, np.nan, np.nanmedian(np.where(empty, 0.0, values), axis=0))
 
 
-def _on_one_grid(strokes: pyarrow.Table) -> tuple[Array, dict[str, Array]]:
-    """Middles of all bins that any stroke has, (m,) in m, and each profile on them, (N, m)."""
+def on_one_grid(strokes: pyarrow.Table) -> tuple[Array, dict[str, Array]]:
+    """Middles of all bins that any stroke has, (m,) in m, and each profile on them, (N, m); at least one stroke."""
     import pyarrow.compute as compute
 
     begins = strokes["bins_from_mm"].to_numpy() // BIN_MM

@@ -19,6 +19,7 @@ from straightcomp_ros.analysis.judgement import IN_ORDER, WRONG_GUIDE
 from straightcomp_ros.analysis.map_building import BuiltMap, Choices, build
 from straightcomp_ros.analysis.record import whole
 from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
+from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, Array, on_one_grid
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -28,9 +29,11 @@ from straightcomp_ros.straightness.survey_table import Direction
 if TYPE_CHECKING:
     import pyarrow
 
-_COLUMNS = ["start", "direction", "bins_from_mm", "guide_change_um", "map_checksum", "verdict"]
+_COLUMNS = ["start", "direction", GUIDE_BINS, "map_checksum", "verdict"]
 _RUNS = 5
 """Each way: ISO 230-2 asks for five."""
+_OFTEN = 3
+"""Readings each way from which a place belongs to the whole strokes: one or two were of strokes that went farther."""
 _LIMIT = 6.0
 """Robust standard deviations beyond which a run or point is rejected, as in `straightcomp map build`."""
 
@@ -66,40 +69,49 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
     before = StraightnessMap(read_survey(old))
     checksum = checksum_of([old.read_bytes()])
     rows = strokes.select(_COLUMNS).to_pylist()
-    recent = [row for row in rows if rows[-1]["start"] - row["start"] <= timedelta(days=days)]
+    recent = [n for n, row in enumerate(rows) if rows[-1]["start"] - row["start"] <= timedelta(days=days)]
     # That the guide is no longer the map's is what a new map is for.
-    sound = [row for row in recent if row["verdict"] in (IN_ORDER, WRONG_GUIDE)]
-    seen = [row for row in sound if row["guide_change_um"] is not None]
+    sound = [n for n in recent if rows[n]["verdict"] in (IN_ORDER, WRONG_GUIDE)]
+    seen = [n for n in sound if rows[n][GUIDE_BINS] is not None]
     if not seen:
         raise MaintenanceError(
             f"none of the {len(recent)} strokes of the last {days:g} days in which the servo worked has a displacement "
             "sensor: record 'displacement' with the strokes, or survey the guide; encoders alone do not see it move"
         )
-    ours = [row for row in seen if row["map_checksum"] == checksum]
-    travels = [len(row["guide_change_um"]) for row in ours]
-    jogs = len(ours) - np.count_nonzero(whole(travels))
-    ours = [row for row, is_whole in zip(ours, whole(travels).tolist(), strict=True) if is_whole]
-    x = before.report.x
+    ours = np.array([rows[n]["map_checksum"] == checksum for n in seen])
+    forward = np.array([rows[n]["direction"] == "forward" for n in seen])
+    middles, profiles = on_one_grid(strokes.take(seen))
+    known = np.isfinite(profiles[GUIDE_BINS])
+    read = known[ours].any(axis=0)
+    place = np.minimum(*(np.count_nonzero(known[ours & way], axis=0) for way in (forward, ~forward))) >= _OFTEN
+    if 2 * np.count_nonzero(place) < np.count_nonzero(read):
+        # Those that went farther are the whole ones, and the others jogs.
+        place = read
+    # By place, not by length: parts of a stroke may be equally long, and the mean of each is zero over its own x.
+    covered = np.count_nonzero(known[:, place], axis=1)
+    chosen = ours & (covered > 0) & whole(covered, int(np.count_nonzero(place)))
+    x, at, changes = before.report.x, middles[place], profiles[GUIDE_BINS][:, place]
     runs: list[Run] = []
-    ways: tuple[Direction, ...] = ("forward", "backward")
-    for way in ways:
-        changes = [_at(row, x) for row in ours if row["direction"] == way]
-        if len(changes) < _RUNS:
-            other = len(seen) - len(ours) - jogs
+    ways: tuple[tuple[Direction, NDArray[np.bool_]], ...] = (("forward", forward), ("backward", ~forward))
+    for way, these in ways:
+        of_way = [_at(one, at, x) for one in changes[chosen & these]]
+        if len(of_way) < _RUNS:
+            shorter = np.count_nonzero(ours & ~chosen)
+            parts = "; a stroke that stops on the way is recorded in parts, which are shorter ones" if shorter else ""
             raise MaintenanceError(
-                f"{len(changes)} whole strokes {way} with a displacement sensor and the map {old} in the last {days:g} "
-                f"days, {jogs} shorter ones, {other} with another map; allowed: >= {_RUNS} each way; give more days, "
-                "or the map of these strokes"
+                f"{len(of_way)} whole strokes {way} with a displacement sensor and the map {old} in the last {days:g} "
+                f"days, {shorter} shorter ones, {np.count_nonzero(~ours)} with another map; allowed: >= {_RUNS} each "
+                f"way; give more days, or the map of these strokes{parts}"
             )
-        groups = np.array_split(np.array(changes), _RUNS)
+        groups = np.array_split(np.array(of_way), _RUNS)
         runs += [
             Run(str(n), way, x, before.deviations(x, way) + np.median(group, axis=0))
             for n, group in enumerate(groups, 1)
         ]
-    first, end = ours[0]["start"], ours[-1]["start"]
+    starts = [rows[n]["start"] for n in np.array(seen)[chosen]]
     inputs = {
-        "proposed from": f"{len(ours)} strokes from {first:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC, in {_RUNS} "
-        "groups each way, by their displacement sensor",
+        "proposed from": f"{len(starts)} strokes from {starts[0]:%Y-%m-%d %H:%M} to {starts[-1]:%Y-%m-%d %H:%M} UTC, "
+        f"in {_RUNS} groups each way, by their displacement sensor",
         "changes": f"map {old.name}, BLAKE2b {checksum}",
     }
     built = build(Survey(tuple(runs), str(old)), old, Choices(step=1e-3 * BIN_MM, limit=_LIMIT), inputs)
@@ -107,12 +119,11 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
     built = replace(built, provenance={**built.provenance, "made by": made})
     at = built.straightness.report.x
     change = built.straightness.report.mean - before.deviations(at)
-    return Proposal(built, len(ours), change - change.mean())
+    return Proposal(built, len(starts), change - change.mean())
 
 
-def _at(row: dict[str, Any], x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change of the guide in m at ``x`` (m,) in m; beyond the stroke that of its nearest bin."""
-    values = np.array(row["guide_change_um"], np.float64)
-    middles = (row["bins_from_mm"] + BIN_MM * (np.arange(values.size) + 0.5)) * 1e-3
-    known = np.isfinite(values)
-    return np.asarray(np.interp(x, middles[known], values[known])) * 1e-6
+def _at(change: Array, middles: Array, x: Array) -> Array:
+    """A stroke's ``change`` of the guide (n,) in µm at ``middles`` (n,) in m, at ``x`` (m,) in m: in m and without its
+    mean; beyond the stroke that of its nearest bin."""
+    known = np.isfinite(change)
+    return np.asarray(np.interp(x, middles[known], change[known] - change[known].mean())) * 1e-6

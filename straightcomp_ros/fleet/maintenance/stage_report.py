@@ -213,7 +213,7 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
         newest = number == len(chosen) - 1
         figure.add_scatter(
             x=levels.x * 1e3,
-            y=np.nanmedian(levels.shifts[days], axis=0),
+            y=median_of(levels.shifts[days]),
             name=f"week until {levels.date(int(days[-1]))}",
             mode="lines",
             line={"color": VERMILION if newest else BLUE, "width": 2.5 if newest else 1},
