@@ -29,7 +29,6 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Work, recorded_reading
@@ -50,7 +49,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     POOR,
     Estimate,
     estimate_from_bag,
-    excitation_runout,
+    excitation_facts,
     excitation_scale,
     excitation_survey,
 )
@@ -170,11 +169,8 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     excitation.parent.mkdir(parents=True, exist_ok=True)
     scale = excitation_scale(stage.motion, length)
     write_survey(excitation, excitation_survey(length, low, scale, stage.guide), ("Made up: excites the platform.",))
-    stroke = {"motion.start": low, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
-    guide = {"guide.file": str(excitation), "guide.runout": excitation_runout(stage.guide, scale)}
-    # What is demanded of the user's survey is not demanded of this one.
-    guide |= {f"guide.{name}": getattr(MapParameters(), name) for name in ("min_points", "max_gap")}
-    values = with_values(work.values, "stage", {**guide, **stroke})
+    facts = excitation_facts(stage.guide, scale, low, length)
+    values = with_values(work.values, "stage", {"guide.file": str(excitation), **facts})
     try:
         work.machine.stroke(values, bag, work.travel)
         return {}

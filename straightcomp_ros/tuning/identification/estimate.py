@@ -272,6 +272,15 @@ def excitation_runout(guide: MapParameters, scale: float) -> float:
     return min(1.0, scale) * guide.runout
 
 
+def excitation_facts(guide: MapParameters, scale: float, first: float, length: float) -> dict[str, Any]:
+    """Facts of a description, by dotted name, in place of those of the user's ``guide`` and motion: of one stroke
+    without stops over ``length`` in m from x = ``first`` along the excitation's map. What is demanded of the user's
+    survey is not demanded of this one."""
+    stroke = {"motion.start": first, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
+    demands = {"guide.min_points": _GUIDE.min_points, "guide.max_gap": _GUIDE.max_gap}
+    return {"guide.runout": excitation_runout(guide, scale), **demands, **stroke}
+
+
 def excitation_survey(length: float, first: float = 0.0, scale: float = 1.0, guide: MapParameters = _GUIDE) -> Survey:
     """The map that excites all parameters, over ``length`` in m from x = ``first``, within the platform's travel along
     ``guide``."""

@@ -37,11 +37,11 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
-from straightcomp_ros.model.motion import reach
+from straightcomp_ros.model.motion import goals, reach
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
-from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE
+from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE, as_yaml
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.identification.estimate import (
@@ -49,7 +49,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
-    excitation_runout,
+    excitation_facts,
     excitation_scale,
     excitation_survey,
     parameter_file,
@@ -92,8 +92,11 @@ def run(options: argparse.Namespace) -> None:
         if not options.json:
             # After the user's own: the last one counts.
             guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]
-            if scale < 1.0:
-                guides.append(f"stage.guide.runout={excitation_runout(stage.guide, scale):.3g}")
+            own, one_way = to_mapping(stage), len(goals(stage.motion)) == 2
+            for name, value in excitation_facts(stage.guide, scale, low, high - low).items():
+                # A stroke without stops stays as it is, backward too.
+                if value != own[name] and not (one_way and name.startswith("motion.")):
+                    guides.append(f"stage.{name}={as_yaml(value)}")
             command = _simulate(options, options.stage, [*options.set, *guides])
             print_written(file, then=f"{command} --bag BAG, or run it on the machine")
         return

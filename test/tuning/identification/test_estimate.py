@@ -4,6 +4,7 @@ JSON and as a parameter file that simulate takes."""
 import contextlib
 import dataclasses
 import io
+import itertools
 import json
 import math
 import re
@@ -18,15 +19,16 @@ from straightcomp_ros.analysis import current_path as recording
 from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.cli.options import settings
 from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.model.motion import MotionParameters, goals, reach
 from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.parameters.node_parameters import STAGE, by_node, node_parameters
-from straightcomp_ros.parameters.parameter_file import read_parameter_file
+from straightcomp_ros.parameters.node_parameters import STAGE, by_node, changed, node_parameters
+from straightcomp_ros.parameters.parameter_file import read_parameter_file, shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
@@ -349,14 +351,24 @@ def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
     assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
 
 
-@pytest.mark.parametrize(("start", "stroke", "travel"), [(0.4, -0.3, 1e-4), (0.2, 0.3, 4e-5)])
+@pytest.mark.parametrize(
+    ("start", "stroke", "travel", "other"),
+    [
+        (0.4, -0.3, 1e-4, ""),
+        (0.2, 0.3, 4e-5, ", stage.guide.min_points: 1000, stage.guide.max_gap: 0.0001"),
+        (0.4, -0.3, 1e-4, ", stage.motion.steps: 10"),
+        (0.1, 0.3, 1e-4, ", stage.motion.file: {}"),
+    ],
+)
 def test_the_command_after_an_excitation_is_of_the_users_stage_with_that_guide_and_stays_on_the_map(
-    tmp_path, verb, start, stroke, travel
+    tmp_path, verb, start, stroke, travel, other
 ):
+    """In one stroke each way: stops would make its waves slow. Nor is it held to what is demanded of the survey."""
+    (tmp_path / "positions.txt").write_text("0.2\n0.4\n0.3\n")
     own, waves = tmp_path / "my stage.yaml", tmp_path / "waves.csv"
     own.write_text(
         f"/**: {{ros__parameters: {{stage.name: mine, stage.motion: {{start: {start}, stroke: {stroke}}}, "
-        f"stage.guide.travel: {travel}}}}}"
+        f"stage.guide.travel: {travel}{other.format(tmp_path / 'positions.txt')}}}}}"
     )
     chosen = ["--stage", str(own), "--law", "smc", "--set", "stage.motion.pause=0.2"]
     code, _, said = verb("friction", "--excitation", waves, *chosen)
@@ -366,6 +378,9 @@ def test_the_command_after_an_excitation_is_of_the_users_stage_with_that_guide_a
     (then,) = re.findall("next: straightcomp (.*) --bag BAG, or", " ".join(said.split()))
     words = shlex.split(then)
     assert {*chosen, f"driver.simulated.truth.guide={waves}"} < set(words)
+    given = settings([word for option, word in itertools.pairwise(words) if option == "--set"])
+    motion = node_parameters("driver", changed(shipped_parameters(stage=str(own)), given)).stage.motion
+    assert len(goals(motion)) == 2 and reach(motion) == pytest.approx((x[0], x[-1]))
     # The safest law follows the waves badly; what counts is that it stays on the map.
     assert verb(*words, "--json").json["verdict"] in ("in_order", "inaccurate")
 
