@@ -348,11 +348,7 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
         "air_gap": (gap, gap.high / gap.value - 1.0),
         "friction": (friction, friction.high / friction.value if friction.value > 0.0 else 0.0),
     }
-    better = {
-        fact.name
-        for name, (fact, width) in intervals.items()
-        if 0.0 < width < max(getattr(before, name), STAYS_OPEN[name])
-    }
+    better = {fact.name for name, (fact, width) in intervals.items() if 0.0 < width < getattr(before, name)}
     if gap.name not in better:
         # The record has its turns at its own gap: at another one they are another force.
         better.discard(turns.name)

@@ -199,6 +199,17 @@ def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken()
     assert not {"friction.coulomb", "uncertainty.friction"} & facts.keys()
 
 
+@pytest.mark.parametrize(("found", "taken"), [(1.25, False), (1.05, True)])
+def test_friction_that_was_described_better_than_it_is_found_stays_as_described(found, taken):
+    known = dataclasses.replace(STAGE, uncertainty=dataclasses.replace(STAGE.uncertainty, friction=1.1))
+    record = estimate(coulomb=1.05)
+    coulomb = record.parameters["friction.coulomb"]
+    interval = {"low": coulomb.value / found, "high": coulomb.value * found}
+    record.parameters["friction.coulomb"] = dataclasses.replace(coulomb, **interval)
+    facts = facts_found(record, known)
+    assert ("friction.coulomb" in facts) == taken and facts.get("uncertainty.friction", 1.1) == 1.1
+
+
 @pytest.mark.parametrize(("bandwidth", "stays"), [(500.0, False), (1e4, True)])
 def test_an_amplifier_too_fast_for_the_samples_stays_as_uncertain_as_it_was_described_and_the_delay_with_it(
     bandwidth, stays
