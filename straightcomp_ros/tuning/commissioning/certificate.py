@@ -22,7 +22,7 @@ from straightcomp_ros.parameters.declaration import declarations, to_mapping
 from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.straightness.guide_map import find_survey, load_map
 from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
 from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
@@ -70,8 +70,10 @@ def certificate(work: Work) -> Outcome:
         return Outcome(False, f"beyond the limits: {names}; when the cause is removed, repeat the step ({steps})")
     accepted, stage, described = work.outcomes["acceptance"].figures, work.stage, to_mapping(work.description)
     write_whole(folder / TUNED, as_parameter_file(work.described()))
-    straightness = _straightness(accepted.get("straightness", []))
-    passed, conclusion = _conclusion(straightness.get("after"), work.require)
+    displayed = accepted.get("straightness", [])
+    straightness = _straightness(displayed)
+    lacks = "its uncertainty is not known" if displayed else "the stroke is too short"
+    passed, conclusion = _conclusion(straightness.get("after"), lacks, work.require)
     content = plain(
         {
             "passed": passed,
@@ -109,17 +111,20 @@ def _straightness(displayed: Sequence[Mapping[str, Any]]) -> dict[str, dict[str,
     """Before and after compensation: the direction with the larger value and uncertainty; what is not stated lacks."""
     found: dict[str, dict[str, Any]] = {}
     for one in displayed:
+        if one["line"] != _LINE or one["expanded_uncertainty_um"] is None:
+            continue
         upper = one["value_um"] + one["expanded_uncertainty_um"]
-        if one["line"] == _LINE and upper > found.get(one["when"], {}).get("upper_um", -1.0):
+        if upper > found.get(one["when"], {}).get("upper_um", -1.0):
             kept = ("value_um", "expanded_uncertainty_um", "direction", "unknown")
             found[one["when"]] = {"upper_um": upper, **{name: one[name] for name in kept}}
     return found
 
 
-def _conclusion(after: Mapping[str, Any] | None, require: float | None) -> tuple[bool, str]:
-    """Whether the tolerance ``require`` in µm is kept, and the first sentence of the certificate."""
+def _conclusion(after: Mapping[str, Any] | None, lacks: str, require: float | None) -> tuple[bool, str]:
+    """Whether the tolerance ``require`` in µm is kept, and the first sentence of the certificate; ``lacks`` says why
+    there is no straightness ``after`` compensation."""
     if after is None:
-        unknown = "the straightness is not stated, since the stroke is too short"
+        unknown = f"the straightness is not stated, since {lacks}"
         return (
             require is None,
             f"Passed without a tolerance: {unknown}" if require is None else f"Not passed: {unknown}",
@@ -139,7 +144,7 @@ def _files(work: Work) -> Iterator[tuple[str, Path]]:
     """What the certificate stands for: parameters, limits, map and bags."""
     for name in (TUNED, LIMITS, LEARNED):
         yield name, work.folder / name
-    survey = Path(work.stage.guide.file)
+    survey = find_survey(work.stage.guide.file)
     yield f"map {survey.name}", survey
     for bag in sorted((work.folder / "bags").rglob("*.mcap")):
         yield str(bag.relative_to(work.folder)), bag

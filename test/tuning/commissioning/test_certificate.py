@@ -1,15 +1,19 @@
 """A certificate is written for what was measured within its limits, and for nothing else."""
 
 import dataclasses
+import hashlib
 import json
 import math
 import re
+import shutil
 from typing import Any
 
 import pytest
 from roughly_known import values_of, work_on
 
 from straightcomp_ros.analysis.straightness_statement import Contribution, Statement, with_uncertainty
+from straightcomp_ros.offline.starts import with_values
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
 from straightcomp_ros.tuning.commissioning.machine import Outcome
@@ -152,6 +156,35 @@ def test_the_first_line_says_whether_the_tolerance_is_kept_with_the_uncertainty_
     assert content["conclusion"] in first and "Simulated machine" in first and "serial number A 17, law" in first
     assert "“a hundredth of the friction” would leave more: 0.49 µm p-p instead of 0.13" in page
     assert "“ideal encoder”" not in page
+
+
+@pytest.mark.parametrize("require", [None, 0.5])
+def test_a_straightness_whose_uncertainty_is_not_known_is_not_stated_and_keeps_no_tolerance(tmp_path, require):
+    nothing = (Contribution("map", None),)
+    stated = [
+        Statement(when, way, "minimum_zone", 1, 0.2e-6, nothing if when == "after" or way == "forward" else (SURVEY,))
+        for when in ("before", "after")
+        for way in ("forward", "backward")
+    ]
+    work = done(tmp_path, acceptance={"straightness": [one.to_display() for one in stated]})
+    outcome = certificate(dataclasses.replace(work, require=require))
+    _, content = written(tmp_path)
+    assert outcome.passed == (require is None) and "uncertainty is not known" in outcome.sentence
+    assert {when: one["direction"] for when, one in content["straightness"].items()} == {"before": "backward"}
+
+
+@pytest.mark.parametrize("where", ["the package", "home"])
+def test_the_certificate_has_the_checksum_of_the_map_wherever_it_was_found(tmp_path, monkeypatch, where):
+    name, survey = "config/survey_synthetic.csv", share_path("config/survey_synthetic.csv")
+    monkeypatch.chdir(tmp_path)
+    if where == "home":
+        monkeypatch.setenv("HOME", str(tmp_path))
+        name, survey = "~/mine.csv", shutil.copy(survey, tmp_path / "mine.csv")
+    work = done(tmp_path)
+    work = dataclasses.replace(work, values=with_values(work.values, "stage", {"guide.file": name}))
+    assert certificate(work).passed
+    digests = written(tmp_path)[1]["sha256"]
+    assert digests[f"map {survey.name}"] == hashlib.sha256(survey.read_bytes()).hexdigest()
 
 
 @pytest.mark.parametrize(
