@@ -73,6 +73,9 @@ _AFTER, _AT_REVERSALS = 0.1, 4.0
 _WITH_MOTION = 0.5
 """Least correlation of an error that friction makes with the direction of the reference. With 20 to 60 times the
 friction it was 0.63 and 0.71, with an offset that drifts at most 0.03."""
+_SAME_WAY = 0.9
+"""Mean product of the directions of platform and stage, either sign, from which their forces are not told apart: at
+most one sample in twenty then has one without the other."""
 _OF_A_MODE = 0.1
 """Relative distance from a mode within which a line is of it: a loop that a mode destabilises shifts it a little."""
 _STANDS, _STANDING = 0.4, 0.2
@@ -251,8 +254,8 @@ def _unexplained(x: Array, left: Array, shape: Array) -> float:
 
 def dragging(time: Array, y: Array, r: Array, current: Array, error: Array, strokes: Sequence[Stroke]) -> float:
     """Part of the ``current`` (n,) in A that opposes a cable's drag: it turns round with the travel of the stage, that
-    against friction with the platform's. 0 unless it outweighs the rest, and the ``error`` (n,) in m is made where the
-    stage starts and stops, as that of an offset that drifts is not."""
+    against friction with the platform's. 0 unless the two can be told apart, it outweighs the rest, and the ``error``
+    (n,) in m is made where the stage starts and stops, as that of an offset that drifts is not."""
     period, ways = float(np.median(np.diff(time))), np.zeros(time.size)
     ends = np.zeros(time.size, dtype=bool)
     for one in strokes:
@@ -263,12 +266,14 @@ def dragging(time: Array, y: Array, r: Array, current: Array, error: Array, stro
     if not moving.size or not np.ptp(ways[moving]):
         return 0.0
     velocity = np.sign(np.gradient(r, time))
+    if abs(float(np.mean(velocity[moving] * ways[moving]))) > _SAME_WAY:
+        return 0.0
     terms = np.column_stack([np.ones(time.size), y, velocity, ways])[moving]
     factors, *_ = np.linalg.lstsq(terms, current[moving], rcond=None)
     rest = float(np.std(current[moving] - terms @ factors))
     friction, drag = np.abs(factors[2:]).tolist()
     at_ends, elsewhere = (float(np.mean(error[mask] ** 2)) if mask.any() else 0.0 for mask in (ends, ~ends))
-    return drag if drag > max(friction, rest) and at_ends > _AT_REVERSALS * elsewhere else 0.0
+    return drag if drag > max(friction, rest) and at_ends > _AT_REVERSALS * elsewhere > 0.0 else 0.0
 
 
 def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[Stroke], rests: Sequence[Array]) -> str:

@@ -219,6 +219,11 @@ class JudgedMotion:
         return max(self.travel, self.fit.guide_pp if self.fit else 0.0)
 
     @property
+    def whole(self) -> float:
+        """The same on the whole guide of the map: of the little that a gentle piece asks for a law leaves most."""
+        return max(self.uncompensated, self.map_pp)
+
+    @property
     def still(self) -> bool:
         """Whether the reference asks for nothing: the run is uncompensated."""
         asked = max(_STILL, self.count, _STILL_SHARE * (self.fit.guide_pp if self.fit else 0.0))
@@ -240,9 +245,7 @@ class JudgedMotion:
             return least
         if not self.promised:
             return min(max(ACCURATE * self.uncompensated, least), max(self.uncompensated, self.count))
-        # A sound law leaves more than half of the little that a gentle piece of the guide asks for.
-        whole = ACCURATE * max(self.uncompensated, self.map_pp)
-        return max(least, min(whole, self._allowed.pp))
+        return max(least, min(ACCURATE * self.whole, self._allowed.pp))
 
     @cached_property
     def rms(self) -> float:

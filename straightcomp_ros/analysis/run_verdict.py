@@ -55,7 +55,7 @@ _SEEN = 0.5
 """Part of an error's RMS in the encoder's readings below which the encoder made it: a quarter of its power."""
 _UNSTABLE = "the law is unstable on the stage as it is described: straightcomp design finds gains for a stage"
 _HUNTS = 0.02
-"""Least motion at rest relative to the uncompensated deviation, both p-p, that is hunting."""
+"""Least motion at rest relative to the whole guide's deviation, both p-p, that is hunting."""
 
 
 def judged_motion(
@@ -255,11 +255,11 @@ def _wrong_guide(motion: JudgedMotion) -> str:
 def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None:
     """What the error does beyond what the reference asks for, and what is allowed; None if it is not too much."""
     pieces, known = list(error_detail.stretches(motion.time, motion.error, motion.r)), (motion.period, motion.dither)
-    allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.uncompensated)
+    allowed = error_detail.tolerated_amplitude(motion.error, motion.count, motion.whole)
     found = max(error_detail.sustained_oscillation(error, asked, *known) for error, asked in pieces)
     if found.amplitude <= allowed and motion.exceeds:
         found = max(error_detail.irregular_oscillation(error, asked, *known) for error, asked in pieces)
-        large = motion.pp > ACCURATE * motion.uncompensated
+        large = motion.pp > ACCURATE * motion.whole
         if not large and found.frequency < _OF_LOOP / motion.period:
             return None
     return (found, allowed) if found.amplitude > allowed else None
@@ -268,7 +268,7 @@ def _line(motion: JudgedMotion) -> tuple[error_detail.Oscillation, float] | None
 def _disturbed(motion: JudgedMotion) -> Verdict | None:
     """The verdict on an error that is a line, or is made by jumps: by what is behind it."""
     error = f"error {_um(motion.pp)} p-p"
-    at_rest = max(FEW_COUNTS * motion.count, _HUNTS * motion.uncompensated)
+    at_rest = max(FEW_COUNTS * motion.count, _HUNTS * motion.whole)
     # What ends with the first half of a pause was settling.
     hunts = [rest[rest.size // 2 :] for rest in motion.resting() if causes.stick_slip(rest, motion.period)]
     hunting = max((pp for pp in map(peak_to_peak, hunts) if pp > at_rest), default=0.0)

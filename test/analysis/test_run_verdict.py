@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from straightcomp_ros.analysis.causes import of_map
+from straightcomp_ros.analysis.causes import dragging, of_map
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, encoder_count
 from straightcomp_ros.analysis.judged_motion import bounds_of as all_bounds
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
+from straightcomp_ros.analysis.record import Stroke
 from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
 from straightcomp_ros.stage.description import StageParameters
@@ -82,6 +83,7 @@ PAUSED = np.cumsum(np.select([TIME < 3.0, TIME < 5.0], [0.5, 0.0], -0.5)) * T
 HIDDEN = 0.1 * SMALL + 0.06e-6 * sine(137.0)
 NEARLY = 0.02 * R
 GENTLE, JOG = 5e-9 * np.sin(TIME), {"fit": None, "map_pp": 20e-6}
+SHORT_STEPS = np.where((TIME > 3.0) & (TIME < 5.0), 0.1 * STEPS, SMALL)
 LIMITED, DESTABILISED = {"current_limit": 0.9}, {"modes": (80.0,), "destabilised": lambda: True}
 DRY = {"y": R, "current": 0.05 * np.sign(np.gradient(R)), "current_stiffness": 40.0}
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
@@ -290,6 +292,9 @@ CASES = {
         ("inaccurate", "", motion(8.0 * SMALL, GENTLE, promise=promised(0.29), **JOG)),
         ("in_order", "^(?!.*uncompensated)", motion(8.0 * SMALL, GENTLE, promise=promised(0.31), **JOG)),
         ("inaccurate", "", motion(8.0 * SMALL, GENTLE, **JOG)),
+        # As on a whole stroke, a slow error is no oscillation, and what is little at rest does not hunt.
+        ("inaccurate", "", motion(0.4e-6 * sine(5.0), GENTLE, promise=promised(0.29), **JOG)),
+        ("in_order", "", motion(SHORT_STEPS, GENTLE, x=PAUSED, count=1e-9, promise=promised(0.31), **JOG)),
     ],
 }
 
@@ -420,3 +425,12 @@ def test_a_force_that_turns_round_with_the_travel_is_the_cables_and_no_other(ver
     assert ("cable or hose" in found.json["reason"]) == cable
     if cable:
         assert found.json["verdict"] == "inaccurate" and "friction" not in found.json["reason"]
+
+
+@pytest.mark.parametrize(("waves", "found"), [(0.25, 0.0), (-0.25, 0.0), (1.0, 0.05), (3.0, 0.05)])
+def test_a_force_is_not_called_a_cables_where_the_platform_moves_one_way_with_the_stage(waves, found):
+    there_and_back = 1.0 - np.abs(TIME - 4.0) / 4.0
+    r, ways = 10e-6 * np.sin(2.0 * np.pi * waves * there_and_back), np.where(TIME < 4.0, 1.0, -1.0)
+    strokes = [Stroke(0, 8000, "forward"), Stroke(8000, 16_000, "backward")]
+    error = SMALL + np.where(np.isin(EVERY % 8000, range(100)), 2e-6, 0.0)
+    assert dragging(TIME, r - error, r, 0.05 * ways, error, strokes) == pytest.approx(found, abs=1e-3)
