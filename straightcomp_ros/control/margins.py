@@ -67,10 +67,6 @@ Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-class NotLinear(ValueError):
-    """A law has no linearisation at rest, and so no linear margins or responses."""
-
-
 class StateSpace(NamedTuple):
     """x⁺ = A x + B u, out = C x + D u: a (n, n), b (n, inputs), c (outputs, n), d (outputs, inputs)."""
 
@@ -204,7 +200,7 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     second input; otherwise none is measured.
 
     Raises:
-        NotLinear: the law is not linear there.
+        ValueError: the law is not linear there.
     """
     inputs, size = (2 if with_current else 1), len(flat(law.start(0.0)))
     for step in _STEPS:
@@ -215,7 +211,7 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
         kept = np.ix_([*looped, size], [*looped, *range(size, size + inputs)])
         if np.allclose(columns[kept], coarser[kept], rtol=_LINEAR_WITHIN, atol=0.0):
             return StateSpace(all_a[np.ix_(looped, looped)], all_b[looped], all_c[:, looped], columns[size:, size:])
-    raise NotLinear(
+    raise ValueError(
         "this law has no linearisation at rest: its slope there depends on the step; smc has one with a "
         "'control.smc.boundary_layer' above 0"
     )
@@ -272,7 +268,7 @@ def loop_margins(
     ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
 
     Raises:
-        NotLinear: the law has no linearisation at rest.
+        ValueError: the law has no linearisation at rest.
     """
     late, period = stage.drive.delay * stage.period if delay is None else delay, stage.period
     plant, linear = sampled_plant(stage, late), linearised(law, with_current=with_current)
@@ -293,7 +289,10 @@ AS_DESCRIBED = "as described"
 
 def unstable_where(control: ControlParameters, stage: StageParameters) -> str:
     """Where the law, as it is on ``stage``, is unstable, in words: :data:`AS_DESCRIBED`, or else at the first corner of
-    :func:`with_facts_off`; empty if nowhere, or if it has no linearisation at rest. Impossible corners do not count."""
+    :func:`with_facts_off`; empty if nowhere, if it has no linearisation at rest, or if there is no law. Impossible
+    corners do not count."""
+    if control.law == OPEN_LOOP:
+        return ""
     delay = stage.drive.delay * stage.period
     try:
         linear = linearised(make_law(described_state(control, stage)[1], stage))
@@ -373,7 +372,7 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     plant act as on the position.
 
     Raises:
-        NotLinear: the law has no linearisation at rest.
+        ValueError: the law has no linearisation at rest.
     """
     plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
     z = np.exp(2j * math.pi * frequencies * stage.period)
@@ -404,7 +403,7 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 
 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
-    """Each limit that the law misses, in words; NotLinear if the law has no linearisation at rest."""
+    """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
     plant = sampled_plant(stage, stage.drive.delay * stage.period)
     laws = {state: make_law(one, stage) for state, one in states_of(control, stage).items()}
     for state, law in laws.items():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.control.laws import (
+    OPEN_LOOP,
     ControlParameters,
     ObserverDesign,
     described_state,
@@ -273,7 +274,9 @@ def _loop_findings(stage: StageParameters, control: ControlParameters, found: Co
         yield _instability(stage, found)
     yield stiction(stage, control)
     margins, law = found.margins, control.law
-    if margins is None:
+    if law == OPEN_LOOP:
+        yield Finding("loop", "ok", f"law {law} commands nothing but an excitation: there is no loop")
+    elif margins is None:
         yield Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
     elif missing := missing_margin(control, stage):
         yield Finding("loop", "fail", missing, "The controller refuses these gains: design others.")

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law, states_of
+from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, ObserverDesign, make_law, states_of
 from straightcomp_ros.control.margins import (
     AS_DESCRIBED,
     LEAST_GAINS,
@@ -165,6 +165,11 @@ def test_a_corner_that_no_machine_can_have_hides_no_other_one():
     # The narrowest gap does not hold the stop.
     with pytest.raises(ParameterError):
         with_facts_off(uncertain)
+
+
+def test_a_law_that_commands_nothing_is_nowhere_unstable_and_lacks_no_margin():
+    control = ControlParameters(law=OPEN_LOOP)
+    assert unstable_where(control, USUAL) == "" and missing_margin(control, USUAL) is None
 
 
 SHARP = ControlParameters(law="smc", smc=SlidingDesign(boundary_layer=2e-3))

@@ -180,6 +180,9 @@ def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(chec
     assert finding["state"] == ("warn" if corner else "ok")
     assert ("mass ×" in finding["detail"]) == corner and remedy in finding["remedy"]
     assert not facts or "design" not in finding["remedy"]
+    # Without a law there is no loop.
+    (finding,) = check(path, named="loop", stage=facts, controller={"control.law": "open_loop"})
+    assert finding["state"] == "ok" and "stable" not in finding["detail"]
 
 
 @pytest.mark.parametrize(
