@@ -20,7 +20,7 @@ _NUMBER = re.compile(r"(\(?-?\d+(\.\d+)?\)?|\?)$")
 
 def _shown(value: Any) -> Any:
     """A number to four digits, a dash for what is not there, a text as it is."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else value
 

@@ -96,7 +96,7 @@ def figures_table(title: str, figures: Mapping[str, Any]) -> Table:
 
 def shown(value: Any) -> str:
     """A figure in a table; empty where there is none."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 

@@ -13,6 +13,7 @@ from straightcomp_ros.analysis.assessment import checked_limits
 from straightcomp_ros.analysis.error_detail import error_spectrum
 from straightcomp_ros.analysis.html_report import report_html
 from straightcomp_ros.analysis.metrics import StandstillFigures, evaluate
+from straightcomp_ros.cli.results import shown
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import plain
 
@@ -73,6 +74,7 @@ def test_one_movement_that_does_not_settle_leaves_the_median_of_the_others(make_
         checks = checked_limits(limits(tmp_path, text), figures)
         assert [check.value for check in checks if not check.passed] == [math.inf] * failed
         assert plain(figures)["settling_max_s"] is None
+        assert shown(figures["settling_max_s"]) == "inf"
     found.standstills = [unknown]
     assert [check.value for check in checked_limits(limits(tmp_path, text), found.figures())] == [None, None]
 
