@@ -58,6 +58,11 @@ class Run:
     x: NDArray[np.float64]
     deviation: NDArray[np.float64]
 
+    @property
+    def driven(self) -> NDArray[np.float64]:
+        """x and deviation (2, n) in m in the order in which the stage moved: x falls in a backward run."""
+        return np.stack([self.x, self.deviation])[:, :: 1 if self.direction == "forward" else -1]
+
 
 @dataclass(frozen=True)
 class Survey:
@@ -70,8 +75,8 @@ class Survey:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the runs' numbers."""
-        numbers = b"".join(np.stack([run.x, run.deviation]).tobytes() for run in self.runs)
+        """SHA-256 of the runs' numbers, as driven: of two runs that differ in direction alone they differ."""
+        numbers = b"".join(run.driven.tobytes() for run in self.runs)
         return hashlib.sha256(numbers).hexdigest()
 
     @property
@@ -166,13 +171,12 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
     """
     lines = [*(f"# {comment}" for comment in comments), "run,direction,x_mm,deviation_um"]
     for run in survey.runs:
-        order = slice(None) if run.direction == "forward" else slice(None, None, -1)
         name = run.name.replace('"', '""')
         # What begins with # would be a comment.
         name = f'"{name}"' if re.search(r'^#|[",]', name) else name
         lines += [
             f"{name},{run.direction},{decimal(x * 1e3, 4)},{decimal(deviation * 1e6, 3)}"
-            for x, deviation in zip(run.x[order].tolist(), run.deviation[order].tolist(), strict=True)
+            for x, deviation in run.driven.T.tolist()
         ]
     write_whole(path, "\n".join(lines) + "\n")
 

@@ -58,6 +58,10 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(fold
     assert code == 0 and "next: all is done" in said
     check.write_text((tmp_path / "moved.csv").read_text().replace(",6.1", ",7.1"))
     assert refuses("--check-survey", check) and refuses("--learn", 10)
+    # The same numbers, driven the other way.
+    check.write_text((tmp_path / "moved.csv").read_text().replace("run,x_mm", "run,direction,x_mm"))
+    check.write_text(re.sub(r"^(\d),", r"\1,backward,", check.read_text(), flags=re.MULTILINE))
+    assert refuses("--check-survey", check)
 
 
 def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, commission, monkeypatch):
