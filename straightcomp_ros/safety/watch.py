@@ -15,6 +15,8 @@ from straightcomp_ros.stage.description import StageParameters
 
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
+_LONGEST_FROZEN = 0.25
+"""s, half of the time within which a frozen y is found (`Fault.Y_FROZEN`): in the other half the current rises."""
 _BEYOND = 1.2
 _GAP_NS = 20_000_000
 """Longest gap between samples of one run, as of the pairing."""
@@ -28,7 +30,12 @@ class WatchParameters:
     travel: float = parameter(
         0.1, "Largest movement of y since the amplifier was switched on, for commissioning in open loop", "(0, 0.1] m"
     )
-    frozen_time: float = parameter(0.01, "Time without a change of y after which it may count as frozen", "(0, 10] s")
+    frozen_time: float = parameter(
+        0.01,
+        "Time without a change of y, under a current that must move it, after which it is frozen; on a heavy platform "
+        "up to 0.25 s, where half of the largest current does not move it sooner",
+        "(0, 10] s",
+    )
     frozen_current: float = parameter(
         0.0,
         "Change of the mean control current that must move y by a count; 0: by the description of the stage, at the "
@@ -68,12 +75,18 @@ class SampleWatch:
         self._period_ns = period_ns = stage.period_ns
         self._fastest, self._noise = stage.motion.highest_speed * 1e-9, stage.encoder.x_noise
         self._x_step = self._fastest * period_ns + self._noise
-        self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
-        self._frozen_samples = math.ceil(parameters.frozen_time / (period_ns * 1e-9))
-        # What lasts shorter than the mean's memory does not show in it.
-        self._frozen_current = parameters.frozen_current or moving_current(
-            stage, max(parameters.frozen_time, _MEAN_TIME)
-        )
+        self._frozen_current, time, memory = parameters.frozen_current, parameters.frozen_time, _MEAN_TIME
+        if not self._frozen_current:
+            # What lasts shorter than the mean's memory does not show in it.
+            time = max(time, memory)
+            # A current that no law reaches would find nothing: a heavy platform has more time, and so has the mean, in
+            # which a coarse count lets the current oscillate slowly.
+            while moving_current(stage, time) > 0.5 * stage.highest_current and 2.0 * time <= _LONGEST_FROZEN:
+                time, memory = 2.0 * time, 2.0 * memory
+            self._frozen_current = moving_current(stage, time)
+        self._share = 1.0 - math.exp(-period_ns * 1e-9 / memory)
+        # A command acts after its delay: the first sample with a larger current says nothing yet.
+        self._frozen_samples = max(2, math.ceil(time / (period_ns * 1e-9)))
         self.restart()
 
     def restart(self) -> None:
@@ -83,7 +96,7 @@ class SampleWatch:
 
     def switched(self) -> None:
         """The amplifier is switched on, or a fault is cleared: the current was zero before, and y may be anywhere."""
-        self._y, self._unchanged = math.nan, 0
+        self._y, self._resisted = math.nan, 0
         self._mean = self._mean_at_change = 0.0
         self._least = -sys.float_info.max
         self._most = sys.float_info.max
@@ -109,11 +122,11 @@ class SampleWatch:
             if math.isnan(self._y):
                 # The first sample since the amplifier was switched on.
                 self._start, self._least, self._most = y, y - self.travel, y + self.travel
-            self._y, self._unchanged, self._mean_at_change = y, 0, self._mean
+            self._y, self._resisted, self._mean_at_change = y, 0, self._mean
             return None
-        self._unchanged += 1
         change = self._mean - self._mean_at_change
-        if self._unchanged < self._frozen_samples or abs(change) <= self._frozen_current:
+        self._resisted = self._resisted + 1 if abs(change) > self._frozen_current else 0
+        if self._resisted < self._frozen_samples:
             return None
         return Fault.Y_FROZEN, f"y stays at {y * 1e6:.1f} µm though the current changed by {change:+.2f} A"
 

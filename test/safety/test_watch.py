@@ -123,10 +123,12 @@ def test_y_is_frozen_if_it_stays_although_the_current_has_moved_and_not_at_rest_
     [
         # The first sample changes y; twenty more of half a millisecond are ten milliseconds.
         (0.01, 0.08, (20,), [100.0] * 30),
-        # The mean of a step of 1 A takes 5 ms to 1 − 1/e: with that threshold the fault comes there.
-        (1e-9, 1.0 - math.exp(-1.0), (10, 11), [0.0] + [1.0] * 29),
+        # However long it stood before: the time is that under the larger current.
+        (0.01, 0.08, (119,), [0.0] * 100 + [1.0] * 30),
+        # The mean of a step of 1 A takes 5 ms to 1 − 1/e: with that threshold the fault comes a sample after.
+        (1e-9, 1.0 - math.exp(-1.0), (11, 12), [0.0] + [1.0] * 29),
     ],
-    ids=["frozen_time", "mean"],
+    ids=["frozen_time", "from rest", "mean"],
 )
 def test_y_is_frozen_after_the_frozen_time_at_the_mean_current(frozen_time, frozen_current, first, currents):
     found = watch(frozen_time=frozen_time, frozen_current=frozen_current)
@@ -148,6 +150,34 @@ def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
 
 
 FREE = {"friction.coulomb": 0.0, "friction.static": 0.0}
+HEAVY = {"platform.mass": 150.0, "encoder.y_resolution": 1e-6}
+
+
+@pytest.mark.parametrize("facts", [FREE, {**FREE, **HEAVY}], ids=["light", "heavy"])
+@pytest.mark.parametrize("rate", [100, 2000, 10_000])
+@pytest.mark.parametrize("change", [0.01, 0.1, 1.0])
+def test_a_platform_that_a_current_moves_from_rest_is_not_frozen_however_long_it_stood(facts, rate, change):
+    stage = from_mapping(StageParameters, {**facts, "rate": rate})
+    found, count = watch(stage), stage.encoder.y_resolution
+    acceleration = change * stage.actuator.current_stiffness / stage.platform.mass
+    for k in range(rate):
+        # It stands for half a second. A command acts a sample late.
+        moved = 0.5 * acceleration * (max(0, k - rate // 2 - 1) / rate) ** 2
+        sample = Sample(k * stage.period_ns, 0.0, min(0.9e-3, math.floor(moved / count) * count), 0.0)
+        if sample.y == 0.9e-3:
+            break
+        assert found.check(sample, change if k > rate // 2 else 0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("mass", "count", "frozen_time"), [(3.0, 1e-7, 0.01), (40.0, 1e-6, 0.005), (150.0, 1e-6, 0.01), (1e4, 1e-6, 0.01)]
+)
+def test_half_of_the_largest_current_finds_a_dead_encoder_of_any_platform_in_time(mass, count, frozen_time):
+    stage = from_mapping(StageParameters, {"platform.mass": mass, "encoder.y_resolution": count})
+    found = watch(stage, frozen_time=frozen_time)
+    change = 0.55 * stage.highest_current
+    findings = [feed(found, k, 0.0, 0.0, change if k else 0.0) for k in range(stage.rate // 2)]
+    assert findings[-1][0] is Fault.Y_FROZEN
 
 
 def first_fault(facts, frozen_at=-1):
@@ -177,8 +207,9 @@ def first_fault(facts, frozen_at=-1):
         {**FREE, "platform.stiffness": 1e5},
         {**FREE, "platform.stiffness": STAGE.actuator.position_stiffness, "encoder.y_resolution": 1e-6},
         {"friction.coulomb": 0.03, "friction.static": 0.04, "encoder.y_resolution": 1e-6},
+        {**FREE, **HEAVY},
     ],
-    ids=["no friction", "flexure", "balanced", "coarse"],
+    ids=["no friction", "flexure", "balanced", "coarse", "heavy"],
 )
 def test_a_platform_with_hardly_any_friction_is_not_frozen_within_a_count_and_a_dead_encoder_is_found(facts):
     assert first_fault(facts) is None
