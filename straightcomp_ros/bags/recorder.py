@@ -272,6 +272,7 @@ class Recorder:
                 self._bag.sync_older(self._options.sync_interval)
             while intake.queue:
                 self._write(intake)
+                check_disk(self.folder, self._min_free)
         except Exception as error:  # A thread that ends without a word would leave a bag that looks whole.
             self.failure = self._in_words(error)
 

@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import threading
 from datetime import datetime
 from pathlib import Path
 from unittest.mock import Mock
@@ -205,6 +206,25 @@ def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
     with pytest.raises(BagError, match="min_free_bytes"):
         recorder.stop()
     assert (tmp_path / "run" / "metadata.yaml").exists()
+
+
+def test_what_waits_when_a_recording_is_stopped_does_not_fill_the_disk(tmp_path):
+    looked = threading.Event()
+
+    def describe(bag, at_end):
+        looked.set()
+        recorder._stopping.wait(30)
+
+    recorder = Recorder(RecorderParameters(str(tmp_path / "run"), queue_limit=1000, min_free_bytes=0), [], describe)
+    announced(recorder)
+    recorder.start()
+    assert looked.wait(30)
+    # As a snapshot does.
+    recorder.intake.queue.extend(sample(number) for number in range(2500))
+    recorder.keep_free(10**18)
+    with pytest.raises(BagError, match="min_free_bytes"):
+        recorder.stop()
+    assert recorder.written == 1000 and (tmp_path / "run" / "metadata.yaml").exists()
 
 
 @pytest.mark.parametrize("words", ["MemoryError", "'/unknown' was not added"])
