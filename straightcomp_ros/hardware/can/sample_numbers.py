@@ -186,7 +186,7 @@ class SampleClock:
                 self.other_rate = 1e9 / period_ns if period_ns > 0.0 else 0.0
                 return
             self._place += late
-            self.settled = True
+            self.settled, self.other_rate = True, 0.0
             return
         # An error of whole periods in block after block is no jitter: the board's clock was interrupted.
         self._lost_blocks = self._lost_blocks + 1 if abs(late) > _LOST_PERIODS * self._nominal else 0

@@ -115,13 +115,16 @@ def test_what_is_late_for_a_while_does_not_make_the_stamps_late_for_long(ppm, la
     assert np.diff(stamps).min() > 0
 
 
+@pytest.mark.parametrize(("begin", "end"), [(0, 100), (30, 2 * BLOCK)])
 @pytest.mark.parametrize("ratio", [0.5, 0.8, 1.25, 2.0])
-def test_a_board_at_another_rate_is_found_in_the_first_block_and_a_host_that_stood_still_waits_for_the_next(ratio):
+def test_a_board_at_another_rate_is_found_in_the_first_block_and_a_host_that_stood_still_waits_for_the_next(
+    ratio, begin, end
+):
     other, stalled = SampleClock(PERIOD), SampleClock(PERIOD)
     for index in range(3 * BLOCK):
         other.observe(index, START + round(index * ratio * PERIOD))
         # All that came while the host stood still is read at once.
-        stalled.observe(index, START + PERIOD * (index if index < 30 else max(index, 2 * BLOCK)))
+        stalled.observe(index, START + PERIOD * (index if index < begin else max(index, end)))
     assert not other.settled and other.other_rate == pytest.approx(2000.0 / ratio)
     assert stalled.settled and stalled.other_rate == 0.0
     assert abs(stalled.stamp(3 * BLOCK) - START - 3 * BLOCK * PERIOD) < 0.1 * PERIOD
