@@ -179,7 +179,7 @@ def bench_parameters(
     stroke_s = 0.5 * (_SETTLE_S + seconds + _REST_S - _PAUSE_S)
     stage: StageParameters = node_parameters("feedforward", chosen).stage
     begin, end = load_map(stage.guide).span
-    stroke, acceleration = min(end - begin, 0.2 * stroke_s), 1.0
+    stroke, acceleration = min(end - begin, min(0.2, 0.5 * stage.motion.highest_speed) * stroke_s), 1.0
     # A trapezoidal motion takes stroke/speed + speed/acceleration.
     speed = 0.5 * acceleration * (stroke_s - math.sqrt(stroke_s**2 - 4.0 * stroke / acceleration))
     motion = {

@@ -81,10 +81,20 @@ def test_a_board_with_a_clock_of_its_own_loses_nothing_by_that(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rate", "seconds", "priority"), [(1000, 2.0, 0), (2000, 20.0, 30), (4000, 3600.0, 0), (None, 20.0, 0)]
+    ("rate", "seconds", "priority", "facts"),
+    [
+        (1000, 2.0, 0, {}),
+        (2000, 20.0, 30, {}),
+        (4000, 3600.0, 0, {}),
+        (None, 20.0, 0, {}),
+        (None, 20.0, 0, {"motion.speed": 0.05, "motion.highest_speed": 0.1}),
+        (None, 2.0, 0, {"motion.speed": 0.05, "motion.highest_speed": 0.1}),
+    ],
 )
-def test_at_every_rate_the_stage_moves_all_the_while_and_all_nodes_have_the_priority(rate, seconds, priority):
-    values = bench_parameters(shipped_parameters(), rate=rate, seconds=seconds, priority=priority)
+def test_at_every_rate_the_stage_moves_all_the_while_and_all_nodes_have_the_priority(rate, seconds, priority, facts):
+    given = shipped_parameters()
+    given["stage"] |= facts
+    values = bench_parameters(given, rate=rate, seconds=seconds, priority=priority)
     controller, driver, cell = (node_parameters(node, values) for node in ("controller", "driver", "cell"))
     assert controller.stage.rate == driver.stage.rate == (rate or 2000)
     duration = forward_and_back(cell.stage.motion)[-1].time_ns * 1e-9
