@@ -107,9 +107,16 @@ def locked(file: Path) -> Iterator[None]:
 
     Whoever reads a file, changes it and writes it again needs one, of another name: the file itself is replaced.
     """
-    with file.open("a") as lock:
+    try:
+        lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _NEW)
+    except PermissionError:
+        # One that root has made is locked without writing; only NFS locks no such file.
+        lock = os.open(file, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, _NEW)
+    try:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(lock)
 
 
 def plain(value: Any) -> Any:

@@ -1,10 +1,12 @@
 """Files are written whole, what was made in an output folder is replaced, everything else is kept; and what another
 user may have made is never taken for ours."""
 
+import fcntl
 import os
 import shutil
 import stat
 import tempfile
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -15,6 +17,7 @@ from straightcomp_ros.parameters.output_files import (
     UNFINISHED,
     OutputRefused,
     check_writable,
+    locked,
     making,
     write_whole,
 )
@@ -63,6 +66,23 @@ def test_what_root_writes_stays_the_owners(tmp_path, private, mode):
     write_whole(file, "new", private=private)
     found = file.stat()
     assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (4711, 4712, mode)
+
+
+def test_a_lock_that_may_not_be_written_is_waited_for_and_taken(tmp_path, monkeypatch):
+    # By its name alone: the folders above are root's.
+    monkeypatch.chdir(tmp_path)
+    tmp_path.chmod(0o755)
+    lock, root = Path("lock"), os.geteuid() == 0
+    with locked(lock):
+        lock.chmod(0o444)
+    if root:
+        os.seteuid(4711)
+    try:
+        with locked(lock), lock.open() as other, pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    finally:
+        if root:
+            os.seteuid(0)
 
 
 def test_a_pipe_gets_what_is_written(tmp_path):
