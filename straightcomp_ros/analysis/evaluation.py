@@ -20,7 +20,7 @@ from straightcomp_ros.analysis.judgement import CLOCK_JUMPED, INTERRUPTED, STARV
 from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, StrokeRecord, motion_of, speed_at_end
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
-from straightcomp_ros.bags.folder import opened, topic_names
+from straightcomp_ros.bags.folder import BagInput, opened, topic_names
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of, values_at
 from straightcomp_ros.bags.recorded_nodes import (
     guide_parameters,
@@ -203,6 +203,17 @@ def percentile_us(durations: Array, percentile: float) -> float:
     return float(np.percentile(durations, percentile)) * 1e6 if len(durations) else math.nan
 
 
+def _sensor(bag: Path, files: Sequence[BagInput]) -> dict[str, StreamColumns]:
+    """The stream of the displacement sensor, if the bag has it."""
+    try:
+        if resolved(DISPLACEMENT.topic, topic_names(files), str(bag)):
+            return streams_of(bag, files, {DISPLACEMENT.topic: DISPLACEMENT.layout})
+    except BagError as error:
+        # The node of a survey is the user's, and may name its joint otherwise: the run can be judged without it.
+        warnings.warn(f"the displacement sensor is left out: {error}", stacklevel=3)
+    return {}
+
+
 def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvaluation:
     """Read a bag of the graph, a rosbag2 folder or MCAP file, and join its streams by their stamps.
 
@@ -211,10 +222,11 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, DISPLACEMENT)
+    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
     diagnostics = Messages(DIAGNOSTICS)
     with opened(bag) as files:
         streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
+        streams |= _sensor(bag, files)
         attachments = attachments_of(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]

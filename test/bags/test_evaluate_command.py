@@ -14,6 +14,7 @@ from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.messages.cdr import joint_state
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 
@@ -55,7 +56,9 @@ def test_two_bags_are_put_side_by_side_and_it_is_said_if_one_of_them_is_uncompen
     assert found.code == 0 and "uncompensated is uncompensated" in found.err
 
 
-def test_the_table_of_the_straightness_names_what_measured_the_guide(tmp_path, verb):
+@pytest.fixture(params=[DISPLACEMENT.layout, joint_state(["gauge"], position=["deviation"])], ids=["ours", "foreign"])
+def survey(request, tmp_path):
+    """The bag of a simulated run with a displacement sensor, and whether its joint has the name that is read."""
     values = {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE}
     simulation = Simulation(values)
     with SimulatedRun(tmp_path / "bag", by_node(values), simulation.delay) as made:
@@ -64,12 +67,24 @@ def test_the_table_of_the_straightness_names_what_measured_the_guide(tmp_path, v
         def observe(sample, truth, *rest):
             made.add(sample, truth, *rest)
             stamp = START_NS + sample.stamp_ns
-            made._bag.write("/displacement", DISPLACEMENT.layout.pack(stamp, truth.guide_deviation), stamp, stamp)
+            made._bag.write("/displacement", request.param.pack(stamp, truth.guide_deviation), stamp, stamp)
 
         simulation.run(observe=observe)
-    for words, by, other in (((), "map", "sensor"), (("--sensor-uncertainty", "0.01"), "sensor", "map")):
-        (title,) = (line for line in verb("evaluate", tmp_path / "bag", *words).out.splitlines() if "(k = 2)" in line)
+    return tmp_path / "bag", request.param is DISPLACEMENT.layout
+
+
+def test_the_table_of_the_straightness_names_what_measured_the_guide(survey, verb):
+    bag, known = survey
+    sensor = [(("--sensor-uncertainty", "0.01"), "sensor", "map")] if known else []
+    for words, by, other in [((), "map", "sensor"), *sensor]:
+        (title,) = (line for line in verb("evaluate", bag, *words).out.splitlines() if "(k = 2)" in line)
         assert by in title and other not in title
+
+
+def test_a_sensor_that_cannot_be_read_is_left_out_with_a_warning(survey, verb):
+    bag, known = survey
+    found = verb("evaluate", bag, "--json")
+    assert found.code == 0 and found.json["lost_samples"] == 0 and ("'/displacement'" in found.err) is not known
 
 
 def test_nothing_heavy_is_imported():
