@@ -27,6 +27,8 @@ _AFTERPLAY_S = 0.5
 """Time for the other nodes to answer the last samples."""
 _SILENCE_NS = 1_000_000_000
 """After so long without an answer the player goes on without one."""
+_REMIND_S = 5.0
+"""From one line about what the player waits for to the next."""
 
 
 class PlayerNode(Runnable):
@@ -72,7 +74,8 @@ class PlayerNode(Runnable):
             return
         now_ns = time.monotonic_ns()
         elapsed_ns = now_ns - self._start_ns
-        if not self._next and elapsed_ns >= 0 and self._another_plays():
+        if not self._next and elapsed_ns >= 0 and self._lacking():
+            self._start_ns = None
             return
         due, messages, publish = self._due_ns, self._messages, self._publisher.publish
         self._see_answers(now_ns)
@@ -88,18 +91,6 @@ class PlayerNode(Runnable):
             self.node.get_logger().info(f"played {self._next} samples")
             self.done.set_result(0)
 
-    def _another_plays(self) -> bool:
-        """Whether others publish samples, a machine's driver perhaps, which two sources would trip; ends the player."""
-        topic = self._publisher.topic_name
-        others = self.node.count_publishers(topic) - 1
-        if others > 0 and not self.done.done():
-            self.node.get_logger().error(
-                f"'{topic}' has {others} other publisher(s), as a running machine has; end them, or play in another "
-                "namespace or ROS_DOMAIN_ID"
-            )
-            self.done.set_result(EXIT_FAILURE)
-        return others > 0
-
     def _see_answers(self, now_ns: int) -> None:
         if self._queue is None:
             return
@@ -111,16 +102,28 @@ class PlayerNode(Runnable):
             self._answered, self._progress_ns = self._next, now_ns
 
     def _wait(self, wake_ns: int) -> None:
-        count, wanted = self._publisher.get_subscription_count(), self._parameters.subscribers
-        if count >= wanted:
+        lacking = self._lacking()
+        if not lacking:
             # A subscriber that has just been discovered is connected a moment later.
             self._start_ns = wake_ns + 1_000_000_000
         elif time.monotonic() > self._deadline and not self.done.done():
-            self.node.get_logger().error(
-                f"{count} subscribers of '{ENCODER.topic}' after {self._parameters.start_timeout:g} s; "
-                f"parameter 'subscribers' asks for {wanted}"
-            )
+            self.node.get_logger().error(f"after {self._parameters.start_timeout:g} s {lacking}")
             self.done.set_result(EXIT_FAILURE)
+        else:
+            self.node.get_logger().info(f"waiting: {lacking}", throttle_duration_sec=_REMIND_S, skip_first=True)
+
+    def _lacking(self) -> str:
+        """What keeps the player from beginning: others that publish samples, a machine's driver perhaps, which two
+        sources would trip, or too few subscribers. A node that was killed publishes until DDS forgets it."""
+        topic, wanted = self._publisher.topic_name, self._parameters.subscribers
+        if (others := self.node.count_publishers(topic) - 1) > 0:
+            return (
+                f"'{topic}' has {others} other publisher(s), as a running machine has; end them, or play in another "
+                "namespace or ROS_DOMAIN_ID"
+            )
+        if (count := self._publisher.get_subscription_count()) < wanted:
+            return f"'{topic}' has {count} subscriber(s); parameter 'subscribers' asks for {wanted}"
+        return ""
 
 
 main = partial(run, "player", PlayerNode)

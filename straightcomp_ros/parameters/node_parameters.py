@@ -217,7 +217,9 @@ class PlayerNodeParameters:
     topic: str = parameter("encoder", "Name of the topic with the encoder samples in the bag")
     speed: float = parameter(1.0, "Speed of the playback; 1 is as recorded", "(0, 100]")
     subscribers: int = parameter(2, "Subscribers of the samples that the player waits for", "[0, 100]")
-    start_timeout: float = parameter(30.0, "Longest wait for the subscribers", "(0, inf) s")
+    start_timeout: float = parameter(
+        30.0, "Longest wait for the subscribers, and for other publishers of the samples to end", "(0, inf) s"
+    )
     ahead: int = parameter(
         0,
         "Samples without a command beyond which the player waits, so that slow nodes lose none; 0 never waits",
