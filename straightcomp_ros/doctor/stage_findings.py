@@ -183,9 +183,12 @@ def _related(
     if friction.viscous:
         yield "s until viscous friction stops the platform", mass / friction.viscous, 0.02, 19.9, "friction.viscous"
     yield "times the current limit by the converter", drive.current_range / limit, 0.5, 100.0, "drive.gain"
-    # Counts of x from 1 nm to 1 µm are usual, which is a range of 1000: the count of y tells a wrong unit of x.
-    counts = stage.encoder.x_resolution / stage.encoder.y_resolution
-    yield "counts of y as the count of x", counts, 0.2, 199.0, "encoder.x_resolution encoder.y_resolution"
+    # Counts of x from 1 nm to 2 µm are usual, which is more than a factor of 1000: at its ends the count of y tells a
+    # wrong unit of x.
+    count = stage.encoder.x_resolution
+    if not 2e-9 <= count <= 1.9e-6:
+        counts = count / stage.encoder.y_resolution
+        yield "counts of y as the count of x", counts, 0.2, 199.0, "encoder.x_resolution encoder.y_resolution"
     yield "times the rate as the amplifier's bandwidth", drive.bandwidth / stage.rate, 0.02, 19.0, "drive.bandwidth"
 
 

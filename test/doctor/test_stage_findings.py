@@ -195,7 +195,7 @@ def test_a_survey_that_shows_no_noise_is_not_asked_for_more_runs(check, tmp_path
     assert finding["state"] == state and (state == "ok" or "shows no noise" not in finding["detail"])
 
 
-def test_a_count_of_x_is_as_usual_as_the_same_count_of_y():
-    for count in (1e-9, 1e-8, 0.9e-6):
-        facts = {"encoder.x_resolution": count, "encoder.y_resolution": count}
-        assert ("units", "warn") not in list(found(OWN, **facts))
+def test_a_count_of_x_is_as_usual_as_the_same_count_of_y_and_one_far_from_a_wrong_unit_as_any_of_y():
+    for x, y in ((1e-9, 1e-9), (1e-8, 1e-8), (0.9e-6, 0.9e-6), (5e-9, 1e-7), (1e-8, 1e-7), (1e-6, 1e-9)):
+        facts = {"encoder.x_resolution": x, "encoder.y_resolution": y}
+        assert ("units", "warn") not in list(found(OWN, **facts)), (x, y)
