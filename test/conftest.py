@@ -1,17 +1,16 @@
 """For all tests."""
 
-import json
 import signal
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from hypothesis import settings
 from rich.text import Text
+from verbs import Ended, exit_code
 
 from straightcomp_ros.cell.launcher import Graph
-from straightcomp_ros.cli.main import main
 
 pytest_plugins = ["repeats", "firmware_programs", "dask_scheduler"]
 
@@ -72,29 +71,13 @@ def only_live_tests_start_nodes(request, monkeypatch):
         monkeypatch.setattr(Graph, "start", refuse)
 
 
-class Ended(NamedTuple):
-    """The exit code of a verb, and its standard output and error."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        return json.loads(self.out)
-
-
 @pytest.fixture
 def verb(capsys):
     """``verb("evaluate", bag, "--json")`` runs `straightcomp evaluate BAG --json` in this process."""
 
     def run(*words: Any) -> Ended:
         capsys.readouterr()
-        try:
-            code = main([*map(str, words)])
-        except SystemExit as ended:  # argparse
-            code = int(ended.code or 0)
-        return Ended(code, *capsys.readouterr())
+        return Ended(exit_code(words), *capsys.readouterr())
 
     return run
 

@@ -9,7 +9,6 @@ from tiers import nightly
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline import incident
 from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, incident_page, judged, pack, unpack
@@ -149,7 +148,7 @@ def link():
     ],
 )  # fmt: skip
 def test_an_archive_that_is_no_incident_is_refused_and_nothing_of_it_is_left(
-    packed, tmp_path, monkeypatch, change, words
+    packed, tmp_path, monkeypatch, verb, change, words
 ):
     monkeypatch.setattr(incident, "LARGEST", 50_000_000)
     file = changed(packed.file, tmp_path / "evil.zip", change)
@@ -159,7 +158,7 @@ def test_an_archive_that_is_no_incident_is_refused_and_nothing_of_it_is_left(
         unpack(file, inside)
     shutil.rmtree(inside)
     assert sorted(one.name for one in tmp_path.rglob("*")) == ["a", "evil.zip"]
-    assert main(["incident", "open", str(file), "-o", str(tmp_path / "c")]) == 2 and not (tmp_path / "c").exists()
+    assert verb("incident", "open", file, "-o", tmp_path / "c").code == 2 and not (tmp_path / "c").exists()
 
 
 @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.999])

@@ -10,7 +10,6 @@ import pytest
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import State
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.opcua.address_space import Alarms
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, Users, add_user
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -48,17 +47,17 @@ def test_what_is_no_user_is_refused(tmp_path, name, password, role, words):
             add_user(Path(folder), "ann", "long enough", "viewer")
 
 
-def test_the_verb_writes_the_file(tmp_path, monkeypatch):
-    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "long enough")
-    assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 0
-    assert Users(tmp_path / "users").role("ann", "long enough") == "operator"
-    assert main(["opcua", "user", str(tmp_path / "users"), "bob", "--role", "viewer"]) == 0
-    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "a new password")
-    assert main(["opcua", "user", str(tmp_path / "users"), "bob"]) == 0
-    assert Users(tmp_path / "users").role("bob", "a new password") == "viewer"
-    for refused in ("x", "M\udcfcller12345"):
-        monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", refused)
-        assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 2
+def test_the_verb_writes_the_file(tmp_path, monkeypatch, verb):
+    users = tmp_path / "users"
+
+    def user(password, *words):
+        monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", password)
+        return verb("opcua", "user", users, *words).code
+
+    assert user("long enough", "ann") == user("long enough", "bob", "--role", "viewer") == 0
+    assert Users(users).role("ann", "long enough") == "operator"
+    assert user("a new password", "bob") == 0 and Users(users).role("bob", "a new password") == "viewer"
+    assert user("x", "ann") == user("M\udcfcller12345", "ann") == 2
 
 
 @pytest.mark.parametrize(

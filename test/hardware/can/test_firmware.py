@@ -1,7 +1,6 @@
 """The firmware core against the emulated board: the same frames to the bit, whatever comes, and at whatever time."""
 
 import contextlib
-import json
 import math
 import random
 import re
@@ -19,7 +18,6 @@ from hypothesis import strategies as st
 from tiers import nightly
 
 from scripts import make_firmware_frames
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
@@ -314,18 +312,17 @@ def test_a_program_that_is_not_for_this_board_is_refused(firmware, capfd, can, s
     assert all(words in found for words in said)
 
 
-def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_path, capsys):
-    folder = tmp_path / "frames (2)"
-    stage = str(FOREIGN_FILE)
-    assert main(["can", "firmware", stage, "-o", str(folder)]) == 0
-    assert f"make -C firmware GENERATED='{folder}' BUILD='{folder}/build'" in capsys.readouterr().err
+def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_path, verb):
+    folder, file = tmp_path / "frames (2)", tmp_path / "file"
+    said = verb("can", "firmware", FOREIGN_FILE, "-o", folder).err
+    assert f"make -C firmware GENERATED='{folder}' BUILD='{folder}/build'" in said
     texts = frames_in_c([FOREIGN.make_wire()])
     assert {file.name: file.read_text() for file in folder.glob("*.[ch]")} == texts
-    assert main(["can", "firmware", stage, "-o", str(folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["source"] == FOREIGN.make_wire().source()
-    (tmp_path / "file").touch()
-    assert main(["can", "firmware", stage, "-o", str(tmp_path / "file")]) == 2
-    assert f"'{tmp_path / 'file'}': File exists" in capsys.readouterr().err
+    found = verb("can", "firmware", FOREIGN_FILE, "-o", folder, "--json")
+    assert found.code == 0 and found.json["source"] == FOREIGN.make_wire().source()
+    file.touch()
+    code, _, said = verb("can", "firmware", FOREIGN_FILE, "-o", file)
+    assert code == 2 and f"'{file}': File exists" in said
 
 
 def test_a_limit_beyond_the_boards_numbers_is_the_largest_of_them():

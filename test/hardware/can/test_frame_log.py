@@ -11,7 +11,6 @@ import can
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.can import frame_log
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import FrameLog, RecordedBus, of_the_board, play
@@ -24,11 +23,11 @@ START_S = 1_700_000_000.0
 BUS = {"driver.can.interface": "virtual", "driver.can.channel": "frame log"}
 
 
-def replayed(file, *options, **parameters):
-    """The exit code of `straightcomp can replay` on a bus in this process."""
+def replayed(verb, file, *options, **parameters):
+    """`straightcomp can replay` on a bus in this process."""
     values = BUS | {f"driver.can.{name}": value for name, value in parameters.items()}
     settings = [word for name, value in values.items() for word in ("--set", f"{name}={value}")]
-    return main(["can", "replay", str(file), *settings, *options])
+    return verb("can", "replay", file, *settings, *options)
 
 
 def written(file, frames):
@@ -132,16 +131,16 @@ def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monke
     assert frames[0].channel == "can7"
 
 
-def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, capsys):
+def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, verb):
     file = tmp_path / "bus.log"
     lines = "".join(f"({START_S + k * 1e-3:f}) can0 701#05 R\n" for k in range(50))
     file.write_text(lines + "(1700000001.0")
     with can.Bus(interface="virtual", channel=BUS["driver.can.channel"]) as listener:
         begin_s = time.time()
-        assert replayed(file, "--speed", "2", "--json") == 0
+        printed = replayed(verb, file, "--speed", "2", "--json")
         arrived = [listener.recv(30) for _ in range(50)]
-    printed = capsys.readouterr()
-    assert printed.out == '{"sent": 50, "damaged": true}\n' and "damaged after frame 50" in printed.err
+    assert printed.code == 0 and "damaged after frame 50" in printed.err
+    assert printed.out == '{"sent": 50, "damaged": true}\n'
     assert arrived[-1].timestamp - begin_s > 0.0245
 
 
@@ -207,21 +206,20 @@ def test_an_asc_log_is_read_in_its_base_and_kind_of_times_whatever_the_language_
         ("a.log", lines_of([1.7e9, 12]).encode(), {}, ["-53.9 years", "frame 1"]),
     ],
 )
-def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path, capsys, name, content, options, words):
+def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path, verb, name, content, options, words):
     (tmp_path / name).write_bytes(content)
     speed = ["--speed", str(options.pop("speed"))] if "speed" in options else []
-    assert replayed(tmp_path / name, *speed, **{"fd": False, **options}) == 2
-    printed = " ".join(capsys.readouterr().err.split())
-    assert all(word in printed for word in words) and "damaged" not in printed
+    code, _, said = replayed(verb, tmp_path / name, *speed, **{"fd": False, **options})
+    printed = " ".join(said.split())
+    assert code == 2 and all(word in printed for word in words) and "damaged" not in printed
 
 
-def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, capsys):
+def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, verb):
     file = tmp_path / "two.log"
     file.write_text(lines_of([*HALF_MS[:7], 13.2], ["can0", "can1", "can1"]))
     for channel, frames in (("can0", 3), ("can1", 5)):
-        assert replayed(file, "--channel", channel, "--speed", "100", "--json", fd=False) == 0
-        printed = capsys.readouterr()
-        assert f'"sent": {frames}' in printed.out
+        printed = replayed(verb, file, "--channel", channel, "--speed", "100", "--json", fd=False)
+        assert printed.code == 0 and f'"sent": {frames}' in printed.out
         # A silence of a second is said, and kept.
         assert ("a silence of 1.2 s after frame 4" in " ".join(printed.err.split())) == (channel == "can1")
 

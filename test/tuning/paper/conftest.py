@@ -1,12 +1,10 @@
 """The shipped machine, and what is computed with it once for all tests."""
 
-import contextlib
-import io
 import json
 
 import pytest
+from verbs import ran
 
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.tuning.paper.machine import Machine, paper_machine
 from straightcomp_ros.tuning.verbs import reproduce
 
@@ -21,12 +19,12 @@ def machine() -> Machine:
 
 def reproduced(folder, slow: tuple[str, ...]) -> dict:
     """What `straightcomp reproduce --json` prints without the figures ``slow``."""
-    printed = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+    with pytest.MonkeyPatch.context() as patch:
         chosen = {name: compute for name, compute in reproduce.FIGURES.items() if name not in slow}
         patch.setattr(reproduce, "FIGURES", chosen)
-        assert main(["reproduce", "--json", "-o", str(folder / "new")]) == 0
-    return json.loads(printed.getvalue(), parse_constant=pytest.fail)
+        code, out, err = ran("reproduce", "--json", "-o", folder / "new")
+    assert code == 0, err
+    return json.loads(out, parse_constant=pytest.fail)
 
 
 @pytest.fixture(scope="session")
