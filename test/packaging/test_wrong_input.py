@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from scripts.stage_files import STAGES
+
 ROOT = Path(__file__).resolve().parents[2]
 BAG, SURVEY, SURVEY_CSV = (ROOT / name for name in ("bags/smc", "bags/survey", "config/survey_synthetic.csv"))
 CASES = [
@@ -48,8 +50,24 @@ CASES = [
     (f"map build {SURVEY} --step nan", "straightcomp map build: --step nan; allowed: 0.01 to 1000"),
     ("map convert folder -o survey.csv", "the ending '' names no format"),
     ("map export -o table.cal --spacing -1", "--spacing -1; allowed: 0.1 to 1000 mm"),
+    ("map export -o table.cal --spacing 0", "--spacing 0; allowed: 0.1 to 1000 mm"),
+    ("map export -o table.xyz", "table.xyz: the ending '.xyz' names no format; allowed: .cal (aerotech)"),
+    ("map export -o t.comp --spacing 1", "1761 points; allowed for linuxcnc: <= 256"),
+    ("map export -o t.cal --stage-axis 2", "--stage-axis and --platform-axis: both 2; allowed: two"),
+    ("map export -o t.cal --survey no.csv", "survey no.csv: there is no such file"),
+    ("map export -o no_folder/t.cal", "--output no_folder/t.cal: there is no folder no_folder"),
+    ("map export -o t.rtl", "t.rtl: an instrument's file; allowed: aerotech"),
+    ("map convert no.comp -o o.csv", "survey no.comp: cannot be read"),
+    ("map convert wide.comp --unit m -o o.csv", "x_m extends over 230 m; allowed: 0.01 m to 20 m"),
     ("reproduce -o noise.mcap", "--output noise.mcap: is a file"),
     ("robustness --trials 0", "allowed: a whole number >= 1"),
+    (f"design {STAGES / 'shipped.yaml'} --quiet 2", "--quiet 2; allowed: 0 to 1"),
+    (f"design {STAGES / 'shipped.yaml'} --machines 0", "--machines 0; allowed: 1 to"),
+    (f"history add {BAG} --jobs 0", "'0'; allowed: a whole number >= 1"),
+    (f"history add {BAG} --dask here", "'here'; allowed: HOST:PORT"),
+    (f"history add {BAG} --every 0", "--every 0; allowed: 0.1 to"),
+    ("history query none SELECT", "store none: no bag was added there; make it: straightcomp history add BAG -o none"),
+    ("history query", "required: SQL"),
     ("can replay none.log", "none.log"),
     ("can hub --socket bus --fault drop=2", "drop"),
     ("can hub --socket bus --priority 99", "--priority 99; allowed: 0 to 98"),
@@ -79,6 +97,9 @@ IMPOSSIBLE = [
     (f"recover {BAG} -o noise.mcap", "noise.mcap cannot be made: File exists"),
     ("simulate --bag loop", "bag loop cannot be made"),
     ("map export -o loop --format aerotech", "loop: Too many levels of symbolic links"),
+    ("frequency-response --period 0.0001", "period"),
+    ("frequency-response --period 0.01 --lowest 100 --draws 3", "draws"),
+    ("frequency-response --law smc --set controller.control.smc.boundary_layer=0.0", "boundary_layer"),
 ]
 """These are typed well; what is there forbids them."""
 
@@ -90,6 +111,7 @@ def folder_of_wrong_files(tmp_path, monkeypatch):
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
     (tmp_path / "wrong_unit.csv").write_text("x_kg,deviation_um\n0,1\n1,2\n")
+    (tmp_path / "wide.comp").write_text("".join(f"{x} 0.001 0.001\n" for x in range(0, 240, 10)))
     (tmp_path / "limits.yaml").write_text("true_pp_um: 1\ntrue_pp_um: 2\n")
     monkeypatch.chdir(tmp_path)
 

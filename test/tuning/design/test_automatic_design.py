@@ -311,8 +311,6 @@ def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(infea
 
 def test_what_is_wrong_or_would_lose_something_is_said_before_the_work(stage, verb):
     for words, expected in (
-        (("--quiet", 2), "--quiet 2; allowed: 0 to 1"),
-        (("--machines", 0), "--machines 0; allowed: 1 to"),
         (("-o", "/tmp/gains.yaml"), "is in another folder than"),
         (("-o", stage), "has a section '/**/controller' of its own"),
     ):

@@ -314,25 +314,3 @@ def test_negate_turns_the_sign_over(tmp_path, verb):
     plain, negated = (np.loadtxt(tmp_path / f"{count}.comp") for count in (0, 1))
     np.testing.assert_allclose(plain[:, 1:], -negated[:, 1:])
     np.testing.assert_allclose(plain[:, 1], load_map().evaluate(plain[:, 0] * 1e-3)[0] * 1e3, atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["export", "-o", "table.xyz"], ["table.xyz", ".comp (linuxcnc)"]),
-        (["export", "-o", "t.comp", "--spacing", "1"], ["1761 points", "256"]),
-        (["export", "-o", "t.comp", "--spacing", "0"], ["--spacing 0", "0.1 to 1000 mm"]),
-        (["export", "-o", "t.cal", "--stage-axis", "2"], ["--platform-axis", "two"]),
-        (["export", "-o", "t.cal", "--survey", "no.csv"], ["no.csv"]),
-        (["export", "-o", "no_folder/t.cal"], ["no_folder/t.cal", "no folder no_folder"]),
-        (["export", "-o", "t.rtl"], ["t.rtl", "an instrument's file"]),
-        (["convert", "no.comp", "-o", "o.csv"], ["no.comp", "cannot be read"]),
-        (["convert", "mm.comp", "--unit", "m", "-o", "o.csv"], ["x_m extends over 230 m"]),
-    ],
-)
-def test_a_refusal_is_one_sentence(tmp_path, monkeypatch, verb, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    Path("mm.comp").write_text("".join(f"{x:g} {y} {y}\n" for x, y in zip(X, UM, strict=True)))
-    code, _, printed = verb("map", *arguments)
-    assert code in (1, 2) and printed.startswith(f"straightcomp map {arguments[0]}: ")
-    assert printed.count("\n") == 1 and all(word in printed for word in words)
