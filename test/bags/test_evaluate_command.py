@@ -1,39 +1,37 @@
 """`straightcomp evaluate` on finished, unfinished and damaged bags."""
 
-import contextlib
-import json
 import random
 import subprocess
 import sys
 
 import pytest
+from recorded_run import recorded_run
 from rewritten_bag import SMC
+from verbs import ran
 
-from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
-from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.messages.cdr import joint_state
-from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    """The bag of a simulated run; its printed figures are in figures.json."""
-    folder = tmp_path_factory.mktemp("bags")
-    with (folder / "figures.json").open("w") as file, contextlib.redirect_stdout(file):
-        assert main(["simulate", "--bag", str(folder / "run"), "--json", *OPTIONS]) == 0
-    return folder / "run"
+def simulated(tmp_path_factory):
+    """The bag of a simulated run, and its printed figures."""
+    bag = tmp_path_factory.mktemp("bags") / "run"
+    return bag, ran("simulate", "--bag", bag, "--json", *OPTIONS).json
 
 
-def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_change(bag, verb):
-    simulated = verb("simulate", "--json", *OPTIONS).json
-    assert json.loads(bag.with_name("figures.json").read_text()) == simulated
+@pytest.fixture
+def bag(simulated):
+    return simulated[0]
+
+
+def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_change(simulated, verb):
+    bag, simulated = simulated
+    assert verb("simulate", "--json", *OPTIONS).json == simulated
     evaluated = verb("evaluate", bag, "--json").json
     for name in simulated.keys() & evaluated.keys() - {"law", "samples"}:
         assert evaluated[name] == pytest.approx(simulated[name], abs=1e-6), name
@@ -60,17 +58,9 @@ def test_two_bags_are_put_side_by_side_and_it_is_said_if_one_of_them_is_uncompen
 def survey(request, tmp_path):
     """The bag of a simulated run with a displacement sensor, and whether its joint has the name that is read."""
     values = {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE}
-    simulation = Simulation(values)
-    with SimulatedRun(tmp_path / "bag", by_node(values), simulation.delay) as made:
-        made._bag.add(Topic("/displacement", DISPLACEMENT.layout.type_name))
-
-        def observe(sample, truth, *rest):
-            made.add(sample, truth, *rest)
-            stamp = START_NS + sample.stamp_ns
-            made._bag.write("/displacement", request.param.pack(stamp, truth.guide_deviation), stamp, stamp)
-
-        simulation.run(observe=observe)
-    return tmp_path / "bag", request.param is DISPLACEMENT.layout
+    layout = request.param
+    bag = recorded_run(tmp_path / "bag", values, sensor=lambda _, truth: truth.guide_deviation, layout=layout)
+    return bag, layout is DISPLACEMENT.layout
 
 
 def test_the_table_of_the_straightness_names_what_measured_the_guide(survey, verb):

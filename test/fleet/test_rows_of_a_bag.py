@@ -1,26 +1,22 @@
 """A row says of a stroke what `straightcomp evaluate` says of it, and what it needs to be found again."""
 
-import itertools
 import math
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from recorded_run import recorded_run
 from stores import SAMPLES
 
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
-from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
-from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.fleet.history.strokes_of_bag import binned, date_of_zero, recorded_facts, recorded_name, rows_of
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.what_if import what_if
-from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.safety.faults import LABELLED
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.timing.node_timing import Report
 
 BAG = SAMPLES / "smc"
@@ -178,21 +174,14 @@ def coarse(tmp_path_factory):
     """A run through a coarse converter, steps of 8 mA, with a displacement sensor over a bump of the guide."""
     values = shipped_parameters()
     values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1, "drive.dac_bits": 8}
-    simulation = Simulation(values)
-    folder, count = tmp_path_factory.mktemp("run") / "bag", itertools.count()
-    with SimulatedRun(folder, by_node(values), simulation.delay) as run:
-        run._bag.add(Topic("/displacement", DISPLACEMENT.layout.type_name))
+    guide = load_map()
 
-        def observe(sample, truth, *rest):
-            run.add(sample, truth, *rest)
-            if next(count) % 10 == 0:
-                stamp = START_NS + sample.stamp_ns
-                # The zero of the sensor is arbitrary.
-                reading = 5e-6 + simulation.map.deviations(truth.x) + BUMP_UM * 1e-6 * (0.05 < truth.x < 0.07)
-                run._bag.write("/displacement", DISPLACEMENT.layout.pack(stamp, reading), stamp, stamp)
+    def reading(sample, truth):
+        # The zero of the sensor is arbitrary.
+        bumpy = 5e-6 + guide.deviations(truth.x) + BUMP_UM * 1e-6 * (0.05 < truth.x < 0.07)
+        return bumpy if sample.stamp_ns % 5_000_000 == 0 else None
 
-        simulation.run(observe=observe)
-    return evaluate_bag(folder)
+    return evaluate_bag(recorded_run(tmp_path_factory.mktemp("run") / "bag", values, sensor=reading))
 
 
 def test_a_guide_that_is_not_the_map_s_is_judged_by_the_sensor_where_there_is_no_truth(evaluation, monkeypatch):

@@ -7,15 +7,14 @@ import pytest
 from parameters_of_tests import short_parameters
 from participant import Participant, subscribe
 from rclpy.time import Time
+from recorded_run import recorded_run
 from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.offline.graph_replay import replay_through_graph
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.runner import EXIT_FAILURE
@@ -30,19 +29,9 @@ TEXTS = {
 stage.guide.file one that it reads, for which the replay has the bag's. stage.motion.file is for who moves the stage."""
 
 
-def recorded(bag, values):
-    """The simulation whose run is in the bag."""
-    simulation = Simulation(values)
-    with SimulatedRun(bag, values, simulation.delay) as run:
-        simulation.run(observe=run.add)
-    return simulation
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    bag = tmp_path_factory.mktemp("recorded") / "run"
-    recorded(bag, short_parameters())
-    return bag
+    return recorded_run(tmp_path_factory.mktemp("recorded") / "run", short_parameters())
 
 
 def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(run, in_lockstep, tmp_path):
@@ -128,7 +117,7 @@ def test_a_node_of_a_replay_has_no_other_parameter_that_names_a_file():
 def test_a_replay_leaves_the_table_that_the_machine_has_learned(tmp_path, short_cycle, monkeypatch):
     monkeypatch.chdir(tmp_path)
     short_cycle["controller"].update({"learning.learn": True, "learning.file": str(tmp_path / "learned.csv")})
-    recorded(tmp_path / "run", short_cycle).save_learning()
+    recorded_run(tmp_path / "run", short_cycle)
     before = content()
     assert "learned.csv" in before
     found = replay_through_graph(tmp_path / "run", tmp_path / "replay")

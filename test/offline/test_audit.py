@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 import rewritten_bag
 from bag_of_rows import bag_of_rows
+from recorded_run import recorded_run
 from rewritten_bag import rewritten
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import note_changes
-from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.offline.audit import audit
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.what_if import what_if
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, by_node, node_parameters
 
@@ -27,11 +26,7 @@ LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 
 
 def simulated(path: Path, law: str = "smc") -> Path:
-    values = {"controller": {"control.law": law}, "stage": CYCLE}
-    simulation = Simulation(values)
-    with SimulatedRun(path, by_node(values), simulation.delay) as run:
-        simulation.run(observe=run.add)
-    return path
+    return recorded_run(path, {"controller": {"control.law": law}, "stage": CYCLE})
 
 
 @pytest.fixture(scope="module")
@@ -96,20 +91,18 @@ def test_of_two_messages_with_one_stamp_both_commands_are_compared_and_no_input_
 
 def test_what_came_after_a_change_of_the_controller_is_unverifiable_and_the_change_is_said(tmp_path):
     values = {"controller": {"control.law": "smc"}, "stage": {**CYCLE, "motion.settle": 4.0}}
-    before, simulation, stamps = by_node(values), Simulation(values), []
+    before, stamps = by_node(values), []
     after = {**before, "controller": {**before["controller"], "control.law": "linear"}}
-    with SimulatedRun(tmp_path / "run", before, simulation.delay) as run:
 
-        def observe(sample, *answer):
-            if len(stamps) == 7000:
-                note_changes(run._bag, 1_000_000_000 + sample.stamp_ns, before, before)
-                note_changes(run._bag, 1_000_000_000 + sample.stamp_ns, before, after)
-            stamps.append(sample.stamp_ns)
-            run.add(sample, *answer)
+    def see(run, sample, *answer):
+        if len(stamps) == 7000:
+            note_changes(run._bag, 1_000_000_000 + sample.stamp_ns, before, before)
+            note_changes(run._bag, 1_000_000_000 + sample.stamp_ns, before, after)
+        stamps.append(sample.stamp_ns)
+        run.add(sample, *answer)
 
-        simulation.run(observe=observe)
     # In truth another law would answer then.
-    bag = rewritten(tmp_path / "run", tmp_path / "new", one_bit_more("command", 7010, 0))
+    bag = rewritten(recorded_run(tmp_path / "run", values, see), tmp_path / "new", one_bit_more("command", 7010, 0))
     found = audit(bag)
     assert found.passed and found.changed and found.unverified + found.commands == len(stamps)
     assert 0 < 7000 - found.commands < 5000

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_run import recorded_run
 from tiers import nightly
 
 from straightcomp_ros.analysis import evaluation
@@ -19,12 +20,10 @@ from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed
 from straightcomp_ros.cli import demo
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.promise import promise_of
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import first_cycle
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.yaml_text import dump_yaml, load_yaml
@@ -217,20 +216,17 @@ def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float 
     """A bag of a short cycle, with parameters of the ``driver``. In ``stall`` (s) nineteen of twenty samples are lost,
     and the platform is off by up to ``kick`` in m."""
     values = {"driver": driver, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
-    simulation = Simulation(values)
     begin, end = stall
-    with SimulatedRun(folder, by_node(values), simulation.delay) as bag:
 
-        def add(sample, truth, *answer):
-            time = sample.stamp_ns * 1e-9
-            if not begin < time < end:
-                bag.add(sample, truth, *answer)
-            elif round(time * 2000.0) % 20 == 0:
-                push = kick * math.sin(math.pi * (time - begin) / (end - begin))
-                bag.add(sample._replace(y=sample.y + push), truth._replace(y=truth.y + push), *answer)
+    def see(run, sample, truth, *answer):
+        time = sample.stamp_ns * 1e-9
+        if not begin < time < end:
+            run.add(sample, truth, *answer)
+        elif round(time * 2000.0) % 20 == 0:
+            push = kick * math.sin(math.pi * (time - begin) / (end - begin))
+            run.add(sample._replace(y=sample.y + push), truth._replace(y=truth.y + push), *answer)
 
-        simulation.run(observe=add)
-    return folder
+    return recorded_run(folder, values, see)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from recorded_run import rewired
 
 from straightcomp_ros.model.plant import BIAS
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -54,22 +55,6 @@ def check_of(guide, file):
     )
     write_survey(file, Survey(runs))
     return read_survey(file, min_points=LEAST_POINTS, max_gap=WIDEST_GAP)
-
-
-def rewired(change):
-    """Each sample is changed, or lost where ``change`` gives None."""
-
-    def wiring(hardware):
-        read = hardware.read
-
-        def changed(now_ns):
-            samples = [(change(sample), truth) for sample, truth in read(now_ns)]
-            return [(sample, truth) for sample, truth in samples if sample is not None]
-
-        hardware.read = changed
-        return hardware
-
-    return wiring
 
 
 readback_backwards = rewired(lambda sample: sample._replace(current=-sample.current))

@@ -1,11 +1,8 @@
 """The truth lies in the intervals, and the intervals are as narrow as they should be, or said to be wide; the answer as
 JSON and as a parameter file that simulate takes."""
 
-import contextlib
 import dataclasses
-import io
 import itertools
-import json
 import math
 import re
 import shlex
@@ -13,21 +10,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from recorded_run import recorded_run, rewired
+from verbs import ran
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis import current_path as recording
 from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
-from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.cli.options import settings
 from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.model.motion import MotionParameters, goals, reach
 from straightcomp_ros.model.plant import advance, plant_state
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.parameters.node_parameters import STAGE, by_node, changed, node_parameters
+from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_parameters
 from straightcomp_ros.parameters.parameter_file import read_parameter_file, shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
@@ -93,14 +89,6 @@ def values(plant, law="linear", **stage):
     }
 
 
-def record(bag, parameters, wiring=lambda hardware: hardware):
-    """Simulate, and write the bag; ``wiring`` puts something between the machine and its driver."""
-    simulation = Simulation(parameters, wiring=wiring)
-    with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:
-        simulation.run(observe=run.add)
-    return bag
-
-
 @pytest.fixture(scope="module")
 def excitation(tmp_path_factory):
     path = tmp_path_factory.mktemp("excitation") / "excitation.csv"
@@ -110,7 +98,7 @@ def excitation(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def stiff_bag(tmp_path_factory, excitation):
-    return record(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
+    return recorded_run(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
 
 
 @pytest.fixture(scope="module")
@@ -118,16 +106,16 @@ def far_bag(tmp_path_factory, excitation):
     """A machine that the description does not fit, under a law that is slow enough for both."""
     parameters = values({**FAR, "platform.stop": 8e-4}, guide_file=excitation)
     parameters["controller"].update(SAFE)
-    return record(tmp_path_factory.mktemp("far") / "bag", parameters)
+    return recorded_run(tmp_path_factory.mktemp("far") / "bag", parameters)
 
 
 @pytest.fixture(scope="module")
 def stiff_answer(stiff_bag, tmp_path_factory):
     """What `straightcomp friction BAG -o FILE --json` says of the stiff plant, and the file."""
-    file, said = tmp_path_factory.mktemp("answer") / "plant.yaml", io.StringIO()
-    with contextlib.redirect_stdout(said):
-        assert main(["friction", str(stiff_bag), "-o", str(file), "--json"]) == 0
-    return json.loads(said.getvalue()), file
+    file = tmp_path_factory.mktemp("answer") / "plant.yaml"
+    found = ran("friction", stiff_bag, "-o", file, "--json")
+    assert found.code == 0, found.err
+    return found.json, file
 
 
 START = StageParameters()
@@ -173,7 +161,7 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
 
 @pytest.mark.nightly
 def test_another_plant_under_another_law_is_found_too(tmp_path, excitation):
-    bag = record(tmp_path / "bag", values(SOFT, law="smc", guide_file=excitation))
+    bag = recorded_run(tmp_path / "bag", values(SOFT, law="smc", guide_file=excitation))
     estimate = estimate_from_bag(bag, START, ["actuator.turns"])
     assert_found(estimate.parameters, SOFT)
     assert estimate.advice == {}
@@ -190,7 +178,7 @@ def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_pat
         parameters = values(STIFF, guide_file=excitation)
         parameters["stage"]["encoder.y_resolution"] = count
         start = dataclasses.replace(START, encoder=dataclasses.replace(START.encoder, y_resolution=count))
-        found = estimate_from_bag(record(tmp_path / f"{count}", parameters), start, ["platform.mass"]).parameters
+        found = estimate_from_bag(recorded_run(tmp_path / f"{count}", parameters), start, ["platform.mass"]).parameters
         widths[count] = found["actuator.turns"].high / found["actuator.turns"].value - 1.0
         for name in ("friction.coulomb", "actuator.current_stiffness"):
             assert found[name].low <= truth[name] * scale <= found[name].high, name
@@ -199,7 +187,7 @@ def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_pat
 
 @pytest.mark.nightly
 def test_a_stroke_along_the_guide_says_what_it_cannot_identify(tmp_path):
-    estimate = estimate_from_bag(record(tmp_path / "bag", values(STIFF)), START, ["actuator.turns"])
+    estimate = estimate_from_bag(recorded_run(tmp_path / "bag", values(STIFF)), START, ["actuator.turns"])
     truth, parameters = truth_of(STIFF), estimate.parameters
     for name, found in parameters.items():
         # The interval of what this motion hardly identifies is itself no more than a guess: it must be said to be poor.
@@ -253,15 +241,10 @@ SHIFT = 25e-6
 """m; of the zero of an encoder of y off the magnets' centre."""
 
 
-def shifted(hardware):
-    read = hardware.read
-    hardware.read = lambda now_ns: [(one._replace(y=one.y + SHIFT), truth) for one, truth in read(now_ns)]
-    return hardware
-
-
 @pytest.fixture
 def shifted_bag(tmp_path, excitation):
-    return record(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=shifted)
+    shifted = rewired(lambda sample: sample._replace(y=sample.y + SHIFT))
+    return recorded_run(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=shifted)
 
 
 def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag, stiff_bag):
@@ -325,8 +308,8 @@ def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_a
                 assert described[name] == pytest.approx(found["value"], rel=1e-5), name
     short = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.1", "pause=0.1")]
     for option in ("--stage", "--params-file"):
-        code, out, _ = verb("simulate", option, file, "--law", "linear", "--json", *short)
-        assert code == 0 and json.loads(out)["law"] == "linear"
+        found = verb("simulate", option, file, "--law", "linear", "--json", *short)
+        assert found.code == 0 and found.json["law"] == "linear"
 
 
 def test_the_truth_is_never_read(stiff_bag, monkeypatch):
@@ -545,7 +528,7 @@ def test_a_slow_short_stage_without_friction_on_a_fine_encoder_is_found_within_i
     free = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.5, "encoder.y_resolution": 1e-8}
     parameters = values({}, guide_file=str(tmp_path / "waves.csv"), guide_runout=0.02 * scale)
     parameters["stage"] |= {**slow, **free}
-    bag = record(tmp_path / "bag", parameters)
+    bag = recorded_run(tmp_path / "bag", parameters)
     described = node_parameters("driver", parameters).stage
     start = dataclasses.replace(described, platform=dataclasses.replace(described.platform, mass=0.6))
     found = estimate_from_bag(bag, start, ["actuator.turns"]).parameters
