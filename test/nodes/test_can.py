@@ -13,7 +13,7 @@ from participant import PATIENCE_S, Follower
 
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
-from straightcomp_ros.cell.launcher import COMPOSED, verb_command
+from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, verb_command
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import RecordedBus
@@ -24,7 +24,6 @@ from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
-NODES = ("driver", "feedforward", "controller", "logger")
 RATE = 500
 """Seven processes at 2 kHz are more than a busy computer has for a test."""
 
@@ -87,12 +86,12 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
 ):
     frame_log = values["driver"]["can.log"] = str(tmp_path / "frames.log")
     file = tmp_path / "parameters.yaml"
-    file.write_text(yaml.safe_dump({f"/**/{node}": {"ros__parameters": values[node]} for node in NODES}))
+    file.write_text(yaml.safe_dump({f"/**/{node}": {"ros__parameters": values[node]} for node in RECORDED}))
     channel = values["driver"]["can.channel"]
     hub = graph.start_program("hub", verb_command("can", "hub", "--socket", channel))
     board = graph.start_program("board", verb_command("dsp", "--params-file", str(file)))
     bag = tmp_path / "bag"
-    names = NODES if driving == "driver" else (COMPOSED, "logger")
+    names = RECORDED if driving == "driver" else (COMPOSED, "logger")
     processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in names}
     operator.switch_on()
     waypoints = forward_and_back(MotionParameters(stroke=0.3, settle=0.0))

@@ -6,16 +6,17 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from parameters_of_tests import LOOP, loop_parameters, of_node, short_parameters
+from parameters_of_tests import loop_parameters, of_node, short_parameters
 from waiting import wait_for_line
 
+from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED
 from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.nodes import cell_node
 from straightcomp_ros.timing.node_timing import CPU_WAIT, REFUSED, SCHEDULING
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
-CHOSEN = {"nodes": " ".join(LOOP), "start_timeout": 90.0, "heartbeat_timeout": 1.0, "home": True}
+CHOSEN = {"nodes": " ".join(IN_THE_LOOP), "start_timeout": 90.0, "heartbeat_timeout": 1.0, "home": True}
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def publish_nonsense(participant, publisher):
     for value in ("n/a", "", "nan", "-1", "1e400", "9" * 5000):
         keys = ("samples", "lost_samples", CPU_WAIT, "timer_error_max_us", "excitation")
         values = [KeyValue(key=key, value=value) for key in keys]
-        status = [DiagnosticStatus(name=name, values=values) for name in (*LOOP, "logger", "cell")]
+        status = [DiagnosticStatus(name=name, values=values) for name in (*RECORDED, "cell")]
         publisher.publish(DiagnosticArray(status=status))
 
 

@@ -9,10 +9,10 @@ import sys
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from parameters_of_tests import LOOP, of_node, short_parameters
+from parameters_of_tests import of_node, short_parameters
 from participant import Participant
 
-from straightcomp_ros.cell.launcher import COMPOSED, RECORDED, verb_command
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, verb_command
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, COMMISSIONING_STATE
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.safety.faults import Fault
@@ -113,7 +113,7 @@ def test_the_node_measures_until_it_is_stopped_and_the_cell_is_refused_meanwhile
 
 def left_as_found(asker, output):
     # A cell can configure the logger.
-    assert [asker.state(node) for node in (*LOOP, "logger")] == [*["inactive"] * len(LOOP), "unconfigured"]
+    assert [asker.state(node) for node in RECORDED] == [*["inactive"] * len(IN_THE_LOOP), "unconfigured"]
     assert asker.parameter("controller", "error_limit") == 0.1
     assert asker.parameter("logger", "output") == str(output)
     # Its client left with the amplifier off; a busy computer may have lost the platform before.

@@ -15,7 +15,7 @@ from waiting import comes_true
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cell import demonstration
 from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate
-from straightcomp_ros.cell.launcher import Graph
+from straightcomp_ros.cell.launcher import RECORDED, Graph
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
@@ -49,7 +49,7 @@ def test_a_live_stroke_is_recorded_compensated_and_audited_with_each_law_and_tri
     assert figures["lost_samples"] < 0.05 * figures["expected_samples"]
     assert np.median(np.abs(record.r - record.y)) < (0.2e-6 if law == "smc_observer" else 0.5e-6) < np.ptp(record.r)
     assert 0 < figures["latency_p50_us"] <= figures["latency_p99_us"]
-    for node in ("driver", "feedforward", "controller", "logger"):
+    for node in RECORDED:
         timing = figures["timing"][node]
         if math.isnan(timing["rate_hz"]):
             # In so short a cycle a late report may leave a node with less than two, and so without a rate.

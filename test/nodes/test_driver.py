@@ -8,7 +8,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from parameters_of_tests import FORGIVING
+from parameters_of_tests import PATIENT
 from participant import Follower, subscribe
 from std_srvs.srv import SetBool
 
@@ -24,8 +24,6 @@ from straightcomp_ros.safety.faults import Fault
 pytestmark = pytest.mark.live
 
 _APPLIED, _ENABLED = (DRIVER_STATE.layout.columns.index(name) for name in ("applied_current", "enabled"))
-# A test's own process is slow to answer at times; the timeout under test has a test of its own.
-PARAMETERS = {**FORGIVING, "stage.rate": 200, "simulated.command_timeout": 0.5}
 
 
 class Peer(Follower):
@@ -45,7 +43,7 @@ class Peer(Follower):
 
 @pytest.fixture(scope="module")
 def driver(shared_graph):
-    shared_graph.start("driver", PARAMETERS)
+    shared_graph.start("driver", PATIENT)
 
 
 @pytest.fixture

@@ -17,17 +17,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 
 from straightcomp_ros.cell.demonstration import free_port
-from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.cell.launcher import RECORDED, verb_command
 from straightcomp_ros.contract import SAFETY_STATE, STREAMS
 from straightcomp_ros.messages.cdr import pack_batch
 from straightcomp_ros.runtime.graph_client import Heartbeats
 from straightcomp_ros.runtime.safety_panel import SafetyState
 
-LOOP = ("driver", "feedforward", "controller", "logger")
 FLOATS = (float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 5e-324, 0.0, -1.0)
 WORDS = ("", "n/a", "nan", "-1", "1e400", "9" * 5000, "٣", "\u202e\u0000x", "ü" * 300, "🜚", "x" * 100_000, "[/x]%s%n")
 NAMES = (
-    *("stage_x", "platform_y", "driver", "feedforward", "controller", "logger", "condition", "samples", "lost_samples"),
+    *("stage_x", "platform_y", *RECORDED, "condition", "samples", "lost_samples"),
     *("code", "on", "fault", "stage", "active", "command_timeout", "control.law", "watch.travel", "stage.rate"),
 )
 WIDTHS = {"int8": 7, "uint8": 8, "int16": 15, "uint16": 16, "int32": 31, "uint32": 32, "int64": 63, "uint64": 64}
@@ -142,7 +141,7 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
     output["opcua"] = {"opcua.users": str(tmp_path / "users"), "opcua.port": free_port()}
     # A cell that waits for a node that never comes sees all that one in a cycle sees.
     output["cell"] = {"nodes": "driver feedforward controller logger player", "start_timeout": 600.0}
-    nodes = (*LOOP, "commissioning", "opcua", "cell")
+    nodes = (*RECORDED, "commissioning", "opcua", "cell")
     values = without_priority(short_cycle)
     processes = {
         name: graph.start(name, {**values.get(name, {}), **output.get(name, {})}, command=COMMANDS.get(name))
@@ -150,7 +149,7 @@ def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only
     }
     processes["view"] = graph.start_program("view", verb_command("view", "--port", "0"))
     with Participant("stranger") as stranger:
-        heartbeats, states = Heartbeats(stranger.node, LOOP), [SafetyState()]
+        heartbeats, states = Heartbeats(stranger.node, RECORDED), [SafetyState()]
 
         def on_state(message):
             # The attacker publishes there too.

@@ -5,10 +5,11 @@ import re
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from parameters_of_tests import LOOP, loop_parameters
+from parameters_of_tests import loop_parameters
 from tiers import nightly
 
 from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.contract import CONTROLLER_STATE, DIAGNOSTICS, ENCODER
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 
@@ -48,7 +49,7 @@ def switching(participant):
 
 def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(loop):
     assert loop.change("logger", "configure") and loop.change("logger", "activate")
-    statuses, nodes = {}, {*LOOP, "logger"}
+    statuses, nodes = {}, set(RECORDED)
     loop.node.create_subscription(
         DiagnosticArray, DIAGNOSTICS, lambda message: statuses.update({one.name: one for one in message.status}), 100
     )

@@ -5,15 +5,15 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from opcua_probes import command, probed
 from participant import Participant
 from waiting import wait_for_line
 
-from straightcomp_ros.cell.launcher import COMPOSED
+from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
@@ -28,8 +28,6 @@ from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PROBES = str(REPOSITORY / "test" / "opcua" / "probes.py")
-NODES = ("driver", "feedforward", "controller")
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
     "stage.rate": 200,
@@ -41,7 +39,7 @@ SLOW = {
     "stage.motion.stroke": 0.02,
     "stage.motion.settle": 0.2,
     "stage.motion.pause": 0.1,
-    **{f"{node}.realtime.priority": 0 for node in ("driver", "feedforward", "controller", "logger", "opcua")},
+    **{f"{node}.realtime.priority": 0 for node in (*RECORDED, "opcua")},
 }
 
 
@@ -70,23 +68,22 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
     chosen = {
         node: stage | {name[len(node) + 1 :]: value for name, value in SLOW.items() if name.startswith(f"{node}.")}
-        for node in NODES
+        for node in IN_THE_LOOP
     }
     chosen["feedforward"]["stage.guide.file"] = str(survey)
     (tmp_path / "parameters.yaml").write_text(as_parameter_file(chosen))
     graph.start(COMPOSED, {}, tmp_path / "parameters.yaml")
-    own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice), "nodes": " ".join(NODES)}
+    own = {
+        "opcua.port": port,
+        "opcua.users": str(users),
+        "maintenance_file": str(advice),
+        "nodes": " ".join(IN_THE_LOOP),
+    }
     graph.start("opcua", {**own, **stage})
     wait_for_line(graph, "opcua", "OPC UA at")
     url = OpcuaParameters(port=port).endpoint
 
-    def probed(name, file):
-        words = [sys.executable, PROBES, name, url, str(file)]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=200)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout.splitlines()[-1])
-
-    results = probed("orders", survey)
+    results = probed("orders", url, survey, timeout=200)
     # A state that nobody asked for has no message.
     assert re.search(r"\]: stopped$", log := graph.log("opcua").read_text(), re.MULTILINE), log
     assert "ReloadMap is not accepted in state Stopped" in results["reload while stopped"]
@@ -96,7 +93,7 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     assert all(words in results["reload of a spoilt file"] for words in ("BadInvalidState", "survey.csv"))
     assert (results["state"], results["due"]) == ("Idle", "as of 2026-05-01: worn; mend")
     # The map's file was spoilt for the next start alone.
-    found = probed("holds", survey)
+    found = probed("holds", url, survey, timeout=200)
     state, stage, _, amplifier_on, x = found["held"]
     assert (state, stage, amplifier_on) == ("Held", "held", True) and 0.004 < x < 0.02
     assert "Idle" in found["states"] and "Held" in found["states"]
@@ -146,8 +143,8 @@ def grown():
 def flood(url):
     """A flood of some seconds whose clients are killed in the end; returns the requests that were answered."""
     # The load on the gateway is tried, not that of the clients, who are elsewhere.
-    command = ["nice", "-n", "10", sys.executable, PROBES, "storm", url, "12"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    storm = ["nice", "-n", "10", *command("storm", url, 12)]
+    with subprocess.Popen(storm, stdout=subprocess.PIPE, text=True) as process:
         answered, end = 0, time.monotonic() + FLOOD_S
         try:
             # A machine that is busy with other things leaves the gateway little: then it takes longer.
@@ -166,16 +163,16 @@ def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(
     port = free_port()
     # What the test itself does to the machine is not to end the run.
     short_cycle["controller"]["sample_timeout"] = 30.0
-    for node in NODES:
+    for node in IN_THE_LOOP:
         graph.start(node, short_cycle[node])
-    graph.start("opcua", {**short_cycle["opcua"], "opcua.port": port, "nodes": " ".join(NODES)})
+    graph.start("opcua", {**short_cycle["opcua"], "opcua.port": port, "nodes": " ".join(IN_THE_LOOP)})
     wait_for_line(graph, "opcua", "OPC UA at")
     quiet, answers = grown(lambda: time.sleep(FLOODS * FLOOD_S)), []
     url = OpcuaParameters(port=port).endpoint
     flooded = grown(lambda: answers.extend(flood(url) for _ in range(FLOODS)))
     with capsys.disabled():
         print(f"\nanswered while flooded: {answers}\nquiet: {quiet}\nflooded: {flooded}")
-    graph.check(["opcua", *NODES])
+    graph.check(["opcua", *IN_THE_LOOP])
 
     def missed(grown):
         """Share of the periods that a loop missed."""

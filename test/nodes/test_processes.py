@@ -16,7 +16,7 @@ from tiers import nightly
 from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.cell.launcher import RECORDED, verb_command
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
@@ -162,7 +162,7 @@ def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(s
 def test_a_cell_without_a_driver_fails_and_names_what_is_missing(single):
     process = single.start("cell", {"start_timeout": 1.0})
     assert process.wait(timeout=120) == 1
-    missing = ", ".join(f"{node} (absent)" for node in ("driver", "feedforward", "controller", "logger"))
+    missing = ", ".join(f"{node} (absent)" for node in RECORDED)
     assert f"nodes that do not work: {missing}" in single.last_words("cell")
 
 

@@ -5,7 +5,7 @@ import sys
 
 import control_msgs_built
 import pytest
-from parameters_of_tests import FORGIVING
+from parameters_of_tests import PATIENT
 from participant import Participant
 from rclpy.action import ActionClient
 
@@ -19,7 +19,6 @@ if not (shutil.which("gcc") and shutil.which("g++")):
 
 ACCEPTED, EXECUTING, _, SUCCEEDED, CANCELED, ABORTED = range(1, 7)
 """As of action_msgs/msg/GoalStatus."""
-PARAMETERS = {**FORGIVING, "stage.rate": 200, "simulated.command_timeout": 0.5}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +34,7 @@ def interface(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def driver(interface, shared_graph):
-    shared_graph.start("driver", PARAMETERS)
+    shared_graph.start("driver", PATIENT)
 
 
 class Client(Participant):

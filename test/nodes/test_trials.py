@@ -6,12 +6,11 @@ import sys
 
 import pytest
 
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.cli.main import main
 from trials.soak import ACTIONS
 
 pytestmark = [pytest.mark.keeps_time, pytest.mark.nightly]
-
-NODES = ("driver", "feedforward", "controller", "logger")
 
 
 @pytest.mark.live
@@ -21,11 +20,11 @@ def test_two_values_of_a_parameter_are_measured_in_turns_and_only_json_is_printe
     assert main(["bench", "graph", *arguments]) == 0
     figures = json.loads(capfd.readouterr().out)
     timer = figures["against"]
-    assert figures["soak"]["growth_mb_per_hour"].keys() == set(NODES)
+    assert figures["soak"]["growth_mb_per_hour"].keys() == set(RECORDED)
     for measured in (figures, timer):
         assert measured["seconds"] == pytest.approx(4.2, abs=2.0)
         assert measured["bag"]["expected_samples"] == pytest.approx(100 * measured["seconds"], abs=2)
-        for node in NODES:
+        for node in RECORDED:
             # It reports once a second. None means that it fell silent.
             assert measured[node]["rate_hz"] is not None, f"{node} reported less than twice in the window"
             # None handles more than there is, but for a backlog.
@@ -33,7 +32,7 @@ def test_two_values_of_a_parameter_are_measured_in_turns_and_only_json_is_printe
             assert 0 < measured[node]["cpu_cores"] < 2 and min(measured[node]["rss_mb"]) > 10
             late = measured[node]["timer_error_us"]
             assert 0 <= late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
-        assert measured["cpu_cores"] == pytest.approx(sum(measured[node]["cpu_cores"] for node in NODES))
+        assert measured["cpu_cores"] == pytest.approx(sum(measured[node]["cpu_cores"] for node in RECORDED))
         assert measured["lost_samples"] == measured["bag"]["missing"]["command"] <= measured["bag"]["expected_samples"]
         latency = measured["latency_us"]
         assert 0 < latency["p50"] <= latency["p99"] <= latency["p999"] <= latency["max"]

@@ -7,12 +7,10 @@ import logging
 import re
 import socket
 import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from asyncua.crypto.cert_gen import (
@@ -25,6 +23,7 @@ from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from opcua_probes import command, probed
 from waiting import comes_true
 
 from straightcomp_ros.cell.demonstration import free_port
@@ -36,21 +35,11 @@ from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, ad
 from straightcomp_ros.opcua.client import CycleFailed, connected
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
 
-PROBES = Path(__file__).with_name("probes.py")
 WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))
 
 
 def start(probe, *arguments):
-    return subprocess.Popen(
-        [sys.executable, str(PROBES), probe, *map(str, arguments)], stdout=subprocess.PIPE, text=True
-    )
-
-
-def probed(probe, *arguments):
-    process = start(probe, *arguments)
-    output, _ = process.communicate(timeout=90)
-    assert process.returncode == 0, output
-    return json.loads(output.splitlines()[-1])
+    return subprocess.Popen(command(probe, *arguments), stdout=subprocess.PIPE, text=True)
 
 
 class Gateway:
