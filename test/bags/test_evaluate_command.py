@@ -1,8 +1,6 @@
 """`straightcomp evaluate` on finished, unfinished and damaged bags."""
 
 import random
-import subprocess
-import sys
 
 import pytest
 from recorded_run import recorded_run
@@ -75,16 +73,6 @@ def test_a_sensor_that_cannot_be_read_is_left_out_with_a_warning(survey, verb):
     bag, known = survey
     found = verb("evaluate", bag, "--json")
     assert found.code == 0 and found.json["lost_samples"] == 0 and ("'/displacement'" in found.err) is not known
-
-
-def test_nothing_heavy_is_imported():
-    program = (
-        "import sys; from straightcomp_ros.cli.main import main\n"
-        "try: main(['evaluate', '/nowhere'])\n"
-        "finally: print(sorted({'scipy', 'numba', 'matplotlib', 'plotly', 'rosbags'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]" and "does not exist" in done.stderr
 
 
 def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, verb):

@@ -122,6 +122,28 @@ assert not {set().union(*EXTRAS.values())!r} & sys.modules.keys()"""
     assert "straightcomp doctor" in done.stdout
 
 
+MODULES = ("parameters.node_parameters", "runtime.managed")
+LAW = """from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.stage.description import StageParameters
+make_law(ControlParameters(), StageParameters())"""
+EVALUATE = "from straightcomp_ros.cli.main import main; assert main(['evaluate', '/nowhere']) == 2"
+
+
+@pytest.mark.parametrize(
+    ("code", "forbidden"),
+    [
+        *((f"import straightcomp_ros.{name}", "numba llvmlite scipy") for name in MODULES),
+        (LAW, "numba llvmlite scipy"),
+        (EVALUATE, "numba scipy matplotlib plotly rosbags"),
+    ],
+    ids=[*MODULES, "a law that is not stepped", "evaluate"],
+)
+def test_what_does_not_compute_imports_nothing_heavy(code, forbidden):
+    code = f"{code}\nimport sys; assert not {set(forbidden.split())!r} & sys.modules.keys()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_every_option_is_explained_and_has_one_name_everywhere_and_every_verb_with_a_result_has_json():
     texts, without, families = set(), set(), set()
     for path, parser in parsers(make_parser()):
