@@ -7,10 +7,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from places import REPOSITORY
 
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 
-FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
+FIRMWARE = REPOSITORY / "firmware"
 BUILD = FIRMWARE / "build"
 
 

@@ -8,7 +8,6 @@ from mcap.writer import CompressionType, Writer
 
 from straightcomp_ros.contract import STREAMS
 
-SMC = Path(__file__).parents[1] / "bags" / "smc"
 _STREAMS = {f"/{stream.topic}": stream for stream in STREAMS}
 
 

@@ -1,12 +1,11 @@
 """The examples work as they stand, and are short."""
 
 import importlib.util
-from pathlib import Path
 
 import pytest
+from places import BAGS, REPOSITORY
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-BAGS = EXAMPLES.parent / "bags"
+EXAMPLES = REPOSITORY / "examples"
 
 
 def loaded(name):

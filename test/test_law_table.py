@@ -2,9 +2,9 @@
 what their scripts refuse."""
 
 import re
-from pathlib import Path
 
 import pytest
+from places import page
 
 from benchmarks import peer_opensmc as peer
 from scripts.law_table import figures_of, law_of
@@ -42,8 +42,8 @@ def test_every_machine_can_be_set_and_the_peer_holds_the_platform_on_the_referen
 @pytest.mark.nightly
 def test_the_published_figure_of_the_peer_is_what_the_benchmark_finds():
     """From one of the nine starts."""
-    page = (Path(__file__).resolve().parents[1] / "docs" / "evidence" / "accuracy.md").read_text(encoding="utf-8")
-    published = re.search(r"gains searched: [\d.]+ \(([\d.]+) to ([\d.]+)\) µm with its extended state observer", page)
+    text = page("evidence/accuracy")
+    published = re.search(r"gains searched: [\d.]+ \(([\d.]+) to ([\d.]+)\) µm with its extended state observer", text)
     shipped = with_values(shipped_parameters(), *peer.MACHINES["nominal"])
     name = "opensmc, ESO"
     found = figures_of(shipped, peer.peer_law(name, peer.DESIGNS[name], shipped), starts=1)["pp_um"]["median"]

@@ -1,9 +1,9 @@
 """Figures on the pages are made again: all of the table of laws, some of each other table."""
 
 import re
-from pathlib import Path
 
 import pytest
+from places import cells, line_of, page
 from tiers import nightly
 
 from scripts import late_commands, law_table, tuning_tables
@@ -16,15 +16,9 @@ from straightcomp_ros.tuning.sweep.trial import run_trials
 # The code is reached by other tests, and whole strokes take three times as long under it.
 pytestmark = pytest.mark.no_cover
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [(REPOSITORY / "docs" / f"{name}.md") for name in ("accuracy", "tuning", "evidence/accuracy", "surveys")]
-ACCURACY, TUNING, EVIDENCE, SURVEYS = (page.read_text(encoding="utf-8") for page in PAGES)
+ACCURACY, TUNING, EVIDENCE, SURVEYS = map(page, ("accuracy", "tuning", "evidence/accuracy", "surveys"))
 OTHER_PROCESSOR = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
-
-
-def cells(line):
-    return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
 def spread_of(cell):
@@ -36,11 +30,6 @@ def spread_of(cell):
 def lies_within(found, published, digits):
     margin = OTHER_PROCESSOR * published.median + 10.0**-digits
     return published.min - margin <= found <= published.max + margin
-
-
-def line_of(page, start):
-    (line,) = (line for line in page.splitlines() if line.startswith(f"| {start} |"))
-    return line
 
 
 @pytest.fixture

@@ -6,15 +6,14 @@ import shlex
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from places import REPOSITORY, page
 
 # The code is reached by other tests.
 pytestmark = pytest.mark.no_cover
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-PAGE = (REPOSITORY / "docs" / "tutorial.md").read_text(encoding="utf-8")
+PAGE = page("tutorial")
 MADE = {
     "map build": ("map.csv", "map.png"),
     "stage new": ("gantry/stage.yaml", "gantry/survey.csv"),

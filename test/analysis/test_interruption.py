@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from rewritten_bag import SMC, rewritten
+from places import SMC
+from rewritten_bag import rewritten
 from tiers import nightly
 
 from straightcomp_ros.analysis.interruption import stalls_of

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from mcap.opcode import Opcode
+from places import SMC
 from recording import MAGIC, START_NS, add_streams, described, mcap_of, records
-from rewritten_bag import SMC
 from rosbags.rosbag2 import Reader
 from tiers import nightly
 

@@ -13,8 +13,8 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
+from places import SMC
 from recording import LAYOUTS, described, mcap_of, messages, records, sqlite_bag
-from rewritten_bag import SMC
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as SqliteWriter
 from rosbags.typesys import Stores, get_typestore

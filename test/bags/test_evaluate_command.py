@@ -3,8 +3,8 @@
 import random
 
 import pytest
+from places import SMC
 from recorded_run import recorded_run
-from rewritten_bag import SMC
 from verbs import ran
 
 from straightcomp_ros.contract import DISPLACEMENT

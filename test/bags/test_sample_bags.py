@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from places import BAGS, SMC
 
 from scripts import make_sample_bags
 from straightcomp_ros.analysis.evaluation import evaluate_bag
@@ -12,7 +13,6 @@ from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.offline.audit import audit
 
-BAGS = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ("survey", "uncompensated", "smc", "cut_off")
 AGAIN = "run scripts/make_sample_bags.py after a change of what the bags show"
 
@@ -40,11 +40,11 @@ def test_the_runs_show_what_compensation_does():
     assert before.residual_pp == pytest.approx(before.uncompensated_pp, rel=0.05)
     assert after.uncompensated_pp == pytest.approx(before.uncompensated_pp, rel=1e-6)
     assert after.residual_pp < 0.1 * before.residual_pp
-    assert {"parameters.yaml", "map.csv"} <= set(read_attachments(BAGS / "smc"))
+    assert {"parameters.yaml", "map.csv"} <= set(read_attachments(SMC))
 
 
 def test_the_compensated_run_is_verified_to_the_bit():
-    found = audit(BAGS / "smc")
+    found = audit(SMC)
     assert found.commands > 8000
     assert (found.different, found.unverified) == (0, 0), AGAIN
 

@@ -1,9 +1,8 @@
 """A board's DBC file and the description of its stage: what does not fit is found."""
 
-from pathlib import Path
-
 import pytest
 
+from scripts.stage_files import STAGES
 from straightcomp_ros.doctor.stage_findings import stage_findings
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -134,7 +133,7 @@ def test_protection_that_is_missing_is_found(check):
     assert len(missing) == 3 and "counts to 256 only" in missing[0]
 
 
-STAGES = sorted((Path(__file__).parents[1] / "stages").glob("*.yaml"))
+PATHS = sorted(STAGES.glob("*.yaml"))
 ALL_FACTS = {
     **{"motion.start": 0.2, "motion.stroke": 1.5, "motion.jerk": 2.0, "platform.stiffness": 2e4},
     **{"platform.damping": 50.0, "platform.modes.first.frequency": 180.0, "platform.modes.second.frequency": 400.0},
@@ -157,15 +156,15 @@ def found(path, **facts):
             yield one.name, one.state
 
 
-@pytest.mark.parametrize("path", STAGES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_every_fact_of_a_sound_stage_is_usual(path):
     assert ("units", "warn") not in list(found(path))
 
 
 @pytest.mark.parametrize(
     ("path", "facts"),
-    [(OWN, ALL_FACTS), *(pytest.param(path, {}, marks=pytest.mark.nightly) for path in STAGES)],
-    ids=["all facts", *(path.stem for path in STAGES)],
+    [(OWN, ALL_FACTS), *(pytest.param(path, {}, marks=pytest.mark.nightly) for path in PATHS)],
+    ids=["all facts", *(path.stem for path in PATHS)],
 )
 def test_a_factor_of_1000_in_any_fact_is_refused_or_found(path, facts):
     values = shipped_parameters(stage=path)
@@ -193,7 +192,7 @@ FLEXURE |= {"platform.mass": 5.0}
         (OWN, FLEXURE, True, "stage.rate"),
         (OWN, {**FLEXURE, "rate": 3600}, False, ""),
         (OWN, {**FLEXURE, "rate": 3600, "uncertainty.mass": 0.4, "uncertainty.force": 0.5}, True, "stage.rate"),
-        (str(STAGES[0].with_name("slow_amplifier.yaml")), {}, True, "straightcomp design"),
+        (str(STAGES / "slow_amplifier.yaml"), {}, True, "straightcomp design"),
     ],
 )
 def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(check, path, facts, corner, remedy):

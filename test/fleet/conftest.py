@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 from generated_bags import write_bag
-from stores import COUNT, SAMPLES, STAGES, added, files_of
+from places import BAGS, SMC
+from stores import COUNT, STAGES, added, files_of
 
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
 from trials.wear import Pool, stroke_pool, write_store
@@ -22,9 +23,9 @@ def months(tmp_path_factory):
     folder = tmp_path_factory.mktemp("months")
     for number in range(COUNT):
         write_bag(folder / f"stage_{number % STAGES}" / f"run_{number}", number, STAGES)
-    shutil.copytree(SAMPLES / "cut_off", folder / "cut_off")
+    shutil.copytree(BAGS / "cut_off", folder / "cut_off")
     damaged = folder / "damaged"
-    shutil.copytree(SAMPLES / "smc", damaged)
+    shutil.copytree(SMC, damaged)
     with (damaged / "smc_0.mcap").open("r+b") as file:
         file.seek(1_000_000)
         file.write(bytes(1000))

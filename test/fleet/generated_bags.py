@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from places import SMC
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.information import ORIGIN_METADATA
@@ -13,7 +14,6 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ALWAYS_PUBLISHED, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
 
-SAMPLES = Path(__file__).resolve().parents[2] / "bags"
 FIRST_NS, STEP_NS = 1_760_000_000 * NANOSECONDS, 43_200 * NANOSECONDS
 """Stamp of the first bag's first sample, in October 2025, and from one bag of a stage to its next."""
 
@@ -22,7 +22,7 @@ FIRST_NS, STEP_NS = 1_760_000_000 * NANOSECONDS, 43_200 * NANOSECONDS
 def run() -> tuple[dict[str, StreamColumns], dict[str, bytes]]:
     """The streams of the run, and what is attached to its bag."""
     layouts = {stream.topic: stream.layout for stream in ALWAYS_PUBLISHED}
-    return read_streams(SAMPLES / "smc", layouts), read_attachments(SAMPLES / "smc")
+    return read_streams(SMC, layouts), read_attachments(SMC)
 
 
 def write_bag(folder: Path, number: int, stages: int = 1, parameters: str | None = None) -> None:

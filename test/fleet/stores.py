@@ -3,8 +3,6 @@
 import hashlib
 from pathlib import Path
 
-from generated_bags import SAMPLES  # noqa: F401 - of the tests
-
 from straightcomp_ros.fleet.history.adding import Tally, add
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.store import Store

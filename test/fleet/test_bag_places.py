@@ -9,7 +9,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from stores import SAMPLES
+from places import BAGS, SMC
 
 from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
 
@@ -29,7 +29,7 @@ def clock(monkeypatch):
 def half_written(folder, size=1_000_000):
     shutil.rmtree(folder / "run", ignore_errors=True)
     (folder / "run").mkdir()
-    (folder / "run" / "run_0.mcap").write_bytes((SAMPLES / "smc" / "smc_0.mcap").read_bytes()[:size])
+    (folder / "run" / "run_0.mcap").write_bytes((SMC / "smc_0.mcap").read_bytes()[:size])
 
 
 def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
@@ -39,7 +39,7 @@ def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
         assert given(growing, tmp_path) == []
         clock[0] += 59.0
     shutil.rmtree(tmp_path / "run")
-    shutil.copytree(SAMPLES / "smc", tmp_path / "run")
+    shutil.copytree(SMC, tmp_path / "run")
     assert [given(growing, tmp_path) for _ in range(2)] == [["run"], []]
 
 
@@ -49,14 +49,14 @@ def test_an_unfinished_bag_waits_and_is_given_out_to_be_refused_when_it_rests(tm
     growing = GrowingFolders()
     half_written(tmp_path)
     if metadata:
-        shutil.copy(SAMPLES / "smc" / "metadata.yaml", tmp_path / "run")
+        shutil.copy(SMC / "metadata.yaml", tmp_path / "run")
     assert given(growing, tmp_path) == []
     clock[0] += 61.0
     assert [given(growing, tmp_path) for _ in range(2)] == [["run"], []]
 
 
 def test_a_finished_bag_is_given_out_once_and_again_when_it_changed_or_could_not_be_read(tmp_path):
-    shutil.copytree(SAMPLES / "smc", tmp_path / "smc")
+    shutil.copytree(SMC, tmp_path / "smc")
     growing = GrowingFolders()
     assert [given(growing, tmp_path) for _ in range(2)] == [["smc"], []]
     os.utime(tmp_path / "smc" / "smc_0.mcap", (0.0, time.time() + 3600.0))
@@ -90,7 +90,7 @@ def test_following_adds_bags_as_they_are_finished_until_it_is_interrupted(tmp_pa
     )
     try:
         for number, name in enumerate(("smc", "uncompensated"), 1):
-            shutil.copytree(SAMPLES / name, bags / name)
+            shutil.copytree(BAGS / name, bags / name)
             deadline = time.monotonic() + 120.0
             while len(list(store.glob("bags/*"))) < number:
                 assert process.poll() is None and time.monotonic() < deadline, process.communicate()

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from generated_bags import run, write_bag
-from stores import COUNT, SAMPLES, added
+from places import BAGS, SMC
+from stores import COUNT, added
 from tiers import nightly
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
@@ -36,13 +37,13 @@ def test_add_tells_what_it_added_and_a_folder_may_hold_bags_that_are_refused(mon
     code, out, err = history("add", months, "-o", store)
     assert code == 0 and f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes added 0" in out
     assert err == f"written: {store}\nnext: straightcomp history advise {store}\n"
-    named = history("add", months, SAMPLES / "cut_off", "-o", store)
+    named = history("add", months, BAGS / "cut_off", "-o", store)
     assert named.code == 1 and "FROM refused" in named.err
 
 
 def test_a_named_bag_that_was_refused_is_refused_as_long_as_it_is_unchanged(tmp_path, history):
     store, bag = tmp_path / "store", tmp_path / "bags" / "run"
-    shutil.copytree(SAMPLES / "cut_off", bag)
+    shutil.copytree(BAGS / "cut_off", bag)
     refused = [history("add", bag, "-o", store) for _ in range(2)]
     assert all(one.code == 1 and "run/cut_off_0.mcap" in one.err and "refused: 1" in one.err for one in refused)
     assert refused[1].err.startswith("refused before, and unchanged: bag ")
@@ -67,7 +68,7 @@ def test_a_query_prints_one_json_object_with_times_as_iso_and_the_bins_are_a_tab
 
 
 def test_a_store_of_refused_bags_alone_has_a_table_of_strokes_without_rows(tmp_path, history):
-    assert history("add", SAMPLES / "cut_off", "-o", tmp_path).code == 1
+    assert history("add", BAGS / "cut_off", "-o", tmp_path).code == 1
     assert history("query", tmp_path, "SELECT stage, start FROM strokes", "--json").json == {"rows": []}
 
 
@@ -144,7 +145,7 @@ def test_what_is_wrong_is_said_in_one_sentence(words, code, sentence, alone, wor
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
-    found = history(*words.format(bag=SAMPLES / "smc", store=alone[0], worn=worn).split())
+    found = history(*words.format(bag=SMC, store=alone[0], worn=worn).split())
     assert found.code == code and sentence in found.err and "Traceback" not in found.err
 
 
@@ -152,7 +153,7 @@ def test_a_store_that_cannot_be_written_is_an_error_and_no_refused_bag(tmp_path,
     store = tmp_path / "store"
     store.mkdir()
     (store / "strokes").write_text("in the way")
-    code, _, said = history("add", SAMPLES / "smc", "-o", store)
+    code, _, said = history("add", SMC, "-o", store)
     assert code == 1 and "strokes" in said and "Traceback" not in said and not list(store.rglob("*.parquet"))
 
 

@@ -6,8 +6,8 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from places import SMC
 from recorded_run import recorded_run
-from stores import SAMPLES
 
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
@@ -19,17 +19,15 @@ from straightcomp_ros.safety.faults import LABELLED
 from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.timing.node_timing import Report
 
-BAG = SAMPLES / "smc"
-
 
 @pytest.fixture(scope="module")
 def evaluation():
-    return evaluate_bag(BAG)
+    return evaluate_bag(SMC)
 
 
 @pytest.fixture(scope="module")
 def rows(evaluation):
-    return rows_of(evaluation, recorded_facts(BAG, "key", evaluation)[1])
+    return rows_of(evaluation, recorded_facts(SMC, "key", evaluation)[1])
 
 
 def columns_of(evaluation, *names, **changes):
@@ -40,13 +38,13 @@ def columns_of(evaluation, *names, **changes):
 
 
 def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_parameters_and_map(evaluation, rows):
-    strokes = Assessment(BAG, evaluation).strokes
+    strokes = Assessment(SMC, evaluation).strokes
     assert len(rows) == len(strokes) == 2
     for row, stroke in zip(rows, strokes, strict=True):
         figures = stroke.to_display()
         del figures["start_s"]
         assert {name: getattr(row, name) for name in figures} == figures
-        for one in Assessment(BAG, evaluation).straightness:
+        for one in Assessment(SMC, evaluation).straightness:
             if one["direction"] == row.direction:
                 assert getattr(row, f"{one['when']}_{one['line']}_U_um") == one["expanded_uncertainty_um"]
     first = rows[0]
@@ -61,7 +59,7 @@ def test_a_row_has_the_figures_that_evaluate_prints_and_names_bag_stage_paramete
 def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum(evaluation, rows):
     def checksum(node, name, value):
         parameters = {**evaluation.parameters, node: {**evaluation.parameters[node], name: value}}
-        return recorded_facts(BAG, "key", replace(evaluation, parameters=parameters))[1]["parameters_checksum"]
+        return recorded_facts(SMC, "key", replace(evaluation, parameters=parameters))[1]["parameters_checksum"]
 
     assert checksum("logger", "output", "another folder") == rows[0].parameters_checksum
     assert checksum("controller", "control.law", "linear") != rows[0].parameters_checksum
@@ -74,9 +72,9 @@ def test_a_recording_keeps_its_name_in_a_folder_of_another_name(tmp_path):
 
 def test_a_description_that_this_version_cannot_read_has_no_identity(evaluation):
     driver = {**evaluation.parameters["driver"], "stage.platform.colour": "blue"}
-    stage, facts = recorded_facts(BAG, "key", replace(evaluation, parameters={"driver": driver}))
+    stage, facts = recorded_facts(SMC, "key", replace(evaluation, parameters={"driver": driver}))
     assert facts["identity"] is None and stage == "synthetic"
-    assert recorded_facts(BAG, "key", replace(evaluation, parameters={}))[0] == "unknown"
+    assert recorded_facts(SMC, "key", replace(evaluation, parameters={}))[0] == "unknown"
 
 
 def test_the_latency_of_a_stroke_is_that_of_its_own_samples(evaluation):
@@ -189,7 +187,7 @@ def test_a_guide_that_is_not_the_map_s_is_judged_by_the_sensor_where_there_is_no
     seen = replace(record, true_x=None, true_y=None, guide=None)
     turned = replace(evaluation, record=seen, guide=-record.guide)
     monkeypatch.setattr("straightcomp_ros.offline.what_if.evaluate_bag", lambda *_: turned)
-    assert what_if(BAG, {})[0].verdict.verdict == "wrong_guide"
+    assert what_if(SMC, {})[0].verdict.verdict == "wrong_guide"
     assert columns_of(turned, "verdict") == ["wrong_guide"] * 2
     assert columns_of(turned, "verdict", guide=record.guide) == ["in_order"] * 2
 
@@ -221,7 +219,7 @@ def test_a_sensor_of_too_few_readings_does_not_judge_the_guide_by_what_lies_betw
 
 
 def test_strokes_in_simulated_time_have_the_date_at_which_their_bag_was_made(evaluation, rows):
-    zero = date_of_zero(BAG, evaluation.begin_ns)
-    dated = rows_of(evaluation, recorded_facts(BAG, "key", evaluation)[1], zero)
+    zero = date_of_zero(SMC, evaluation.begin_ns)
+    dated = rows_of(evaluation, recorded_facts(SMC, "key", evaluation)[1], zero)
     assert [one.start - zero for one in dated] == [one.start for one in rows]
-    assert dated[0].start.year == 2026 and date_of_zero(BAG, 1_700_000_000_000_000_000) == timedelta(0)
+    assert dated[0].start.year == 2026 and date_of_zero(SMC, 1_700_000_000_000_000_000) == timedelta(0)

@@ -13,7 +13,8 @@ from unittest.mock import Mock
 import pyarrow.dataset
 import pyarrow.parquet
 import pytest
-from stores import COUNT, SAMPLES, added, files_of, strokes_of
+from places import BAGS, SMC
+from stores import COUNT, added, files_of, strokes_of
 from tiers import nightly
 
 from straightcomp_ros.fleet.history import HistoryError, adding
@@ -125,7 +126,7 @@ def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubli
     names = set(files_of(copy))
     assert added(copy, months, again=True).added == COUNT
     assert strokes_of(copy) == strokes_of(alone[0]) and set(files_of(copy)) == names
-    added(copy, SAMPLES / "smc")
+    added(copy, SMC)
     assert len(strokes_of(copy)) == 2 * COUNT + 2
 
 
@@ -172,7 +173,7 @@ def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, 
 
 def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
     for name in ("first", "second"):
-        shutil.copytree(SAMPLES / "smc", tmp_path / "bags" / name)
+        shutil.copytree(SMC, tmp_path / "bags" / name)
     store = tmp_path / "store"
     assert added(store, tmp_path / "bags").added == 2 and len(strokes_of(store)) == 2
     sql = "SELECT count(*) AS n, count(DISTINCT checksum) AS k FROM bags"
@@ -182,7 +183,7 @@ def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
 def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tmp_path):
     store, tallies = tmp_path / "store", []
     for sample in ("cut_off", "smc"):
-        bag = shutil.copytree(SAMPLES / sample, tmp_path / "run")
+        bag = shutil.copytree(BAGS / sample, tmp_path / "run")
         tallies.append(added(store, bag))
         shutil.rmtree(bag)
     assert (tallies[0].refused, tallies[1].added) == (1, 1)
@@ -201,11 +202,11 @@ def test_a_bag_that_cannot_be_read_or_meets_an_error_of_ours_is_refused_and_trie
 ):
     with monkeypatch.context() as patch:
         patch.setattr(adding, name, Mock(side_effect=error))
-        assert added(tmp_path, SAMPLES / "smc").refused == 1
-    store, place = Store(str(tmp_path)), next(bags_in(str(SAMPLES / "smc")))
+        assert added(tmp_path, SMC).refused == 1
+    store, place = Store(str(tmp_path)), next(bags_in(str(SMC)))
     assert reason in store.query("SELECT reason FROM refused").to_pylist()[0]["reason"]
     if isinstance(error, OSError):
-        assert not store.has(place) and added(tmp_path, SAMPLES / "smc").added == 1
+        assert not store.has(place) and added(tmp_path, SMC).added == 1
         assert store.has(place)
 
 
@@ -256,7 +257,7 @@ print(threads() - before)
 
 def test_no_thread_of_arrow_s_is_left_that_could_hold_python_s_bytes_when_the_interpreter_ends(copy):
     """It would end the process with `terminate called without an active exception`, now and then (rows_in)."""
-    command = [sys.executable, "-c", READS_AND_ADDS, str(copy), str(SAMPLES / "smc")]
+    command = [sys.executable, "-c", READS_AND_ADDS, str(copy), str(SMC)]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"
 
 
@@ -286,5 +287,5 @@ def test_a_file_of_which_one_bit_is_another_gives_no_figures(alone, tmp_path):
 def test_what_a_worker_warns_of_is_said_here_with_the_bag(tmp_path, monkeypatch):
     rows_of = adding.rows_of
     monkeypatch.setattr(adding, "rows_of", lambda *run: warnings.warn("odd", stacklevel=1) or rows_of(*run))
-    with pytest.warns(UserWarning, match=f"^{SAMPLES / 'smc'}: odd$"):
-        added(tmp_path, SAMPLES / "smc")
+    with pytest.warns(UserWarning, match=f"^{BAGS / 'smc'}: odd$"):
+        added(tmp_path, SMC)

@@ -5,10 +5,10 @@ import math
 import os
 import shutil
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SMC
 from tiers import nightly
 from waiting import comes_true
 
@@ -24,7 +24,6 @@ from trials.noise import Kind, surveyed
 
 pytestmark = pytest.mark.keeps_time
 
-SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 TRIGGERS = ("sample", "timer", "composed")
 EVERYDAY = [("smc_observer", "composed")]
 

@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -12,6 +11,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from participant import Participant
+from places import REPOSITORY
 from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -157,7 +157,7 @@ def enabling(node, success=True):
 
 def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
     asked, driver = enabling(participant.node), Driver()
-    example = str(Path(__file__).parents[2] / "examples" / "stroke_client.py")
+    example = str(REPOSITORY / "examples" / "stroke_client.py")
 
     def ended(words, end=lambda client: None):
         asked.clear()

@@ -6,11 +6,11 @@ import re
 import shutil
 import subprocess
 import time
-from pathlib import Path
 
 import pytest
 from opcua_probes import command, probed
 from participant import Participant
+from places import REPOSITORY
 from waiting import wait_for_line
 
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED
@@ -27,7 +27,6 @@ if importlib.util.find_spec("asyncua") is None:
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
     "stage.rate": 200,

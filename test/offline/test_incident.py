@@ -5,6 +5,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from places import SMC
 from tiers import nightly
 
 from straightcomp_ros.bags.reader import read_attachments
@@ -15,7 +16,6 @@ from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, i
 from straightcomp_ros.safety.faults import Fault
 from trials.incidents import one_incident
 
-BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
 USUAL = Fault.Y_OUT_OF_RANGE
 
 
@@ -36,7 +36,7 @@ def packed(tmp_path_factory):
         secret = b"/broker:\n  ros__parameters:\n    broker_password: hunter2\n"
         return data + secret * (name == "parameters.yaml")
 
-    recover(BAG, folder / "bags" / "run", edit=edit)
+    recover(SMC, folder / "bags" / "run", edit=edit)
     (folder / "bags" / "logs").mkdir()
     text = "listening\nlogin at opc.tcp://robot:s3same@cell failed, API_KEY=abc123, next\n"
     (folder / "bags" / "logs" / "opcua.log").write_text(text)
@@ -66,8 +66,8 @@ def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(
 
 
 def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_out(tmp_path):
-    pack(BAG, tmp_path / "a.zip", [])
-    (file,) = BAG.glob("*.mcap")
+    pack(SMC, tmp_path / "a.zip", [])
+    (file,) = SMC.glob("*.mcap")
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert archive.read(f"bag/{file.name}") == file.read_bytes()
 
@@ -75,7 +75,7 @@ def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_ou
 @pytest.mark.parametrize("last", [0.0, 2.0])
 @pytest.mark.filterwarnings("ignore:.*was not finished")
 def test_a_run_that_was_cut_off_is_still_cut_off_in_its_incident(tmp_path, last):
-    found = pack(BAG.with_name("cut_off"), tmp_path / "a.zip", [], last=last)
+    found = pack(SMC.with_name("cut_off"), tmp_path / "a.zip", [], last=last)
     (tmp_path / "opened").mkdir()
     unpack(tmp_path / "a.zip", tmp_path / "opened")
     opened = judged(tmp_path / "opened" / "bag", {})
@@ -104,7 +104,7 @@ def test_a_fault_in_a_log_is_its_label_and_reason_and_no_sentence_with_such_a_wo
 
 
 def test_a_fault_after_a_run_in_order_is_no_good_news():
-    found = judged(BAG, {"cell.log": "[ERROR] [cell]: cycle failed: heartbeat_lost: controller"})
+    found = judged(SMC, {"cell.log": "[ERROR] [cell]: cycle failed: heartbeat_lost: controller"})
     assert found.assessment.verdict.in_order
     for cause, well in ((found.cause, False), ("no fault; verdict in order", True)):
         found.cause = cause

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import BAGS, SMC
 from recorded_run import recorded_run
 from tiers import nightly
 
@@ -31,7 +32,6 @@ from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 from straightcomp_ros.timing.node_timing import HeldUp, Report, summarise
 
-BAGS = Path(__file__).resolve().parents[2] / "bags"
 CYCLE = {"motion.stroke": 0.3, "motion.settle": 0.1, "motion.pause": 0.1}
 SHORT = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
 GUIDE = "config/guide_synthetic.csv"
@@ -300,11 +300,11 @@ def test_simulate_prints_the_verdict_on_cycles_and_starts_in_json(verb):
 
 
 def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(verb):
-    ended = verb("replay", BAGS / "smc", "--set", "driver.simulated.truth.mass=4", "--json")
+    ended = verb("replay", SMC, "--set", "driver.simulated.truth.mass=4", "--json")
     found = ended.json
     assert found["recorded"]["verdict"] == found["simulated_as_recorded"]["verdict"] == "in_order"
     assert ended.code == 1 and found["what_if"]["verdict"] == found["verdict"] == "oscillates"
-    ended = verb("replay", BAGS / "smc", "--law", "linear")
+    ended = verb("replay", SMC, "--law", "linear")
     assert ended.code == 0 and ended.out.count("in order: error") == 3
 
 
@@ -318,10 +318,10 @@ def test_the_board_of_a_recorded_machine_is_simulated_without_its_files(tmp_path
 
     files = {"hardware": "can", "can.dbc": "/nowhere/board.dbc"}
     files["simulated.truth.disturbances.force_file"] = "/nowhere/force.csv"
-    recover(BAGS / "smc", tmp_path / "bag", edit=edit)
+    recover(SMC, tmp_path / "bag", edit=edit)
     assert recorded_parameters(tmp_path / "bag", read_attachments(tmp_path / "bag"))["driver"].items() > files.items()
     with pytest.warns(UserWarning, match="/nowhere/force.csv"):
-        found, whole = (verb("replay", bag, "--law", "linear", "--json") for bag in (tmp_path / "bag", BAGS / "smc"))
+        found, whole = (verb("replay", bag, "--law", "linear", "--json") for bag in (tmp_path / "bag", SMC))
     assert found.code == whole.code == 0
     assert found.json["what_if"] == whole.json["what_if"]
 

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.nightly
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
 NOT_SOURCES = (".*", "build", "install", "log", "demo_output", "__pycache__", "*.egg-info")

@@ -12,11 +12,11 @@ from xml.etree import ElementTree
 import pytest
 import setuptools
 import yaml
+from places import REPOSITORY
 from test_imports_point_inward import belongs_to_ros, imported
 
 from straightcomp_ros.contract import STREAMS
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = "straightcomp_ros"
 LISTED = yaml.safe_load((Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8"))
 LISTED |= {name: {"rosdep": f"python3-{name}"} for name in LISTED.pop("python3-NAME")}

@@ -4,12 +4,10 @@ import importlib.util
 import re
 import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-
-REPOSITORY = Path(__file__).resolve().parents[2]
+from places import REPOSITORY
 
 
 def _run(module, *arguments):

@@ -4,13 +4,14 @@ import ast
 import itertools
 import re
 from functools import cache
-from pathlib import Path
+
+from places import REPOSITORY, page
 
 from straightcomp_ros import contract
 
 PACKAGE = "straightcomp_ros"
-SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
-ARCHITECTURE = (SOURCE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+SOURCE = REPOSITORY / PACKAGE
+ARCHITECTURE = page("architecture")
 ROOMS, _, PATH_OF_A_SAMPLE = ARCHITECTURE.partition("## The path of one sample")
 WINGS = ("tuning", "fleet")
 WITH_ROS = ("runtime", "nodes", "bench", "tuning/graph")

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import interrupted
 import pytest
+from places import BAGS, REPOSITORY
 from tiers import nightly
 
 from straightcomp_ros.cli.main import main, make_parser
 
-ROOT = Path(__file__).resolve().parents[2]
 SHORT = "--set stage.motion.stroke=0.02"
 COMMISSION = "commission s/stage.yaml -o out --only"
 TABLE = f"""
@@ -94,8 +94,8 @@ def template(folder, case, monkeypatch):
     words = CASES[case][-1].strip() if len(CASES[case]) > 1 else before[-1]
     for line in (*before, words):
         for name in {"smc", "uncompensated", "survey", "cut_off"} & set(line.split()):
-            shutil.copytree(ROOT / "bags" / name, name, dirs_exist_ok=True)
-    shutil.copy(ROOT / "config" / "survey_synthetic.csv", "s.csv")
+            shutil.copytree(BAGS / name, name, dirs_exist_ok=True)
+    shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", "s.csv")
     for line in before:
         assert main(shlex.split(line)) == 0
     for name in {"r.png", "p.yaml", "t.cal"} & set(words.split()):

@@ -4,13 +4,13 @@ import re
 
 import pytest
 import yaml
-from test_imports_point_inward import SOURCE
+from places import REPOSITORY
 
 from straightcomp_ros.analysis.judgement import WORDS
 from straightcomp_ros.safety.faults import Fault
 
-DOCS = SOURCE.parent / "docs"
-NAVIGATION = yaml.safe_load((SOURCE.parent / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+DOCS = REPOSITORY / "docs"
+NAVIGATION = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
 TROUBLESHOOTING = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
 
 

@@ -13,12 +13,12 @@ import types
 from pathlib import Path
 
 import pytest
+from places import REPOSITORY
 
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, read_parameter_file
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 CELL = REPOSITORY / "launch" / "cell.launch.py"
 SHIPPED, SHIPPED_STAGE = (str(REPOSITORY / name) for name in (DEFAULT_FILE, DEFAULT_STAGE))

@@ -2,20 +2,20 @@
 
 import json
 import re
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from places import BAGS, REPOSITORY
 from rosbags.rosbag2 import Reader
 
 from scripts import make_layouts
 from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 
-ROOT = Path(__file__).resolve().parents[2]
+CONFIG = REPOSITORY / "config"
 TOPICS = {f"/{stream.topic}": stream for stream in (*STREAMS, DISPLACEMENT)}
-FOXGLOVE = json.loads((ROOT / "config" / "foxglove.json").read_text(encoding="utf-8"))
-PLOTJUGGLER = ElementTree.parse(ROOT / "config" / "plotjuggler.xml").getroot()
+FOXGLOVE = json.loads((CONFIG / "foxglove.json").read_text(encoding="utf-8"))
+PLOTJUGGLER = ElementTree.parse(CONFIG / "plotjuggler.xml").getroot()
 PLOTS = [panel for name, panel in FOXGLOVE["configById"].items() if name.startswith("Plot!")]
 PATHS = [panel["xAxisPath"]["value"] for panel in PLOTS if "xAxisPath" in panel]
 PATHS += [path["value"] for panel in PLOTS for path in panel["paths"]]
@@ -30,13 +30,13 @@ def followed(message, path):
 def test_the_files_are_those_that_the_script_makes(tmp_path):
     make_layouts.make(tmp_path)
     for name in ("foxglove.json", "plotjuggler.xml"):
-        assert (tmp_path / name).read_text() == (ROOT / "config" / name).read_text(), "run scripts/make_layouts.py"
+        assert (tmp_path / name).read_text() == (CONFIG / name).read_text(), "run scripts/make_layouts.py"
 
 
 def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_column():
     messages = {}
     for name in ("smc", "survey"):
-        with Reader(ROOT / "bags" / name) as reader:
+        with Reader(BAGS / name) as reader:
             for connection in reader.connections:
                 _, _, data = next(reader.messages([connection]))
                 messages[connection.topic] = typestore().deserialize_cdr(data, connection.msgtype)

@@ -5,10 +5,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from places import BAGS, REPOSITORY
 
 from straightcomp_ros.cli.main import main
 
-ROOT = Path(__file__).resolve().parents[2]
 INPUTS = [
     "map convert t.cal -o t.cal",
     "map convert t.cal -o link.cal",
@@ -65,10 +65,10 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("user"))
         for name in ("smc", "survey"):
-            shutil.copytree(ROOT / "bags" / name, name)
+            shutil.copytree(BAGS / name, name)
         shutil.copytree("smc", "out/bag")
         Path("out/parameters.yaml").write_text("/**/cell:\n  ros__parameters:\n    strokes: 1\n")
-        shutil.copy(ROOT / "config" / "survey_synthetic.csv", "s.csv")
+        shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", "s.csv")
         for line in ("stage new one --yes", "map export -o t.cal"):
             assert main(line.split()) == 0
         shutil.copy("s.csv", "my survey.csv")

@@ -8,6 +8,8 @@ import sys
 from itertools import chain
 
 import pytest
+from places import REPOSITORY
+from places import page as read
 from test_imports_point_inward import SOURCE
 
 from scripts import make_reference
@@ -23,19 +25,17 @@ from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.stage.description import StageParameters
 from trials.__main__ import RIGS
 
-REPOSITORY = SOURCE.parent
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 LINKING = sorted(
     path for folder in ("docs", "docs/evidence", ".", "bags") for path in (REPOSITORY / folder).glob("*.md")
 )
-DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
 SETS = {STAGE: StageParameters, **NODE_PARAMETERS}
 PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in SETS.items()}
 OF_ANY_NODE = set().union(*PARAMETERS.values())
 
 
 def test_every_topic_of_the_contract_stands_in_the_design():
-    table = DESIGN.partition("## Topics")[2].partition("\n## ")[0]
+    table = read("design").partition("## Topics")[2].partition("\n## ")[0]
     streams = [one.topic for one in vars(contract).values() if isinstance(one, contract.Stream)]
     slow = [contract.STAGE_TRAJECTORY, contract.DIAGNOSTICS, contract.SAFETY_STATE, contract.TRIP, contract.HEARTBEAT]
     assert set(re.findall(r"^\| `(/?\w+)` \|", table, re.MULTILINE)) == {*streams, *slow}
@@ -113,7 +113,7 @@ def test_every_value_of_a_parameter_that_a_page_states_is_the_default_or_the_shi
 
 
 def test_the_deadlines_of_the_architecture_are_those_of_their_parameters():
-    page = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8").partition("### Deadlines")[2]
+    page = read("architecture").partition("### Deadlines")[2]
     shipped, found = shipped_parameters(), 0
     for row in (line.split("|") for line in page.splitlines() if line.startswith("| ") and "`" in line):
         times = [float(number) * SCALES.get(unit, 1.0) for number, unit in re.findall(r"([\d.]+) (ms|s)\b", row[1])]
@@ -129,14 +129,13 @@ def test_the_deadlines_of_the_architecture_are_those_of_their_parameters():
 
 
 def test_the_parameters_that_change_while_a_node_runs_are_those_of_the_table():
-    page = (REPOSITORY / "docs" / "cell.md").read_text(encoding="utf-8")
-    table = page.partition("## Changes while it runs\n")[2].partition("\n## ")[0]
+    table = read("cell").partition("## Changes while it runs\n")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| (\w+) \| (.*?) \|", table, re.MULTILINE)
     named = {(node, name.removesuffix(".*")) for node, cell in rows for name in re.findall(r"`([\w.*]+)`", cell)}
     assert named == {(node, one) for node, kind in NODE_PARAMETERS.items() for one in getattr(kind, "dynamic", ())}
 
 
-SECURITY = (REPOSITORY / "docs" / "security.md").read_text(encoding="utf-8")
+SECURITY = read("security")
 PERMISSIONS = {
     tuple(re.findall(r"`(\w+)`", nodes)): re.findall(r"`([\w/]+)`", what)
     for nodes, what in re.findall(r"^\| (`.*?) \| (.*) \|$", SECURITY, re.MULTILINE)
@@ -216,7 +215,7 @@ def _anchors(page):
 
 
 def test_the_overview_leads_to_every_page():
-    linked = set(re.findall(r"\]\(([\w/]+\.md)", (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")))
+    linked = set(re.findall(r"\]\(([\w/]+\.md)", read("index")))
     docs = REPOSITORY / "docs"
     assert linked == {str(page.relative_to(docs)) for page in docs.rglob("*.md")} - {"index.md"}
 

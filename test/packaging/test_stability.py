@@ -3,16 +3,14 @@
 import importlib
 import inspect
 import re
-from pathlib import Path
 
 import pytest
+from places import REPOSITORY, page
 
 from straightcomp_ros.cli.main import make_parser
 from straightcomp_ros.safety.faults import Fault
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-PAGE = (REPOSITORY / "docs" / "stability.md").read_text(encoding="utf-8")
-API = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
+PAGE, API = page("stability"), page("api")
 FAULTS = """
 command_not_finite command_out_of_range command_timeout two_controllers sample_not_finite x_jump y_out_of_range y_frozen
 x_frozen clock_jump map_missing sample_timeout heartbeat_lost board tripped recording_stopped following_error

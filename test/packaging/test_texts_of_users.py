@@ -4,9 +4,9 @@ import io
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from places import REPOSITORY
 from rich.table import Table
 
 from straightcomp_ros.analysis.html_page import blocks, line_figure
@@ -14,7 +14,6 @@ from straightcomp_ros.analysis.pictures import as_text
 from straightcomp_ros.cli.output import console, notes, printable, styled
 from straightcomp_ros.cli.results import doubtful, titled_table
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMES = ["gantry[left]", "[/x]", "[red]", "a[bold]b[/bold]", ":smile:", "[link=http://x]y[/]", "\\[x]"]
 
 
@@ -51,7 +50,7 @@ def test_no_text_controls_the_terminal(control, monkeypatch, verb):
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
 @pytest.mark.parametrize("words", ["evaluate none-µ-\udcff-轴", "stage show SHIPPED"])
 def test_every_text_prints_in_every_encoding(words, encoding, tmp_path):
-    command = words.replace("SHIPPED", str(ROOT / "config" / "stage_synthetic.yaml")).split()
+    command = words.replace("SHIPPED", str(REPOSITORY / "config" / "stage_synthetic.yaml")).split()
     done = subprocess.run(
         [sys.executable, "-m", "straightcomp_ros.cli.main", *map(os.fsencode, command)],
         env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},

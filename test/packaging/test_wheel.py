@@ -5,14 +5,13 @@ import shutil
 import subprocess
 import sys
 import venv
-from pathlib import Path
 
 import pytest
+from places import REPOSITORY
 from test_command_line import EXTRAS, OURS
 
 pytestmark = pytest.mark.nightly
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = ("straightcomp_ros", "config", "launch", "resource", "package.xml", "setup.py", "setup.cfg", "pyproject.toml")
 
 

@@ -1,14 +1,13 @@
 """What a verb is given by mistake: each is refused in one sentence that names it and says what is allowed."""
 
 import shlex
-from pathlib import Path
 
 import pytest
+from places import BAGS, REPOSITORY, SMC
 
 from scripts.stage_files import STAGES
 
-ROOT = Path(__file__).resolve().parents[2]
-BAG, SURVEY, SURVEY_CSV = (ROOT / name for name in ("bags/smc", "bags/survey", "config/survey_synthetic.csv"))
+SURVEY, SURVEY_CSV = BAGS / "survey", REPOSITORY / "config" / "survey_synthetic.csv"
 CASES = [
     ("frobnicate", "'frobnicate'"),
     ("simulate --law pid", "'pid' (choose from"),
@@ -32,15 +31,15 @@ CASES = [
     (f"simulate --set stage.guide.file={'a' * 5000}", "there is no such file"),
     ('simulate --set stage.guide.file="a\\0b"', "has control characters"),
     (f"simulate --set driver.hardware=can --set driver.can.dbc={'a' * 5000}", "No such file; name a DBC file"),
-    (f"evaluate {BAG} --limits limits.yaml", "key 'true_pp_um' is given twice"),
+    (f"evaluate {SMC} --limits limits.yaml", "key 'true_pp_um' is given twice"),
     ("simulate --params-file none.yaml", "none.yaml: cannot be read: No such file"),
     ("simulate --params-file folder", "folder: cannot be read: Is a directory"),
     ("simulate --plot none/run.png", "--plot none/run.png: there is no folder none"),
     ("simulate --plot run.docx", "ends with .png, .svg, .pdf"),
     ("evaluate none", "bag none does not exist"),
     ("evaluate folder", "bag folder"),
-    (f"evaluate {BAG} --remap encoder", "allowed: OURS:=THEIRS"),
-    (f"replay {BAG} --law pid", "'pid' is not known; allowed: one of linear"),
+    (f"evaluate {SMC} --remap encoder", "allowed: OURS:=THEIRS"),
+    (f"replay {SMC} --law pid", "'pid' is not known; allowed: one of linear"),
     ("simulate --set driver.simulated.plant.mass=3", "'simulated.plant.mass' is unknown"),
     ("friction", "either a BAG or --excitation FILE"),
     ("map", "required: TOOL"),
@@ -63,9 +62,9 @@ CASES = [
     ("robustness --trials 0", "allowed: a whole number >= 1"),
     (f"design {STAGES / 'shipped.yaml'} --quiet 2", "--quiet 2; allowed: 0 to 1"),
     (f"design {STAGES / 'shipped.yaml'} --machines 0", "--machines 0; allowed: 1 to"),
-    (f"history add {BAG} --jobs 0", "'0'; allowed: a whole number >= 1"),
-    (f"history add {BAG} --dask here", "'here'; allowed: HOST:PORT"),
-    (f"history add {BAG} --every 0", "--every 0; allowed: 0.1 to"),
+    (f"history add {SMC} --jobs 0", "'0'; allowed: a whole number >= 1"),
+    (f"history add {SMC} --dask here", "'here'; allowed: HOST:PORT"),
+    (f"history add {SMC} --every 0", "--every 0; allowed: 0.1 to"),
     ("history query none SELECT", "store none: no bag was added there; make it: straightcomp history add BAG -o none"),
     ("history query", "required: SQL"),
     ("can replay none.log", "none.log"),
@@ -82,7 +81,7 @@ CASES = [
     ("frequency-response --graph running --law linear", "--law: not with --graph running, whose nodes"),
     ("simulate --learned /proc/x.csv", "--learned /proc/x.csv: cannot be written"),
     *((f"simulate --starts 3 {other}", "--starts") for other in ("--strokes 2", "--learn", "--bag bag")),
-    (f"replay {BAG} --set controller.control.lwa=smc", "did you mean 'control.law'"),
+    (f"replay {SMC} --set controller.control.lwa=smc", "did you mean 'control.law'"),
     ("bench step --repeats 0", "--repeats 0; allowed: 1 to 10000"),
     ("bench graph --seconds 0.1", "--seconds 0.1; allowed: 2 to 86400"),
     ("bench graph --soak nan", "--soak nan; allowed: 0.03333 to 1440"),
@@ -94,7 +93,7 @@ CASES = [
 IMPOSSIBLE = [
     ("simulate --bag noise.mcap", "bag noise.mcap cannot be made: File exists"),
     ("evaluate empty.mcap", "is empty: the recording was never started"),
-    (f"recover {BAG} -o noise.mcap", "noise.mcap cannot be made: File exists"),
+    (f"recover {SMC} -o noise.mcap", "noise.mcap cannot be made: File exists"),
     ("simulate --bag loop", "bag loop cannot be made"),
     ("map export -o loop --format aerotech", "loop: Too many levels of symbolic links"),
     ("frequency-response --period 0.0001", "period"),
@@ -141,8 +140,8 @@ def test_what_is_wrong_is_said_in_one_sentence(words, expected, code, refusal):
 
 MISSING = f"""
 simulate --stage none | replay none | stage check none | stage show none | stage new folder --survey none |
-design none | robustness --stage none | evaluate noise.mcap | evaluate {BAG} --compare none | recover none |
-evaluate {BAG} --limits none | map build none | map build folder | map convert none.cal -o x.csv |
+design none | robustness --stage none | evaluate noise.mcap | evaluate {SMC} --compare none | recover none |
+evaluate {SMC} --limits none | map build none | map build folder | map convert none.cal -o x.csv |
 map export --survey none -o x.cal | friction none | frequency-response --stage none | doctor --stage none |
 history add none | history report none | history advise none | history query none x | demo --stage none |
 incident none | incident open none | map reverse none none -o x | map align none none | bench step --stage none |
@@ -158,7 +157,7 @@ def test_a_missing_file_is_wrong_use_in_every_verb(words, verb):
     assert found.code == 2, found.err
 
 
-@pytest.mark.parametrize("words", ["view", "demo", "bench graph", f"replay {BAG} --graph"])
+@pytest.mark.parametrize("words", ["view", "demo", "bench graph", f"replay {SMC} --graph"])
 def test_without_rclpy_every_verb_that_needs_it_says_the_same(words, refusal, monkeypatch):
     monkeypatch.setattr("straightcomp_ros.cell.launcher.ros_available", lambda: False)
     assert "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install" in refusal(words)

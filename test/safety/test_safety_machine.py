@@ -2,10 +2,10 @@
 
 import random
 import re
-from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+from places import cells, line_of, page
 
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -14,8 +14,6 @@ from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 
 
 @pytest.fixture
@@ -91,11 +89,10 @@ def test_a_fault_of_the_hardware_gets_the_name_that_comes_later_and_another_one_
 
 
 def test_each_fault_has_a_number_of_its_own_above_zero_and_its_row_in_the_documented_table():
-    codes, rows = {fault.code for fault in Fault}, DOCUMENT.read_text().splitlines()
+    codes, documented = {fault.code for fault in Fault}, page("safety")
     assert len(codes) == len(Fault) == len(LABELLED) and min(codes) > 0 and LABELLED["x_jump"] is Fault.X_JUMP
     for fault in Fault:
-        (row,) = (line for line in rows if line.startswith(f"| `{fault.label}` | {fault.code} "))
-        *_, within, reaction, reset = [cell.strip() for cell in row.strip("|").split("|")]
+        *_, within, reaction, reset = cells(line_of(documented, f"`{fault.label}` | {fault.code}"))
         assert (within, reaction, reset) == (f"{fault.value.within_ms:g}", fault.value.reaction, fault.value.reset)
 
 
@@ -114,7 +111,7 @@ def test_a_fault_of_a_timeout_comes_after_its_default_and_at_most_200_ms_later(f
 @pytest.mark.parametrize("composed", [False, True])
 def test_the_trials_inject_all_faults_but_those_that_the_page_names(composed):
     trials = pytest.importorskip("trials.faults")
-    named = DOCUMENT.read_text().partition("`python -m trials faults` injects")[2].partition(", nor the board's")[0]
+    named = page("safety").partition("`python -m trials faults` injects")[2].partition(", nor the board's")[0]
     without = {LABELLED[label] for label in re.findall(r"`(\w+)`", named)}
     # Of one process all that is seen of its end is that its nodes are silent.
     without |= {Fault.SAMPLE_TIMEOUT} if composed else set()

@@ -1,12 +1,12 @@
 """Straightness about a line by its definition; the shipped guide is what it claims to be."""
 
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import REPOSITORY
 
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.residual import (
@@ -55,8 +55,7 @@ def test_adding_a_line_changes_no_residual_and_least_squares_leave_neither_mean_
     assert abs(left.sum()) < 1e-17 and abs(left @ x) < 1e-17
 
 
-TOP = Path(__file__).resolve().parents[2]
-CONFIG = TOP / "config"
+CONFIG = REPOSITORY / "config"
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +64,7 @@ def guide():
 
 
 def test_the_script_makes_the_same_bytes_again(tmp_path):
-    runpy.run_path(str(TOP / "scripts/make_synthetic_survey.py"))["make"](tmp_path)
+    runpy.run_path(str(REPOSITORY / "scripts/make_synthetic_survey.py"))["make"](tmp_path)
     for name in ("survey_synthetic.csv", "guide_synthetic.csv"):
         assert (tmp_path / name).read_bytes() == (CONFIG / name).read_bytes()
 

@@ -5,9 +5,9 @@ import socket
 from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection
 from itertools import islice
-from pathlib import Path
 
 import pytest
+from places import REPOSITORY
 
 from straightcomp_ros.analysis.html_page import html_page
 from straightcomp_ros.analysis.style import BLUE, SHEET
@@ -73,10 +73,10 @@ def test_the_page_is_for_this_machine_under_its_own_names_and_needs_nothing_from
 
 
 def test_every_page_has_the_one_style_sheet_and_pictures_its_colours(server):
-    docs = Path(__file__).resolve().parents[2] / "docs"
+    docs = REPOSITORY / "docs"
     pages = ask(server, "GET", "/")[2].decode(), html_page("a", "a", "", []), (docs / "css" / "style.css").read_text()
     assert all(SHEET.strip() in page for page in pages) and BLUE == "#0072B2"
-    assert "extra_css: [css/style.css]" in (docs.parent / "mkdocs.yml").read_text()
+    assert "extra_css: [css/style.css]" in (REPOSITORY / "mkdocs.yml").read_text()
 
 
 def test_a_fault_is_shown_with_what_it_means_and_what_to_do_and_the_error_with_its_limit(server):

@@ -1,15 +1,13 @@
 import itertools
 import random
-from pathlib import Path
 
 import pytest
 from can_boards import FOREIGN
+from places import page
 
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.doctor.stage_findings import bus_load, classic_bits, fd_time, frame_time
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "can.md"
 
 
 def stuffed(bits):
@@ -59,4 +57,4 @@ def test_the_document_shows_what_the_code_computes():
         rows.append(("all; sample to command", "", pair, sum(loads.values())))
         for what, payload, time, share in rows:
             lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
-    assert "\n".join(lines) in DOCUMENT.read_text()
+    assert "\n".join(lines) in page("can")

@@ -6,7 +6,6 @@ import random
 import re
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from drawn_dbc import drawn_board
 from forgery import forged
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import REPOSITORY
 from tiers import nightly
 
 from scripts import make_firmware_frames
@@ -33,7 +33,6 @@ from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import FirmwareBoard
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 CURRENT_COUNT = 1e-4
 """A"""
 

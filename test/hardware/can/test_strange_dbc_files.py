@@ -4,10 +4,10 @@ import contextlib
 import io
 import shutil
 import subprocess
-from pathlib import Path
 
 import cantools
 import pytest
+from places import REPOSITORY
 
 from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
@@ -18,8 +18,8 @@ from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import RefusedParameter, from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 
-FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
-REAL = sorted((Path(__file__).resolve().parents[2] / "cases" / "dbc" / "opendbc").glob("*.dbc"))
+FIRMWARE = REPOSITORY / "firmware"
+REAL = sorted((REPOSITORY / "test" / "cases" / "dbc" / "opendbc").glob("*.dbc"))
 BOARD = """VERSION ""
 
 NS_ :

@@ -2,13 +2,13 @@
 
 import dataclasses
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from tiers import nightly
 from verbs import ran
 
+from scripts.stage_files import STAGES
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters, multisine_injection
 from straightcomp_ros.control.laws import make_law
@@ -88,9 +88,6 @@ def test_without_dry_friction_the_described_margins_are_those_of_the_law_without
         assert getattr(of_model, name) == pytest.approx(getattr(margins, name), rel=0.1)
 
 
-STAGES = Path(__file__).resolve().parents[2] / "stages"
-
-
 @functools.cache
 def measured(*options, exit_code=0):
     """What the command says; each is run once."""
@@ -102,10 +99,10 @@ def measured(*options, exit_code=0):
 NIGHTLY = {
     "linear": ("--law", "linear"),
     "smc": ("--law", "smc"),
-    "heavy_platform": ("--stage", str(STAGES / "heavy_platform.yaml")),
-    "rate_1_khz": ("--stage", str(STAGES / "rate_1_khz.yaml")),
+    "heavy_platform": ("--stage", STAGES / "heavy_platform.yaml"),
+    "rate_1_khz": ("--stage", STAGES / "rate_1_khz.yaml"),
     # Against much friction slow motions drown in its reversals; all others are measured.
-    "sticky": ("--stage", str(STAGES / "sticky.yaml")),
+    "sticky": ("--stage", STAGES / "sticky.yaml"),
 }
 
 

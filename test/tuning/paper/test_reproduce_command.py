@@ -5,13 +5,13 @@ import re
 from pathlib import Path
 
 import pytest
+from places import cells, line_of, page
 
 from scripts import fit_paper_plant as fit
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.figure import Claim, legend_below, sheet
 
-REPOSITORY = Path(__file__).resolve().parents[3]
-PAPER, PLANT = ((REPOSITORY / "docs" / name).read_text(encoding="utf-8") for name in ("paper.md", "evidence/plant.md"))
+PAPER, PLANT = page("paper"), page("evidence/plant")
 
 
 @pytest.mark.parametrize("ours, within", [(1.0, True), (1.25, True), (0.75, True), (1.26, False), (math.nan, False)])
@@ -99,7 +99,7 @@ CASES = {"linear control (9)": (0.0, False), "smc": (300.0, True), "smc, literal
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_row_of_the_result_is_what_the_script_finds(name):
-    on_page = numbers(next(line for line in PLANT.splitlines() if line.startswith(f"| {name} |")).split("|")[3])
+    on_page = numbers(cells(line_of(PLANT, name))[2])
     slope, feedforward = CASES[name]
     found = fit.Stroke().errors(fit.plant_with(0.43), fit.law(slope, feedforward=feedforward))
     assert found.median == pytest.approx(on_page[0], abs=0.03)
@@ -116,6 +116,5 @@ def test_the_fitted_friction_is_the_shipped_one():
 @pytest.mark.nightly
 @pytest.mark.parametrize("delay, bandwidth", [(0.5, 500.0), (1.0, 200.0)])
 def test_the_steepest_stable_boundary_layer_is_that_of_the_page(delay, bandwidth):
-    line = next(line for line in PLANT.splitlines() if line.startswith(f"| {delay:g} | {bandwidth:g} |"))
-    on_page = float(re.findall(r"(\d+) /s", line)[-1])
+    on_page = float(re.findall(r"(\d+) /s", line_of(PLANT, f"{delay:g} | {bandwidth:g}"))[-1])
     assert math.isclose(fit.stable_slope(delay, bandwidth), on_page, abs_tol=15.0)

@@ -3,10 +3,10 @@
 import itertools
 import struct
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import BAGS
 
 from straightcomp_ros.analysis.map_building import Choices, disagreement
 from straightcomp_ros.bags.topics import Topic
@@ -28,7 +28,7 @@ from straightcomp_ros.tuning.survey.recording import (
 from trials.noise import mapped, surveyed
 
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
-SAMPLE = Path(__file__).resolve().parents[3] / "bags" / "survey"
+SAMPLE = BAGS / "survey"
 LENGTH = 0.4
 START_NS = 1_700_000_000_000_000_000
 

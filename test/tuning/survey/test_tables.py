@@ -1,12 +1,12 @@
 """Files of instruments and controllers: their makers' values or a refusal; nothing is lost on the way."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import page
 
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey_table import OTHER_KINDS, SurveyError
@@ -279,8 +279,7 @@ def test_another_kind_of_file_in_place_of_a_survey_names_the_command_that_conver
 
 
 def test_every_format_is_recognised_in_place_of_a_survey_and_stands_on_the_page():
-    page = (Path(__file__).resolve().parents[3] / "docs" / "surveys.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| (\.\w+) \|", page, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| (\.\w+) \|", page("surveys"), re.MULTILINE)
     assert dict(rows) == {name: one.ending for name, one in FORMATS.items()}
     assert OTHER_KINDS.keys() == FORMATS.keys()
 
