@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import runpy
 import shlex
 import sys
 from functools import cache
@@ -10,7 +9,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-import setuptools
 import yaml
 from places import REPOSITORY
 from test_imports_point_inward import belongs_to_ros, imported
@@ -82,13 +80,9 @@ def test_everything_that_is_imported_is_listed_with_a_key_or_the_reason_why_not(
 
 
 @pytest.fixture
-def requirements(monkeypatch):
+def requirements(setup_arguments):
     """What setup.py requires, and its extras."""
-    given = {}
-    monkeypatch.chdir(REPOSITORY)
-    monkeypatch.setattr(setuptools, "setup", lambda **arguments: given.update(arguments))
-    runpy.run_path("setup.py")
-    return given["install_requires"], given["extras_require"]
+    return setup_arguments["install_requires"], setup_arguments["extras_require"]
 
 
 def test_setup_requires_what_the_package_imports_and_nothing_else(requirements):

@@ -1,5 +1,6 @@
 """What the pages say of topics, parameters and commands is what the code has; they build, and their links are right."""
 
+import ast
 import re
 import shlex
 import shutil
@@ -89,9 +90,9 @@ def test_every_rig_that_is_named_can_be_run(page):
 
 
 @pytest.mark.parametrize("page", [*PAGES, REPOSITORY / "QUALITY_DECLARATION.md"], ids=lambda page: page.name)
-def test_every_extra_that_is_named_exists(page):
-    extras = re.findall(r'^ {8}"(\w+)": ', (REPOSITORY / "setup.py").read_text(encoding="utf-8"), re.MULTILINE)
-    assert set(re.findall(r"extra `\[?(\w+)", page.read_text(encoding="utf-8"))) <= set(extras)
+def test_every_extra_that_is_named_exists(page, setup_arguments):
+    named = set(re.findall(r"extra `\[?(\w+)", page.read_text(encoding="utf-8")))
+    assert named <= set(setup_arguments["extras_require"])
 
 
 SCALES = {"ms": 1e-3, "µs": 1e-6, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "mA": 1e-3, "%": 1e-2}
@@ -140,38 +141,57 @@ PERMISSIONS = {
     tuple(re.findall(r"`(\w+)`", nodes)): re.findall(r"`([\w/]+)`", what)
     for nodes, what in re.findall(r"^\| (`.*?) \| (.*) \|$", SECURITY, re.MULTILINE)
 }
-SOURCES = {path.stem.removesuffix("_node"): path.read_text(encoding="utf-8") for path in SOURCE.glob("nodes/*_node.py")}
+SOURCES = {path.stem.removesuffix("_node"): path for path in SOURCE.glob("nodes/*_node.py")}
 """By node, or process of several."""
-SOURCES[contract.COMMISSIONING_CLIENT] = (SOURCE / "tuning" / "graph" / "waiting_client.py").read_text(encoding="utf-8")
-CLIENT = r"\bGraphClient\(|\(GraphClient\)"
+SOURCES[contract.COMMISSIONING_CLIENT] = SOURCE / "tuning" / "graph" / "waiting_client.py"
 
 
-def those_with(pattern):
-    return {node for node, source in SOURCES.items() if re.search(pattern, source)}
+def uses(path):
+    """What a module calls, with the names and texts among the arguments; its attributes, and the bases of its classes,
+    without any."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            arguments = {getattr(one, "id", getattr(one, "value", None)) for one in node.args}
+            yield ast.unparse(node.func).rpartition(".")[2], arguments
+        elif isinstance(node, ast.Attribute):
+            yield node.attr, {None}
+        elif isinstance(node, ast.ClassDef):
+            yield from ((ast.unparse(base), {None}) for base in node.bases)
+
+
+def those_with(names, argument=None):
+    """The processes that use one of these, called with this argument if one is given."""
+    return {
+        process
+        for process, path in SOURCES.items()
+        if any(name in names.split() and (argument is None or argument in given) for name, given in uses(path))
+    }
 
 
 @pytest.mark.parametrize(
-    ("what", "pattern"),
+    ("what", "names", "argument"),
     [
-        ("command", r"publisher\(COMMAND"),
-        ("reference", r"publisher\(REFERENCE"),
-        ("encoder", r"publisher\((node, |\s*)ENCODER"),
-        ("trip", r"tripper\("),
-        ("set_parameters_atomically", r"\bRemoteParameters\("),
-        ("controller/excite", "controller/excite"),
-        *((what, CLIENT) for what in ("stage_trajectory", "driver/set_parameters", *chain(*_SERVICES.values()))),
+        ("command", "publisher stream_publisher", "COMMAND"),
+        ("reference", "publisher stream_publisher", "REFERENCE"),
+        ("encoder", "publisher stream_publisher", "ENCODER"),
+        ("trip", "tripper", None),
+        ("set_parameters_atomically", "RemoteParameters", None),
+        ("controller/excite", "service", "controller/excite"),
+        *(
+            (what, "GraphClient", None)
+            for what in ("stage_trajectory", "driver/set_parameters", *chain(*_SERVICES.values()))
+        ),
     ],
 )
-def test_those_that_may_move_the_machine_by_the_page_of_security_are_those_that_do(what, pattern):
-    assert {node for nodes, allowed in PERMISSIONS.items() if what in allowed for node in nodes} == those_with(pattern)
+def test_those_that_may_move_the_machine_by_the_page_of_security_are_those_that_do(what, names, argument):
+    may = {node for nodes, allowed in PERMISSIONS.items() if what in allowed for node in nodes}
+    assert may == those_with(names, argument)
 
 
 def test_the_page_of_security_has_each_process_and_each_hidden_node():
     processes = set(re.search(r"for node in (.*?); do", SECURITY)[1].split())
     assert processes == SOURCES.keys() - {contract.COMMISSIONING_CLIENT} | {"commissioning"}
-    assert set(re.findall(r"`_(\w+)_subscriptions`", SECURITY)) == those_with(
-        rf"\bStreams\(|\bnode\.streams\b|{CLIENT}"
-    )
+    assert set(re.findall(r"`_(\w+)_subscriptions`", SECURITY)) == those_with("Streams streams GraphClient")
 
 
 @pytest.mark.parametrize(

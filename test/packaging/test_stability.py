@@ -5,7 +5,7 @@ import inspect
 import re
 
 import pytest
-from places import REPOSITORY, page
+from places import page
 
 from straightcomp_ros.cli.main import make_parser
 from straightcomp_ros.safety.faults import Fault
@@ -31,9 +31,8 @@ def test_a_public_module_is_there_and_says_what_its_public_names_are(name):
     assert ours and all(inspect.getdoc(one) for one in ours if not one.__name__.startswith("_"))
 
 
-def test_the_namespace_the_exceptions_among_the_verbs_and_the_oldest_python_are_those_of_the_code():
-    oldest = re.search(r'python_requires=">=([\d.]+)"', (REPOSITORY / "setup.py").read_text(encoding="utf-8"))
-    assert f"| Python | {oldest[1]} to " in PAGE
+def test_the_namespace_the_exceptions_among_the_verbs_and_the_oldest_python_are_those_of_the_code(setup_arguments):
+    assert f"| Python | {setup_arguments['python_requires'].removeprefix('>=')} to " in PAGE
     opcua = pytest.importorskip("straightcomp_ros.opcua")
     assert f"namespace `{opcua.NAMESPACE}`" in PAGE
     excepted = re.search(r"except those of (.*?) \|", PAGE)
