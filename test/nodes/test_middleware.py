@@ -1,5 +1,6 @@
 """What lies below the nodes: the middleware's profile, and what rclpy has but does not document."""
 
+import ast
 import os
 import re
 import subprocess
@@ -112,11 +113,6 @@ print(sorted({each.laddr.ip for each in process.net_connections("udp")}))
 
 
 SECOND = 10**9
-# What rclpy does not document begins with an underscore, is its C++ layer, or a handle into that.
-PRIVATE = re.compile(
-    r"rclpy\.impl|rclpy_implementation|\.handle\b"
-    r"|(?<!self)(?<!cls)(?<!super\(\))\._(?!replace|asdict)[a-z]+\b"
-)
 ROS = re.compile(r"^(from|import) rclpy", re.MULTILINE)
 FAST_DDS = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.MULTILINE)
 
@@ -203,11 +199,22 @@ def test_state_and_state_service_of_a_lifecycle_node_are_there(node):
     assert inside_rclpy.state_service(node).srv_name.endswith("/change_state")
 
 
+def undocumented(tree):
+    """What begins with an underscore, rclpy's C++ layer, and handles into that."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "super()"):
+            found = re.fullmatch(r"_(?!replace|asdict)[a-z]\w*|handle|impl", node.attr)
+        else:
+            found = isinstance(node, ast.Import | ast.ImportFrom) and "rclpy.impl" in ast.unparse(node)
+        if found:
+            yield ast.unparse(node)
+
+
 def test_no_other_file_uses_what_rclpy_does_not_document_and_none_a_package_of_fast_dds():
     found = []
     for file in sorted(Path(straightcomp_ros.__file__).parent.rglob("*.py")):
         text = file.read_text(encoding="utf-8")
         assert not FAST_DDS.search(text), file
         if ROS.search(text) and file.name != "inside_rclpy.py":
-            found += [f"{file}: {line.strip()}" for line in text.splitlines() if PRIVATE.search(line)]
+            found += [f"{file}: {one}" for one in undocumented(ast.parse(text))]
     assert found == []
