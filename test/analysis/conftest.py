@@ -13,6 +13,7 @@ from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
 
@@ -20,22 +21,12 @@ STROKE, PERIOD, QUANTUM = 1.76, 5e-4, 0.1e-6
 REST = 0.25  # s before, between and after the strokes
 
 
-def _half_stroke(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """x for 0.2 m/s², 0.3 m/s, from 0 to STROKE, standing outside."""
-    ramp, speed, rate = 1.5, 0.3, 0.2
-    total = STROKE / speed + ramp
-    t = np.clip(t, 0.0, total)
-    rising, falling = np.minimum(t, ramp), np.maximum(t - (total - ramp), 0.0)
-    cruise = np.clip(t - ramp, 0.0, total - 2.0 * ramp)
-    return np.asarray(0.5 * rate * rising**2 + speed * cruise + speed * falling - 0.5 * rate * falling**2)
-
-
 @pytest.fixture(scope="session")
 def motion_profile() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """time (n,) in s and true x (n,) in m: rest, forward, pause, backward, rest."""
-    leg = STROKE / 0.3 + 1.5
-    time = np.asarray(np.arange(round((2.0 * leg + 3.0 * REST) / PERIOD)) * PERIOD, dtype=np.float64)
-    return time, _half_stroke(time - REST) - _half_stroke(time - 2.0 * REST - leg)
+    trajectory = Trajectory(forward_and_back(MotionParameters(settle=REST, pause=REST)))
+    stamps = range(0, trajectory.end_ns, round(PERIOD * 1e9))
+    return np.arange(len(stamps)) * PERIOD, np.array([trajectory.position(stamp) for stamp in stamps])
 
 
 @pytest.fixture(scope="session")
