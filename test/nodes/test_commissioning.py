@@ -142,7 +142,7 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off_and_the_n
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, cwd=tmp_path)
     left_as_found(asker, loop)
     if done.returncode == 1 and COUNTED_LATE in done.stderr:
-        return  # No figure of the loop can be had of a computer that is too busy, and it says so.
+        pytest.skip("the computer is too busy for a figure of the loop, as the client says")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["law"] == "smc_observer" and 15.0 < found["margins"]["phase_deg"] < 60.0
