@@ -1,4 +1,4 @@
-"""Boards that the tests of CAN share, and the guide of their simulated machine."""
+"""Boards that the tests of CAN share."""
 
 from pathlib import Path
 
@@ -7,11 +7,9 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 STAGE = StageParameters()
 PERIOD = STAGE.period_ns
-GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 START = 10**18
 FOREIGN_FILE = share_path("config/board_motorola.yaml")
 """The amplifier's state comes in frames of their own, on pages in turn, and there is no heartbeat."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from surveys import one_run
 
 from straightcomp_ros.analysis import map_page, pictures
 from straightcomp_ros.analysis.assessment import Assessment
@@ -15,7 +16,6 @@ from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import Run, Survey
 
 STROKE, PERIOD, QUANTUM = 1.76, 5e-4, 0.1e-6
 REST = 0.25  # s before, between and after the strokes
@@ -33,7 +33,7 @@ def motion_profile() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def cosine_map() -> StraightnessMap:
     """A guide of 20 µm peak to peak: two and a half waves of a cosine."""
     x = np.linspace(0.0, STROKE, 353)
-    return StraightnessMap(Survey((Run("1", "forward", x, 10e-6 * np.cos(2.0 * np.pi * 2.5 * x / STROKE)),)))
+    return StraightnessMap(one_run(x, 10e-6 * np.cos(2.0 * np.pi * 2.5 * x / STROKE)))
 
 
 @pytest.fixture(scope="session")

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from surveys import one_run
 
 from straightcomp_ros.analysis.map_building import FLOOR, Choices, build, disagreement
-from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.tuning.survey.recording import spikes
 
 
 def test_level_takes_the_slope_of_the_straight_edge_out():
     x = np.linspace(0.0, 0.4, 81)
-    survey = Survey((Run("1", "forward", x, 5e-6 * np.sin(2.0 * np.pi * x / 0.3) + 1e-5 * x + 1e-3),), "made up")
+    survey = one_run(x, 5e-6 * np.sin(2.0 * np.pi * x / 0.3) + 1e-5 * x + 1e-3)
     level, tilted = (build(survey, Path(__file__), Choices(10e-3, 6.0, way)) for way in (True, False))
     assert np.polyfit(level.straightness.report.x, level.straightness.report.mean, 1)[0] == pytest.approx(0.0, abs=1e-9)
     assert tilted.straightness.report.mean.mean() == pytest.approx(0.0, abs=1e-12)

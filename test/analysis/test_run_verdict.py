@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from surveys import GUIDE, one_run
 
 from straightcomp_ros.analysis.causes import dragging, of_map
 from straightcomp_ros.analysis.interruption import Stall
@@ -15,8 +16,7 @@ from straightcomp_ros.analysis.record import Stroke
 from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
-from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 
 T = 5e-4
 TIME = np.arange(16_000) * T
@@ -384,12 +384,11 @@ def test_a_sensor_shows_the_guide_from_five_readings_on_at_each_of_200_places(ma
 
 def guide_map(deviation, step: float) -> StraightnessMap:
     x = np.arange(0.0, 1.7601, step)
-    survey = Survey((Run("1", "forward", x, deviation(x)),))
-    return StraightnessMap(survey, MapParameters(max_gap=0.2, min_points=5, smooth="none"))
+    return StraightnessMap(one_run(x, deviation(x)), MapParameters(max_gap=0.2, min_points=5, smooth="none"))
 
 
 def test_a_map_that_does_not_fit_its_guide_is_explained_by_what_was_done_to_it():
-    true, x = load_map(MapParameters(file="config/guide_synthetic.csv")).deviations, np.linspace(0.02, 1.74, 2000)
+    true, x = GUIDE.deviations, np.linspace(0.02, 1.74, 2000)
     random = np.random.default_rng(1)
     surveys = {
         "shift its x by -3 mm": lambda at: true(at - 3e-3),

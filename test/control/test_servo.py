@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from surveys import GUIDE
 
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law, _rebuilt
@@ -18,7 +19,7 @@ from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FADE_TIME as MAP_FADE_TIME
 from straightcomp_ros.straightness.feedforward import Feedforward
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import load_map
 
 T = 500_000
 HELD, REST = (1e-6, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -110,8 +111,7 @@ class Noted:
 
 def run(old, change, steps=BEFORE + AFTER, reference=reference):
     """The simulated machine under ``old``; ``change(servo)`` is called at step BEFORE. Gives currents and errors."""
-    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
-    machine = SimulatedHardware(SimulatedParameters(), STAGE, guide)
+    machine = SimulatedHardware(SimulatedParameters(), STAGE, GUIDE)
     servo, currents, errors = Servo(old), [], []
     machine.start(0)
     machine.enable()

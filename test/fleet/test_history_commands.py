@@ -13,6 +13,7 @@ from generated_bags import run, write_bag
 from places import BAGS, SMC
 from stores import COUNT, added
 from tiers import nightly
+from yaml_bomb import BOMB
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.fleet.history.rows import stored_name
@@ -206,9 +207,6 @@ def test_the_colours_over_x_and_time_leave_weeks_without_strokes_empty(make_leve
     ).all()
 
 
-BOMB = "a0: &a0 {x: 1}\n" + "".join(
-    f"a{i}: &a{i} {{{', '.join(f'k{j}: *a{i - 1}' for j in range(10))}}}\n" for i in range(1, 10)
-)
 NAMES = ["轴" * 28, "ü" * 300 + "1", "ü" * 300 + "2", "[/x]", "gantry[left]", "gantry[right]", "a/../b", ".."]
 NAMES += [r"\frac{$", "<b>bold</b>", "%41", "A", "\x1b[2Jx", "2026-99-99", "007"]
 

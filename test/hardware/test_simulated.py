@@ -2,6 +2,7 @@ import dataclasses
 import math
 
 import pytest
+from surveys import GUIDE
 
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -9,11 +10,9 @@ from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 STAGE = StageParameters()
 PERIOD = STAGE.period_ns
-GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 START = 1_700_000_000_123_456_789
 
 

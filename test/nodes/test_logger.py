@@ -16,6 +16,7 @@ from participant import Participant
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import String
+from waiting import comes_true
 
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
@@ -185,10 +186,7 @@ def test_an_incident_that_is_not_packed_costs_no_older_one(tmp_path, monkeypatch
     # There is no such bag.
     incidents = FaultIncidents(node, 1, lambda: tmp_path / "bag")
     incidents._on_safety_state(DiagnosticStatus(name="tripped"))
-    end = time.monotonic() + 120.0
-    while not log.warning.called and time.monotonic() < end:
-        incidents._pack_when_due()
-        time.sleep(0.05)
+    assert comes_true(lambda: incidents._pack_when_due() or log.warning.called, 120.0)
     assert "was not packed" in log.warning.call_args[0][0] and older.exists()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from places import BAGS, SMC
 from recorded_run import recorded_run
+from surveys import one_run
 from tiers import nightly
 
 from straightcomp_ros.analysis import evaluation
@@ -29,7 +30,7 @@ from straightcomp_ros.offline.starts import first_cycle
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.yaml_text import dump_yaml, load_yaml
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import Run, Survey, write_survey
+from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.timing.node_timing import HeldUp, Report, summarise
 
 CYCLE = {"motion.stroke": 0.3, "motion.settle": 0.1, "motion.pause": 0.1}
@@ -49,7 +50,7 @@ def verdict(**changes) -> Verdict:
 
 def survey(path: Path, deviation, length: float = 1.76, step: float = 0.01) -> str:
     x = np.linspace(0.0, length, round(length / step) + 1)
-    write_survey(path, Survey((Run("1", "forward", x, deviation(x)),)))
+    write_survey(path, one_run(x, deviation(x)))
     return str(path)
 
 

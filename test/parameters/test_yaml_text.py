@@ -5,13 +5,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from yaml_bomb import BOMB
 
 from straightcomp_ros.parameters.yaml_text import YamlError, bounded_bytes, dump_yaml, load_yaml
-
-BOMB = "a0: &a0 {x: 1}\n" + "".join(
-    f"a{i}: &a{i} {{{', '.join(f'k{j}: *a{i - 1}' for j in range(10))}}}\n" for i in range(1, 10)
-)
-
 
 FLOATS = {text: float(text) for text in ["5e-8", "1e6", "+12e03", "1.e5", ".5"]} | {"08": 8.0, ".inf": math.inf}
 INTEGERS = {"0x1F": 31, "010": 8, "-0": 0, str(2**63 - 1): 2**63 - 1}

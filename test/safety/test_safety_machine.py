@@ -6,6 +6,7 @@ from unittest.mock import Mock
 
 import pytest
 from places import cells, line_of, page
+from surveys import GUIDE
 
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -13,13 +14,11 @@ from straightcomp_ros.parameters.node_parameters import CellNodeParameters, Cont
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 
 @pytest.fixture
 def hardware():
-    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
-    hardware = SimulatedHardware(SimulatedParameters(), StageParameters(), guide)
+    hardware = SimulatedHardware(SimulatedParameters(), StageParameters(), GUIDE)
     hardware.start(0)
     return hardware
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from surveys import GUIDE
 
 from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -15,7 +16,6 @@ from straightcomp_ros.straightness.feedforward import (
     restarted,
     updated,
 )
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 PERIOD_NS = 500_000
 T = PERIOD_NS * 1e-9
@@ -25,7 +25,7 @@ BANDWIDTH = FeedforwardParameters().bandwidth
 
 @pytest.fixture(scope="module")
 def straightness():
-    return load_map(MapParameters(file="config/guide_synthetic.csv"))
+    return GUIDE
 
 
 def _profile():

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
+from surveys import one_run
 
 from straightcomp_ros.straightness.guide_map import (
     MapParameters,
@@ -16,14 +17,14 @@ from straightcomp_ros.straightness.guide_map import (
     load_map,
     runout,
 )
-from straightcomp_ros.straightness.survey import Run, Survey, write_survey
+from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.straightness.survey_table import SurveyError
 
 X = np.linspace(0.0, 1.76, 177)
 
 
 def _map(deviation, x=X, **parameters):
-    return StraightnessMap(Survey((Run("1", "forward", x, deviation),)), MapParameters(**parameters))
+    return StraightnessMap(one_run(x, deviation), MapParameters(**parameters))
 
 
 def wavy():
@@ -107,7 +108,7 @@ def test_a_map_is_made_once_for_a_file_and_anew_when_the_file_has_changed(tmp_pa
     maps = []
     for height in (1e-6, 1e-6, 2e-6):
         deviation = height * np.sin(7.0 * X)
-        write_survey(parameters.file, Survey((Run("1", "forward", X, deviation),)))
+        write_survey(parameters.file, one_run(X, deviation))
         maps.append(load_map(parameters))
     assert maps[0] is maps[1] and maps[2].deviations(0.2) == pytest.approx(2.0 * maps[0].deviations(0.2), abs=2e-9)
     assert load_map(replace(parameters, smooth="auto")) is not maps[2]
@@ -115,7 +116,7 @@ def test_a_map_is_made_once_for_a_file_and_anew_when_the_file_has_changed(tmp_pa
 
 def test_a_relative_name_is_looked_up_in_the_working_directory_first(tmp_path, monkeypatch):
     (tmp_path / "config").mkdir()
-    write_survey(tmp_path / "config/survey_synthetic.csv", Survey((Run("1", "forward", X, 1e-5 * np.sin(X)),)))
+    write_survey(tmp_path / "config/survey_synthetic.csv", one_run(X, 1e-5 * np.sin(X)))
     assert load_map().report.forward.runs == 3
     monkeypatch.chdir(tmp_path)
     assert load_map().report.forward.runs == 1

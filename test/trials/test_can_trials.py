@@ -5,7 +5,8 @@ import json
 from dataclasses import replace
 
 import pytest
-from can_boards import FOREIGN, FOREIGN_FILE, GUIDE, SPLIT
+from can_boards import FOREIGN, FOREIGN_FILE, SPLIT
+from surveys import GUIDE
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import KINDS

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from can_boards import CLASSIC, FD, FOREIGN, GUIDE, PERIOD, SPLIT, STAGE, START
+from can_boards import CLASSIC, FD, FOREIGN, PERIOD, SPLIT, STAGE, START
 from forgery import forged
+from surveys import GUIDE
 
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters

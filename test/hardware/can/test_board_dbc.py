@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from can_boards import BARE, FOREIGN_FILE, GUIDE, SPLIT, SPLIT_FILE, board_of
+from can_boards import BARE, FOREIGN_FILE, SPLIT, SPLIT_FILE, board_of
+from surveys import GUIDE
 
 from straightcomp_ros.hardware.can import can_parameters
 from straightcomp_ros.hardware.can.board_dbc import gaps

@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from can_boards import BARE, CLASSIC, FD, FOREIGN, FOREIGN_FILE, GUIDE, SPLIT, STAGE, START
+from can_boards import BARE, CLASSIC, FD, FOREIGN, FOREIGN_FILE, SPLIT, STAGE, START
 from drawn_dbc import drawn_board
 from forgery import forged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import REPOSITORY
+from surveys import GUIDE
 from tiers import nightly
 
 from scripts import make_firmware_frames

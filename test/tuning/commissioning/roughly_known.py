@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from recorded_run import rewired
+from surveys import one_run
 
 from straightcomp_ros.model.plant import BIAS
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -41,7 +42,7 @@ def work_on(values, folder, wiring=None):
 def other_guide(file):
     """A survey of another guide of the same length and height."""
     x = np.linspace(0.0, 1.76, 177)
-    write_survey(file, Survey((Run("1", "forward", x, 1e-5 * np.sin(7.0 * x)),)))
+    write_survey(file, one_run(x, 1e-5 * np.sin(7.0 * x)))
     return str(file)
 
 

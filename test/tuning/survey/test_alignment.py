@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from surveys import one_run
 
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
@@ -185,7 +186,7 @@ def test_a_map_of_another_guide_is_found(scale):
 
 def test_another_zero_of_x_is_found_and_a_check_too_coarse_to_tell_says_how_coarse_it_is():
     x = np.linspace(*SHIPPED.span, 200)
-    other = StraightnessMap(Survey((Run("1", "forward", x + 0.1, SHIPPED.deviations(x)),)), MapParameters())
+    other = StraightnessMap(one_run(x + 0.1, SHIPPED.deviations(x)), MapParameters())
     assert not survey_check(other, measured(SHIPPED, 1), NOISE).agrees
     coarse = survey_check(SHIPPED, measured(SHIPPED, 1, noise=10e-6), NOISE)
     assert coarse.agrees and coarse.allowed > coarse.guide

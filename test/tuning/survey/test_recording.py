@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from bag_of_rows import bag_of_rows
 from places import BAGS
 
 from straightcomp_ros.analysis.map_building import Choices, disagreement
@@ -211,19 +212,13 @@ SECOND = np.arange(0.0, 1.0001, 0.01)
 def read_bag(tmp_path):
     """A function: the series of a bag of a stage at x = SPEED t, sampled at ``stage_s``, and of ``reading(t)`` at
     ``readings_s``, as read with a ``sensor``."""
-    numbers = itertools.count()
+    count = itertools.count()
 
     def read(reading, stage_s=SECOND, readings_s=SECOND, y=lambda t: 0.0 * t, **sensor):
         rows = [(ENCODER, t, (SPEED * t, float(y(t)), np.nan, np.nan)) for t in stage_s]
         rows += [(DISPLACEMENT, t, (float(reading(t)),)) for t in readings_s]
-        path = tmp_path / f"bag{next(numbers)}"
-        with BagWriter(path) as bag:
-            for stream in (ENCODER, DISPLACEMENT):
-                bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
-            for stream, t, values in rows:
-                ns = START_NS + round(t * 1e9)
-                bag.write(f"/{stream.topic}", stream.layout.pack(ns, *values), ns, ns)
-        return series_of_bag(path, sensor=Sensor(**sensor))
+        stamped = ((stream, START_NS + round(t * 1e9), numbers) for stream, t, numbers in rows)
+        return series_of_bag(bag_of_rows(tmp_path / f"bag{next(count)}", stamped), sensor=Sensor(**sensor))
 
     return read
 
