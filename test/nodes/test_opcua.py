@@ -72,13 +72,8 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     chosen["feedforward"]["stage.guide.file"] = str(survey)
     (tmp_path / "parameters.yaml").write_text(as_parameter_file(chosen))
     graph.start(COMPOSED, {}, tmp_path / "parameters.yaml")
-    own = {
-        "opcua.port": port,
-        "opcua.users": str(users),
-        "maintenance_file": str(advice),
-        "nodes": " ".join(IN_THE_LOOP),
-    }
-    graph.start("opcua", {**own, **stage})
+    own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice)}
+    graph.start("opcua", {**own, **stage, "nodes": " ".join(IN_THE_LOOP)})
     wait_for_line(graph, "opcua", "OPC UA at")
     url = OpcuaParameters(port=port).endpoint
 
