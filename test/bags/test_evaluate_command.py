@@ -19,7 +19,9 @@ OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{
 def simulated(tmp_path_factory):
     """The bag of a simulated run, and its printed figures."""
     bag = tmp_path_factory.mktemp("bags") / "run"
-    return bag, ran("simulate", "--bag", bag, "--json", *OPTIONS).json
+    found = ran("simulate", "--bag", bag, "--json", *OPTIONS)
+    assert found.code == 0, found.err
+    return bag, found.json
 
 
 @pytest.fixture
