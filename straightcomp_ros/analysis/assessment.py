@@ -1,7 +1,6 @@
 """The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,6 +15,7 @@ from straightcomp_ros.analysis.metrics import LINES, evaluate, standstill_figure
 from straightcomp_ros.analysis.record import Array, MetricsError, runs_of
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.analysis.straightness_statement import statements
+from straightcomp_ros.bags import noting_warnings
 from straightcomp_ros.parameters.declaration import ParameterError, instead
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
@@ -134,10 +134,9 @@ def _intervals(time: Array, mask: NDArray[np.bool_]) -> list[Interval]:
 def assessed(bag: Path, remap: Mapping[str, str] | None = None, sensor: float | None = None) -> Assessment:
     """The assessment of the bag with the reader's warnings, each once, which are given nowhere else; arguments and
     errors as of :func:`evaluate_bag` and :class:`Assessment`."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with noting_warnings() as texts:
         found = Assessment(bag, evaluate_bag(bag, remap), sensor)
-    found.warnings = list(dict.fromkeys(str(one.message) for one in caught))
+    found.warnings = texts
     return found
 
 

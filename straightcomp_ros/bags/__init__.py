@@ -1,5 +1,8 @@
 """Bags: rosbag2 folders with MCAP files, written and read without ROS."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from straightcomp_ros.parameters.declaration import parameter
@@ -14,6 +17,21 @@ class BagError(ValueError):
 
 class NoBag(BagError):
     """What is named as a bag is none: there is no such file or folder, or it is something else."""
+
+
+@contextmanager
+def noting_warnings() -> Iterator[list[str]]:
+    """Keep the readers' warnings of the block from the terminal; at its end the list has each different text once."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield texts
+    for one in caught:
+        if not issubclass(one.category, UserWarning):
+            # A library's, about code.
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+        elif str(one.message) not in texts:
+            texts.append(str(one.message))
 
 
 PARAMETERS_ATTACHMENT = "parameters.yaml"

@@ -17,6 +17,7 @@ from straightcomp_ros.cli.output import (
     console,
     notes,
     print_json,
+    print_warnings,
     print_written,
     working,
 )
@@ -117,8 +118,7 @@ def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessm
             found = assessed(bag, remap, sensor)
     except MetricsError as error:
         raise CommandFailed(f"bag {bag}: {error}") from error
-    for text in found.warnings:
-        notes.print(f"warning: {text}", style="yellow")
+    print_warnings(found.warnings)
     return found
 
 

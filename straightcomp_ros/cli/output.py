@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -90,14 +89,8 @@ def working(description: str) -> Iterator[Callable[[float], None]]:
         yield lambda fraction: bar.update(task, completed=fraction, total=1.0)
 
 
-@contextmanager
-def noted_warnings(category: type[Warning] = Warning) -> Iterator[list[str]]:
-    """Print each different warning of a category once on standard error; at its end the list holds their texts."""
-    texts: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        yield texts
-    texts += dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, category))
+def print_warnings(texts: Iterable[str]) -> None:
+    """Print these sentences as warnings on standard error."""
     for text in texts:
         notes.print(f"warning: {text}", style="yellow")
 

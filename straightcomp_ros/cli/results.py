@@ -15,7 +15,7 @@ from rich.text import Text
 
 from straightcomp_ros.analysis.figure_words import in_words, with_digits
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, printable, styled
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_warnings, printable, styled
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.judgement import Verdict
@@ -169,8 +169,7 @@ def warn_of_missing_margin(control: ControlParameters, stage: StageParameters) -
 
     missing = missing_margin(control, stage)
     if missing is not None:
-        text = f"warning: {missing}; the controller of the graph refuses these, unless 'control.margins' is 'warn'"
-        notes.print(text, style="yellow")
+        print_warnings([f"{missing}; the controller of the graph refuses these, unless 'control.margins' is 'warn'"])
     return missing
 
 

@@ -1,7 +1,6 @@
 """player: publishes a bag's samples in place of the driver, at the recorded rate and with the recorded stamps."""
 
 import time
-import warnings
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +10,7 @@ from rclpy.task import Future
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, noting_warnings
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.parameters.node_parameters import PlayerNodeParameters
@@ -39,13 +38,12 @@ class PlayerNode(Runnable):
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         if not parameters.bag:
             raise BagError("parameter 'bag' is empty; allowed: a rosbag2 folder or an MCAP file")
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with noting_warnings() as texts:
             streams = read_streams(
                 Path(parameters.bag), {ENCODER.topic: ENCODER.layout}, {ENCODER.topic: parameters.topic}
             )
-        for warning in caught:
-            node.get_logger().warning(str(warning.message))
+        for text in texts:
+            node.get_logger().warning(text)
         if ENCODER.topic not in streams:
             raise BagError(f"bag {parameters.bag}: has no messages on '{parameters.topic}'")
         stream = streams[ENCODER.topic]

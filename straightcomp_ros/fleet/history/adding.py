@@ -13,7 +13,7 @@ from pathlib import Path
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.record import MetricsError
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, noting_warnings
 from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import McapInput
@@ -85,10 +85,9 @@ def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator
 
 def _noted(place: BagPlace, remap: Mapping[str, str] | None) -> tuple[BagRow, bytes | None, list[str]]:
     """As :func:`evaluated`, and each different warning: a worker's own would not name the bag, and come as Python's."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting_warnings() as texts:
         row, strokes = evaluated(place, remap)
-    return row, strokes, list(dict.fromkeys(str(one.message) for one in caught))
+    return row, strokes, texts
 
 
 def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[BagRow, bytes | None]:

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.map_building import BuiltMap, Choices, agreeing, build
+from straightcomp_ros.bags import noting_warnings
 from straightcomp_ros.bags.fields import Field
 from straightcomp_ros.bags.folder import STORED
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import PICTURES, add_force, add_json, add_repeatable, check_range, output_file
-from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, print_written
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_warnings, print_written
 from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -109,8 +110,9 @@ def _build(options: argparse.Namespace) -> None:
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
-    with noted_warnings(UserWarning) as texts:
+    with noting_warnings() as texts:
         built, passages = _built(options)
+    print_warnings(texts)
     if output is not None:
         built.write(output)
     if plot is not None:
