@@ -23,7 +23,6 @@ from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import BagInput, opened, topic_names
 from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of, values_at
 from straightcomp_ros.bags.recorded_nodes import (
-    guide_parameters,
     noted_changes,
     recorded_parameters,
     reports_in,
@@ -32,7 +31,7 @@ from straightcomp_ros.bags.recorded_nodes import (
 from straightcomp_ros.bags.recovery import LOST_FILES, RECOVERY_METADATA, UNFINISHED_FILES
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
-from straightcomp_ros.parameters.declaration import ParameterError, declarations, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, declarations, from_mapping, under
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey_table import SurveyError
@@ -50,7 +49,8 @@ def attached_map(
         try:
             # Recordings without these are older: their reference went through every point of the mean.
             older = {"smooth": "none", "direction": "mean"}
-            return load_map(from_mapping(MapParameters, {**older, **guide_parameters(parameters), "file": str(survey)}))
+            recorded = under("stage.guide.", parameters.get("feedforward", {}))
+            return load_map(from_mapping(MapParameters, {**older, **recorded, "file": str(survey)}))
         except (ParameterError, SurveyError):
             return None
 

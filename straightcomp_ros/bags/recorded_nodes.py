@@ -17,7 +17,7 @@ from straightcomp_ros.bags.reader import Messages, decoded, messages_on
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, from_mapping, under
 from straightcomp_ros.parameters.yaml_text import node_sections
 from straightcomp_ros.timing.node_timing import Report, reporting_node
 
@@ -98,7 +98,7 @@ def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
     from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
     from straightcomp_ros.straightness.survey import SurveyError
 
-    given = guide_parameters(values)
+    given = under("stage.guide.", values.get("feedforward", {}))
     try:
         path = find_survey(str(given.get("file", MapParameters().file)))
         data = path.read_bytes()
@@ -111,12 +111,6 @@ def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
         return f"the map's band is not attached to the bag: {error}"
     bag.attach(BAND_ATTACHMENT, "text/csv", table.encode())
     return ""
-
-
-def guide_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Those of the map, without their prefix ``stage.guide.``, among the nodes' ``values``: the feedforward's."""
-    prefix, own = "stage.guide.", values.get("feedforward", {})
-    return {name.removeprefix(prefix): value for name, value in own.items() if name.startswith(prefix)}
 
 
 def unpacked_map(attachments: Mapping[str, bytes], folder: Path) -> Path | None:

@@ -24,8 +24,9 @@ from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import STARTS, offset
-from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError, under
 from straightcomp_ros.parameters.node_parameters import (
+    STAGE,
     ControllerNodeParameters,
     DriverNodeParameters,
     FeedforwardNodeParameters,
@@ -77,11 +78,11 @@ def promise_of(
     if destabilised(controller):
         # No design promises what modes do to gains that leave no margins for them.
         controller = {name: value for name, value in controller.items() if not name.startswith(_MODES)}
-    stage = {name: value for name, value in controller.items() if name.startswith("stage.")}
+    stage = {STAGE: under("stage.", controller)}
     try:
         nodes = (
-            node_parameters("driver", {"driver": stage}),
-            node_parameters("feedforward", {"feedforward": {**stage, **feedforward}}),
+            node_parameters("driver", stage),
+            node_parameters("feedforward", {**stage, "feedforward": feedforward}),
             node_parameters("controller", {"controller": controller}),
         )
         runs = tuple((run.direction, run.x.tobytes(), run.deviation.tobytes()) for run in straightness.survey.runs)

@@ -215,6 +215,11 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def under(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of a node's ``values`` in a group such as ``stage.guide.``, by their names in it."""
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+
+
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
 
 

@@ -31,12 +31,11 @@ from straightcomp_ros.bags.information import ORIGIN_METADATA
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.fleet.history.rows import BIN_MM, StrokeRow, checksum_of, stored_name
-from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, under
 from straightcomp_ros.stage.description import StageParameters
 
 _IN_THE_LOOP = ("driver", "feedforward", "controller")
 """Nodes whose parameters have an effect on a stroke. The logger's name each bag's folder."""
-_STAGE = "stage."
 Array = NDArray[np.float64]
 _WIDTH = 1e-3 * BIN_MM
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -195,8 +194,7 @@ def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> tuple
     ``evaluation`` of the same bag. BagError when the bag is damaged."""
     attachments, reports, parameters = read_attachments(bag), evaluation.reports, evaluation.parameters
     origin = read_metadata(bag).get(ORIGIN_METADATA, {})
-    driver = parameters.get("driver", {}).items()
-    stage = {name.removeprefix(_STAGE): value for name, value in driver if name.startswith(_STAGE)}
+    stage = under("stage.", parameters.get("driver", {}))
     identity = None
     # One that was recorded by a version with other facts has no identity.
     with suppress(ParameterError):

@@ -27,7 +27,7 @@ from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParam
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back, jog
 from straightcomp_ros.offline.starts import with_values
-from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping
+from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping, under
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
@@ -365,14 +365,11 @@ def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str
         raise CommissioningError(
             f"the nodes' descriptions of the stage differ ({found}): start all with one stage file"
         )
-    prefix = f"{STAGE}."
     values = {
-        node: {name: value for name, value in section.items() if not name.startswith(prefix)}
+        node: {name: value for name, value in section.items() if not name.startswith("stage.")}
         for node, section in own.items()
     }
-    facts = own["controller"].items()
-    values[STAGE] = {name.removeprefix(prefix): value for name, value in facts if name.startswith(prefix)}
-    return values
+    return {**values, STAGE: under("stage.", own["controller"])}
 
 
 class FirstParameters:

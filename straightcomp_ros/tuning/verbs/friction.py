@@ -38,7 +38,7 @@ from straightcomp_ros.cli.options import (
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.model.motion import goals, reach
-from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, to_mapping, under
 from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE, as_yaml
@@ -121,9 +121,9 @@ def _start(options: argparse.Namespace) -> tuple[StageParameters, bool]:
         driver = recorded_parameters(bag, read_attachments(bag)).get("driver")
         if driver is not None:
             # Without the rest: a board's DBC file need not be on this computer.
-            facts = {name: value for name, value in driver.items() if name.startswith(f"{STAGE}.")}
+            values = {STAGE: under("stage.", driver), "driver": {}}
             try:
-                return node_parameters("driver", changed({"driver": facts}, chosen_changes(options))).stage, True
+                return node_parameters("driver", changed(values, chosen_changes(options))).stage, True
             except ParameterError as error:
                 raise ParameterError(f"bag {bag}: {error}; --stage FILE describes its stage otherwise") from error
         without = f"bag {bag}: has no parameters of the driver attached: the stage of {DEFAULT_STAGE} is assumed"
