@@ -161,7 +161,7 @@ def _hum_gains(parameters: ControlParameters, stage: StageParameters, count: int
     """The gains of the oscillators for the mains, each found where a small one puts its pole in the described loop."""
     from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant
 
-    plant, found = sampled_plant(stage, stage.drive.delay * stage.period), []
+    plant, found = sampled_plant(stage), []
     for number in range(count):
         gains = [0j] * number + [complex(_TRIED_HUM)]
         law = _law(parameters, stage, filters_of(parameters.filters, stage.period, tuple(gains)))

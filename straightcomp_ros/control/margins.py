@@ -108,12 +108,13 @@ class LoopResponse:
     sensitivity: Complex
 
 
-def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) -> StateSpace:
+def sampled_plant(stage: StageParameters, delay: float | None = None, damping: float = 0.0) -> StateSpace:
     """From commanded current (A) to position (m) and current of the coils (A): the linear plant (3), sampled.
 
-    ``delay`` is that of a command from its sample in s, zero or more; ``damping`` that of the platform's motion in
-    N·s/m: friction otherwise is left out.
+    ``delay`` is that of a command from its sample in s, zero or more, by default as described; ``damping`` that of the
+    platform's motion in N·s/m: friction otherwise is left out.
     """
+    delay = stage.delay if delay is None else delay
     # SciPy takes half of the time that a node needs to start, and most nodes need none of it.
     from scipy.linalg import expm
 
@@ -270,7 +271,7 @@ def loop_margins(
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    late, period = stage.drive.delay * stage.period if delay is None else delay, stage.period
+    late, period = stage.delay if delay is None else delay, stage.period
     plant, linear = sampled_plant(stage, late), linearised(law, with_current=with_current)
     poles = np.asarray(np.linalg.eigvals(closed_loop(plant, linear)), dtype=np.complex128)
     if not np.abs(poles).max() < 1.0:
@@ -293,15 +294,14 @@ def unstable_where(control: ControlParameters, stage: StageParameters) -> str:
     corners do not count."""
     if control.law == OPEN_LOOP:
         return ""
-    delay = stage.drive.delay * stage.period
     try:
         linear = linearised(make_law(described_state(control, stage)[1], stage))
-        if not _stable(sampled_plant(stage, delay), linear):
+        if not _stable(sampled_plant(stage), linear):
             return AS_DESCRIBED
     except ValueError:
         return ""
     corners = with_facts_off(stage, possible=True)
-    return next((name for name, one in corners.items() if not _stable(sampled_plant(one, delay), linear)), "")
+    return next((name for name, one in corners.items() if not _stable(sampled_plant(one), linear)), "")
 
 
 def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
@@ -374,7 +374,7 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
+    plant = sampled_plant(stage, damping=damping)
     z = np.exp(2j * math.pi * frequencies * stage.period)
     loop = _open_loop(plant, linearised(law, with_current=True), z)
     return LoopResponse(_response(plant, z)[:, 0, 0], loop, 1.0 / (1.0 + loop))
@@ -404,7 +404,7 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
     """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
-    plant = sampled_plant(stage, stage.drive.delay * stage.period)
+    plant = sampled_plant(stage)
     laws = {state: make_law(one, stage) for state, one in states_of(control, stage).items()}
     for state, law in laws.items():
         where, gains = _STATES[state]
@@ -412,8 +412,7 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
             stable = partial(_stable, plant, linearised(law, with_current=measured))
             yield from _gains_missed(stable, f"{where}{how}," if where or how else "", gains)
         for modes, machine in with_modes_off(stage).items():
-            late = sampled_plant(machine, stage.drive.delay * stage.period)
-            if not _stable(late, linearised(law)):
+            if not _stable(sampled_plant(machine), linearised(law)):
                 yield f"is{where} unstable with the platform's modes at {modes}, within 'stage.platform.modes'"
     linear, period = linearised(laws["quiet"]), stage.period
     latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)

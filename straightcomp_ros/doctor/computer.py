@@ -283,7 +283,7 @@ def timer(
         late.append(clock_now() - start - _SLEEP_S)
     p99, worst = float(np.percentile(late, 99.0)), max(late)
     if stage is not None:
-        longest = stage.drive.delay * stage.period * max(1.0, stage.uncertainty.longest_delay)
+        longest = stage.delay * max(1.0, stage.uncertainty.longest_delay)
         detail = (
             f"wake-ups late by {p99 * 1e6:.0f} µs (p99); commands may act up to {longest * 1e6:.0f} µs after samples"
         )

@@ -140,6 +140,11 @@ class StageParameters:
         return round(1e9 / self.rate)
 
     @property
+    def delay(self) -> float:
+        """Time in s from a sample until its command takes effect."""
+        return self.drive.delay * self.period
+
+    @property
     def highest_current(self) -> float:
         """Largest control current in A that the limit and the D/A converter allow."""
         return min(self.actuator.current_limit, self.drive.largest_current)

@@ -163,7 +163,7 @@ def design_gains(
 
     def runs(gains: Mapping[str, float]) -> list[RunFigures]:
         made = make_law(with_gains(base, law, gains), stage)
-        return [full.run(made, stage.drive.delay * stage.period, number) for number in range(STARTS)]
+        return [full.run(made, stage.delay, number) for number in range(STARTS)]
 
     def figures(gains: Mapping[str, float]) -> DesignFigures:
         found = runs(gains)

@@ -106,7 +106,7 @@ def error_budget(
 def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int) -> dict[str, _Run]:
     base, stage, plant = next(iter(scenario.controls.values())), scenario.description, scenario.driver.plant
     control = with_gains(base, law, gains)
-    own = _Run(prepared_stroke(scenario), plant, control, stage, stage.drive.delay * stage.period)
+    own = _Run(prepared_stroke(scenario), plant, control, stage, stage.delay)
     fine = scaled_facts(plant, ("encoder.y_resolution",), _FINE)
     converter = dataclasses.replace(plant.drive, dac_bits=_DAC_BITS)
     known, free = control, control

@@ -212,7 +212,7 @@ def safe_law(scenario: Scenario, progress: Callable[[float], None] = lambda frac
     ends = (1.0 / stage.uncertainty.friction, stage.uncertainty.friction)
     for (_, corner), friction in itertools.product(worst[:_WORST], ends):
         plant = deviating(corner.stage.plant, Factors(friction=friction))
-        run = stroke.run(law, corner.stage.drive.delay * stage.period, plant=plant)
+        run = stroke.run(law, corner.stage.delay, plant=plant)
         oscillates = run.oscillation > _HARMLESS
         if not run.excursion <= _TRAVEL * plant.platform.stop or oscillates:
             what = "oscillates" if oscillates else "leaves half of the travel up to its stop"

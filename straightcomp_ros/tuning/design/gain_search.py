@@ -191,7 +191,7 @@ class Judge:
         self.law, self.stage, self._quiet = law, scenario.description, quiet
         self.control = next(iter(scenario.controls.values()))
         self._stop = scenario.driver.plant.platform.stop
-        self.delay = self.stage.drive.delay * self.stage.period
+        self.delay = self.stage.delay
         self._check = StabilityCheck(self.stage, demands)
         self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
         self._short = prepared_stroke(shortened(scenario, _SHORT))

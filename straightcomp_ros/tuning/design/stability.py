@@ -84,9 +84,9 @@ class StabilityCheck:
         self._stage, self._phase = stage, demands.phase
         latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
         earliest = stage.drive.delay * min(1.0, stage.uncertainty.shortest_delay)
-        self._nominal = plain = _sampled(stage)
+        self._nominal = plain = sampled_plant(stage)
 
-        rung = {name: _sampled(machine) for name, machine in with_modes_off(stage).items()}
+        rung = {name: sampled_plant(machine) for name, machine in with_modes_off(stage).items()}
 
         def cases(low: float, high: float, amplifier: float, spare: float, where: str = "") -> tuple[_Case, ...]:
             less = 1.0 / amplifier
@@ -95,8 +95,8 @@ class StabilityCheck:
                 _Case(f"most gain{where}", plain, high),
                 _Case(f"amplifier's gain × {less:.2g}{where}", plain, less, with_current=True),
                 _Case(f"amplifier's gain × {amplifier:.2g}{where}", plain, amplifier, with_current=True),
-                _Case(f"late commands{where}", _sampled(stage, latest + spare)),
-                _Case(f"early commands{where}", _sampled(stage, earliest), with_current=True),
+                _Case(f"late commands{where}", sampled_plant(stage, (latest + spare) * stage.period)),
+                _Case(f"early commands{where}", sampled_plant(stage, earliest * stage.period), with_current=True),
                 *(_Case(f"modes at {name}{where}", plant) for name, plant in rung.items()),
             )
 
@@ -141,14 +141,9 @@ class StabilityCheck:
         return max(0.0, math.log(radius) * self._stage.dead_time / self._stage.period + case.decay)
 
 
-def _sampled(stage: StageParameters, delay: float | None = None) -> StateSpace:
-    """The plant of ``stage`` with commands ``delay`` samples late, by default as described."""
-    return sampled_plant(stage, (stage.drive.delay if delay is None else delay) * stage.period)
-
-
 def _rigid(stage: StageParameters) -> StateSpace:
     """The plant without modes."""
-    return _sampled(stage.with_modes())
+    return sampled_plant(stage.with_modes())
 
 
 class Corner(NamedTuple):
@@ -163,7 +158,7 @@ class Corner(NamedTuple):
 
 def corner_at(name: str, stage: StageParameters) -> Corner:
     """A machine that is as ``stage`` describes it."""
-    sampled = _sampled(stage)
+    sampled = sampled_plant(stage)
     return Corner(name, stage, sampled, _rigid(stage) if stage.platform.modes.present else sampled)
 
 
@@ -199,7 +194,8 @@ def _limits(stage: StageParameters, control: ControlParameters) -> FailingLimits
 
     def stable(factor: float) -> bool:
         platform = dataclasses.replace(stage.platform, mass=factor * stage.platform.mass)
-        return spectral_radius(closed_loop(_sampled(dataclasses.replace(stage, platform=platform)), controller)) < 1.0
+        plant = sampled_plant(dataclasses.replace(stage, platform=platform))
+        return spectral_radius(closed_loop(plant, controller)) < 1.0
 
     low, high = (last_stable(stable, 1.0, end) if stable(1.0) else 1.0 for end in (_LIGHTEST, _HEAVIEST))
     return FailingLimits(
