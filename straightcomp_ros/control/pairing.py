@@ -16,7 +16,7 @@ T = TypeVar("T", float, NDArray[np.float64])
 
 _WAITING = 1000
 """Most samples or references that are kept: half a second."""
-_GAP_NS = 20_000_000
+RUN_GAP_NS = 20_000_000
 """Longest gap between samples of one run."""
 _LONGEST_EXTRAPOLATION_NS = 50_000_000
 """A feedforward that is held up for longer stops the commands. At 0.3 m/s on the shipped map the extrapolation errs by
@@ -49,7 +49,7 @@ class Pairing:
 
     def add_sample(self, stamp_ns: int, sample: Sequence[float]) -> None:
         """Add a sample that arrived."""
-        if not 0 <= stamp_ns - self._last_ns <= _GAP_NS:
+        if not 0 <= stamp_ns - self._last_ns <= RUN_GAP_NS:
             self._first_ns = stamp_ns
         self._last_ns = stamp_ns
         self._samples.append((stamp_ns, sample))
@@ -61,7 +61,7 @@ class Pairing:
         """Add a reference that arrived: r in m, ṙ in m/s, r̈ in m/s². Repeated and overtaken ones are dropped."""
         references = self._references
         if references and stamp_ns <= references[-1][0]:
-            if references[-1][0] - stamp_ns <= _GAP_NS:
+            if references[-1][0] - stamp_ns <= RUN_GAP_NS:
                 return
             references.clear()  # the machine's clock was set back
         references.append((stamp_ns, reference))

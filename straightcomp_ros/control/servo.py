@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.learning import Learning
+from straightcomp_ros.control.pairing import RUN_GAP_NS
 
 AMPLIFIER_OFF = Command(0.0, math.nan, math.nan, 0.0, 0.0, math.nan, math.nan)
 FADE_TIME = 0.1
@@ -56,14 +57,13 @@ class Servo:
     """Steps a law once for each sample, in the order of the stamps.
 
     A repeated sample gets the same answer again and changes nothing. While the amplifier is off the law is kept reset,
-    so that nothing is integrated that cannot act. After a gap of ``restart_gap_ns`` between two samples the law starts
-    anew. ``learning`` corrects the law's reference by what earlier strokes left.
+    so that nothing is integrated that cannot act. After a gap of more than :data:`RUN_GAP_NS` between two samples the
+    law starts anew. ``learning`` corrects the law's reference by what earlier strokes left.
     """
 
-    def __init__(self, law: Law, restart_gap_ns: int = 20_000_000, learning: Learning | None = None) -> None:
+    def __init__(self, law: Law, learning: Learning | None = None) -> None:
         self._law: Law | Crossfade = law
         self._learning = learning
-        self._restart_gap_ns = restart_gap_ns
         self._stamp_ns: int | None = None
         self._answer = AMPLIFIER_OFF
         self._running = False
@@ -96,12 +96,12 @@ class Servo:
         is off, ``reference`` r in m, ṙ in m/s and r̈ in m/s²; ``x`` in m, of the stage, is for learning alone.
         """
         last = self._stamp_ns
-        if last is not None and stamp_ns <= last and last - stamp_ns <= self._restart_gap_ns:
+        if last is not None and stamp_ns <= last and last - stamp_ns <= RUN_GAP_NS:
             return self._answer if stamp_ns == last else None
         r, r_dot, r_ddot = reference
         if not math.isfinite(y + r + r_dot + r_ddot):
             return None
-        gap = last is not None and abs(stamp_ns - last) > self._restart_gap_ns
+        gap = last is not None and abs(stamp_ns - last) > RUN_GAP_NS
         self._stamp_ns = stamp_ns
         amplifier_on = not math.isnan(coil_current)
         if self._injection is not None and (gap or not amplifier_on):

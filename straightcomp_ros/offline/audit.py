@@ -18,7 +18,7 @@ from straightcomp_ros.bags.reader import StreamColumns, attachments_of, read_str
 from straightcomp_ros.bags.recorded_nodes import noted_changes, parameters_of
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.control.pairing import extrapolated
+from straightcomp_ros.control.pairing import RUN_GAP_NS, extrapolated
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
@@ -28,8 +28,6 @@ _COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1], "control_c
 """Columns of the law's answer, in its order; at last its command again, for another one with the same stamp."""
 _NOTICED_NS = 2_000_000_000
 """Time before a noted change from which it may have been made: its notice takes two threads their turns."""
-_GAP_NS = 20_000_000
-"""Gap between two samples beyond which the servo restarts the law."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ def audit(
             missing += 1
             continue
         y, coil_current = sample
-        gap = last_ns is not None and abs(stamp_ns - last_ns) > _GAP_NS
+        gap = last_ns is not None and abs(stamp_ns - last_ns) > RUN_GAP_NS
         starts_anew = math.isnan(coil_current) or gap
         unsure = (unsure or gap) and not math.isnan(coil_current)
         last_ns = stamp_ns

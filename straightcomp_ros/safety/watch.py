@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from straightcomp_ros.control.pairing import RUN_GAP_NS
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import StageLimits
 from straightcomp_ros.model.paced_motion import PacedMotion
@@ -18,8 +19,6 @@ _MEAN_TIME = 0.005
 _LONGEST_FROZEN = 0.25
 """s, half of the time within which a frozen y is found (`Fault.Y_FROZEN`): in the other half the current rises."""
 _BEYOND = 1.2
-_GAP_NS = 20_000_000
-"""Longest gap between samples of one run, as of the pairing."""
 
 
 @dataclass(frozen=True)
@@ -206,10 +205,10 @@ class ZeroWatch:
         """Change of x in m that is no motion of the stage; NaN where that is not known."""
         first, last = (self._samples[0], self._samples[-1]) if self._samples else (sample, sample)
         before_ns, after_ns = last.stamp_ns - first.stamp_ns, sample.stamp_ns - last.stamp_ns
-        if after_ns > _GAP_NS:
+        if after_ns > RUN_GAP_NS:
             self._samples.clear()
         self._samples.append(sample)
-        if not 0 < after_ns <= _GAP_NS:
+        if not 0 < after_ns <= RUN_GAP_NS:
             return math.nan
         jump = sample.x - last.x - ((last.x - first.x) / before_ns * after_ns if before_ns else 0.0)
         moved = self._bend * after_ns * (after_ns + before_ns) if before_ns else self._fastest * after_ns
