@@ -17,7 +17,7 @@ from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.bags import noting_warnings
 from straightcomp_ros.parameters.declaration import ParameterError, instead
-from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml, number_or_nan
 
 
 class Interval(NamedTuple):
@@ -192,18 +192,10 @@ def _check(where: str, name: str, limit: Any, figures: Mapping[str, Any] | None)
     if figures is not None and name not in figures:
         raise ParameterError(f"{where}: figure '{name}' is unknown{instead(name, figures)}")
     given = limit if isinstance(limit, Mapping) else {"max": limit}
-    bounds = {key: _number(one) for key, one in given.items()}
+    bounds = {key: number_or_nan(one) for key, one in given.items()}
     if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
         raise ParameterError(f"{where}: {name}: {limit!r}; allowed: a number, or {{min: number, max: number}}")
     minimum, maximum, value = bounds.get("min", -math.inf), bounds.get("max", math.inf), (figures or {}).get(name)
     if minimum > maximum:
         raise ParameterError(f"{where}: {name}: min {minimum:g} is above max {maximum:g}")
     return LimitCheck(name, minimum, maximum, None if value is None or math.isnan(value) else value)
-
-
-def _number(value: Any) -> float:
-    """NaN for what is no number. YAML 1.1 reads 1e-6 as a text."""
-    try:
-        return math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        return math.nan

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
 from straightcomp_ros.parameters.output_files import check_writable, write_whole
-from straightcomp_ros.parameters.yaml_text import bounded_lines
+from straightcomp_ros.parameters.yaml_text import bounded_lines, number_or_nan
 from straightcomp_ros.straightness.feedforward import restarted, updated
 
 Array = NDArray[np.float64]
@@ -299,10 +299,7 @@ def _numbers(where: str, cells: Sequence[str]) -> list[float]:
         raise ParameterError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
     numbers = []
     for name, cell in zip(_HEADER, cells, strict=True):
-        try:
-            value = float(cell or "nan")
-        except ValueError:
-            value = math.inf
+        value = number_or_nan(cell)
         largest = math.inf if name == "x_m" or "speed" in name else _LARGEST
         unknown = name.endswith("rms_m") and not cell
         if not (unknown or (math.isfinite(value) and abs(value) <= largest)):

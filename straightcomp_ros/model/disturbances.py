@@ -24,7 +24,7 @@ from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.friction import band_value
 from straightcomp_ros.parameters.declaration import ParameterError, group, parameter
 from straightcomp_ros.parameters.share import named_file
-from straightcomp_ros.parameters.yaml_text import bounded_lines
+from straightcomp_ros.parameters.yaml_text import bounded_lines, number_or_nan
 
 Array = NDArray[np.float64]
 
@@ -142,10 +142,8 @@ def read_force_table(path: Path) -> Table:
     x: list[float] = []
     force: list[float] = []
     for number, line in enumerate(lines[1:], 1):
-        try:
-            place, push = (float(cell) for cell in line.split(","))
-        except ValueError:
-            place = push = math.nan
+        numbers = [number_or_nan(cell) for cell in line.split(",")]
+        place, push = numbers if len(numbers) == 2 else (math.nan, math.nan)
         if not (math.isfinite(place) and abs(push) <= 1000.0) or (x and place <= x[-1]):
             raise ParameterError(
                 f"{path}, row {number}: {line!r}; allowed: x_m that rises, and a force within ± 1000 N"

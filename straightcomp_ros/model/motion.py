@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
 from straightcomp_ros.parameters.share import named_file
-from straightcomp_ros.parameters.yaml_text import bounded_lines
+from straightcomp_ros.parameters.yaml_text import bounded_lines, number_or_nan
 
 T = TypeVar("T", float, NDArray[np.float64])
 _NS = 1e9
@@ -150,10 +150,7 @@ def goals(motion: MotionParameters) -> list[float]:
     found = []
     for number, line in enumerate(bounded_lines(named_file(motion.file), where), 1):
         if text := line.partition("#")[0].strip():
-            try:
-                found.append(float(text))
-            except ValueError:
-                found.append(math.nan)
+            found.append(number_or_nan(text))
             if not abs(found[-1]) <= _FARTHEST:
                 raise ParameterError(f"{where}, line {number}: {text[:80]!r}; allowed: a position, ±{_FARTHEST:g} m")
     if not 0 < len(found) <= _MOST_POSITIONS:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import codecs
 import errno
+import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -112,6 +113,14 @@ def bounded_lines(path: Path, where: str) -> list[str]:
         return bounded_bytes(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def number_or_nan(value: Any) -> float:
+    """``value``, a text or what YAML made of it, as a number; NaN if it is none."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return math.nan
 
 
 def _check(text: str, most_nodes: int) -> None:
