@@ -18,7 +18,7 @@ from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, from_mapping, under
-from straightcomp_ros.parameters.yaml_text import node_sections
+from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml, node_sections
 from straightcomp_ros.timing.node_timing import Report, reporting_node
 
 if TYPE_CHECKING:
@@ -92,12 +92,14 @@ def parameters_of(
     return given
 
 
-def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
-    """Attach the survey that the parameters name, as it is on this machine now, and its map with the band; returns why
-    not, empty when they are."""
+def attach_parameters(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Attach the parameters ``values`` by node and dotted name, the survey that they name, as it is on this machine
+    now, and its map with the band; returns why there is no survey or no band, empty when they are attached."""
     from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
     from straightcomp_ros.straightness.survey import SurveyError
 
+    sections = {node: {PARAMETERS: dict(own)} for node, own in values.items() if own}
+    bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", dump_yaml(sections).encode())
     given = under("stage.guide.", values.get("feedforward", {}))
     try:
         path = find_survey(str(given.get("file", MapParameters().file)))

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
-from straightcomp_ros.bags.recorded_nodes import attach_map
+from straightcomp_ros.bags.recorded_nodes import attach_parameters
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
-from straightcomp_ros.parameters.yaml_text import dump_yaml
 
 START_NS = 1_000_000_000
 """Stamp of the first sample: simulated time has no date, but ROS takes a stamp of zero for none."""
@@ -34,9 +32,7 @@ class SimulatedRun:
         self._last_ns: int | None = None
         for stream in STREAMS:
             self._bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000)))
-        tree = {f"/{node}": {"ros__parameters": dict(section)} for node, section in parameters.items() if section}
-        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", dump_yaml(tree).encode())
-        attach_map(self._bag, parameters)
+        attach_parameters(self._bag, parameters)
         self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
 
     def add(self, sample: Any, truth: Any, reference: Any, command: Any, reference_age: float) -> None:

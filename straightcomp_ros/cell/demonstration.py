@@ -170,8 +170,7 @@ def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequen
     try:
         evaluation = evaluate_bag(bag)
         record = evaluation.record
-        metrics = evaluate(record, straightness)
-        reports = read_reports(bag)
+        metrics, reports = evaluate(record, straightness), evaluation.reports
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
     recorded = float(record.time[-1])

@@ -14,8 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
-from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags.recorded_nodes import attach_map, note_changes
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.recorded_nodes import attach_parameters, note_changes
 from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.topics import Topic, definition
 from straightcomp_ros.bags.writer import BagWriter
@@ -33,7 +33,6 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
-from straightcomp_ros.parameters.yaml_text import dump_yaml
 from straightcomp_ros.runtime.graph_client import RemoteParameters
 from straightcomp_ros.runtime.guarded_node import RUN_FAILURES, Refused
 from straightcomp_ros.runtime.managed import ManagedNode
@@ -270,10 +269,7 @@ class LoggerComponent:
         if self._described is not None and self._described[0] is bag:
             note_changes(bag, time.time_ns(), self._described[1], values)
         elif self._remote.complete or at_end:
-            text = dump_yaml({name: {"ros__parameters": own} for name, own in values.items()})
-            bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", text.encode())
-            refusal = attach_map(bag, values)
-            if refusal:
+            if refusal := attach_parameters(bag, values):
                 self.node.get_logger().warning(refusal)
         else:
             return
