@@ -6,9 +6,8 @@ python examples/simulate_stage.py [STAGE.yaml]
 import sys
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
+from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 MASSES = (1.0, 1.2)
@@ -26,7 +25,7 @@ def main(stage: str | None = None) -> int:
 
         # The record has NumPy arrays in s, m and A; `figures` are in SI units too.
         figures = evaluate(record, simulation.map)
-        verdict = verdict_of(judged_motion(record, simulation.map, by_node(values), simulation.map))
+        verdict = verdict_on(record, simulation.map, values)
         print(
             f"mass {mass:.1f}: {record.law} leaves {figures.true_pp * 1e6:.3f} µm p-p, {figures.true_rms * 1e6:.4f} µm "
             f"RMS over {figures.samples} samples; straightness {figures.uncompensated_pp * 1e6:.2f} µm before, "

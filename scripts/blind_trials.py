@@ -23,14 +23,14 @@ import numpy as np
 
 from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
+from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import runs_of_starts, spread
-from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
+from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import making, remove, write_whole
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
@@ -162,7 +162,7 @@ def figures(values: Values) -> tuple[float, str, float]:
     found, verdicts, farthest = [], [], 0.0
     for record, straightness in runs_of_starts(values, STARTS):
         found.append((evaluate(record, straightness).true_pp or math.nan) * 1e6)
-        verdicts.append(verdict_of(judged_motion(record, straightness, by_node(values), straightness)).verdict)
+        verdicts.append(verdict_on(record, straightness, values).verdict)
         farthest = max(farthest, float(np.abs(record.true_y).max()))
     bad = [verdict for verdict in verdicts if verdict != "in_order"]
     return spread(found).median, bad[0] if bad else "in_order", farthest

@@ -25,12 +25,11 @@ from scripts.stage_files import STAGES, stage_names
 from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
+from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import with_values
-from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import read_stage_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -92,7 +91,7 @@ def run(options: argparse.Namespace) -> None:
     accused, table, others = [], {cause: Counter[str]() for cause in CAUSES}, []
     for number in tracked(range(options.sound), "sound runs"):
         drawn = sound(default_rng([options.seed, 0, number]))
-        verdict = judged(drawn, *simulated(drawn))
+        verdict = verdict_on(*simulated(drawn), drawn.values)
         if not verdict.in_order:
             accused.append(drawn.row(number, verdict))
     for place, cause in enumerate(tracked(CAUSES, "unsound runs"), 1):
@@ -152,10 +151,6 @@ def simulated(drawn: Drawn) -> tuple[StrokeRecord, StraightnessMap]:
     return stroke.record(stamps * 1e-9, cycle, guide, _LAW), stroke.map
 
 
-def judged(drawn: Drawn, record: StrokeRecord, straightness: StraightnessMap) -> Verdict:
-    return verdict_of(judged_motion(record, straightness, by_node(drawn.values), straightness))
-
-
 Spoil = Callable[[Drawn, Generator], Drawn]
 
 
@@ -168,7 +163,7 @@ def unsound(random: Generator, spoil: Spoil) -> tuple[Drawn, Verdict] | None:
             found = simulated(spoilt)
             before, after = evaluate(*simulated(drawn)), evaluate(*found)
             effects = [(before.true_pp or 0.0, after.true_pp or 0.0), (before.residual_pp, after.residual_pp)]
-            verdict = judged(spoilt, *found)
+            verdict = verdict_on(*found, spoilt.values)
             worse = any(spoilt_pp > max(WORSE * own, own + COUNTS * count) for own, spoilt_pp in effects)
             if worse and verdict.verdict != AT_STOP:
                 return spoilt, verdict

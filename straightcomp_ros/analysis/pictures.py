@@ -44,6 +44,18 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
     _straightness(both, after, record, straightness, metrics)
     for axes in (error, current):
         _shade(axes, record)
+    plot_error(error, record, straightness, metrics)
+    moving = record.moving
+    _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
+    label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
+    current.plot(moving.time, moving.current * 1e3, color=BLACK, linewidth=0.6, label=label)
+    _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
+    save_whole(figure, path)
+
+
+def plot_error(axes: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics) -> None:
+    """Draw the error of ``record`` in µm over the time of its motion, as the encoder has it, and the true one where it
+    is known; ``straightness`` is the map of its reference, ``metrics`` its figures."""
     moving = record.moving
     truth = moving.true_error(straightness)
     for name, values, pp, rms, colour, width in (
@@ -52,12 +64,7 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
     ):
         if values is not None and pp is not None and rms is not None:
             label = f"{name}: {with_digits(pp * 1e6, 2)} µm p-p, {with_digits(rms * 1e6, 3)} µm RMS"
-            error.plot(moving.time, values * 1e6, color=colour, linewidth=width, label=label)
-    _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
-    label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
-    current.plot(moving.time, moving.current * 1e3, color=BLACK, linewidth=0.6, label=label)
-    _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
-    save_whole(figure, path)
+            axes.plot(moving.time, values * 1e6, color=colour, linewidth=width, label=label)
 
 
 def as_text(text: str) -> str:

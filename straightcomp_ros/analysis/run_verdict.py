@@ -29,6 +29,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_over
 from straightcomp_ros.analysis.record import Array, ReferenceMap, StrokeRecord, group_means, runs_of
 from straightcomp_ros.control.margins import AS_DESCRIBED
+from straightcomp_ros.parameters.node_parameters import Values, by_node
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
@@ -89,6 +90,12 @@ def judged_motion(
         **bounds_of(parameters, straightness),
         late="" if latency is None else late_commands(latency, parameters.get("driver", {})),
     )
+
+
+def verdict_on(record: StrokeRecord, straightness: StraightnessMap, values: Values) -> Verdict:
+    """The verdict on a simulated run of nodes with the parameters ``values``, whose reference was made from the map
+    ``straightness``. MetricsError if the stage does not move."""
+    return verdict_of(judged_motion(record, straightness, by_node(values), straightness))
 
 
 def late_commands(latency: Array, driver: Mapping[str, Any]) -> str:

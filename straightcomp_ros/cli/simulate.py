@@ -10,7 +10,7 @@ from typing import Any
 from straightcomp_ros.analysis.judgement import Verdict, worst
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
+from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.options import (
     PICTURES,
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> None:
         if options.starts > 1:
             with working("simulating the starts") as advance:
                 runs = runs_of_starts(values, options.starts, advance)
-                found = [(evaluate(*one), _verdict(*one, values)) for one in runs]
+                found = [(evaluate(*one), verdict_on(*one, values)) for one in runs]
             over_starts = spreads(metrics.to_display() for metrics, _ in found)
             verdict = worst([(_error(metrics), one) for metrics, one in found], "start")
     except (ParameterError, SurveyError):
@@ -124,7 +124,7 @@ def _run_cycles(
     """The last cycle, the map, and the figures and verdicts of all cycles."""
     if options.strokes == 1 and not options.bag and can_run(values):
         record, straightness = run_stroke(values)
-        return record, straightness, [evaluate(record, straightness)], [_verdict(record, straightness, values)]
+        return record, straightness, [evaluate(record, straightness)], [verdict_on(record, straightness, values)]
     simulation = Simulation(values)
     cycles: list[Metrics] = []
     verdicts: list[Verdict] = []
@@ -135,7 +135,7 @@ def _run_cycles(
                 lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
             cycles.append(evaluate(record, simulation.map))
-            verdicts.append(_verdict(record, simulation.map, values))
+            verdicts.append(verdict_on(record, simulation.map, values))
     simulation.save_learning()
     return record, simulation.map, cycles, verdicts
 
@@ -143,7 +143,3 @@ def _run_cycles(
 def _error(metrics: Metrics) -> float:
     """The true error p-p in m, by which runs are compared."""
     return metrics.encoder_pp if metrics.true_pp is None else metrics.true_pp
-
-
-def _verdict(record: StrokeRecord, straightness: StraightnessMap, values: Mapping[str, Mapping[str, Any]]) -> Verdict:
-    return verdict_of(judged_motion(record, straightness, by_node(values), straightness))

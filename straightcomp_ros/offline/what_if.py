@@ -13,7 +13,7 @@ from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import SHORTEST_STROKE, StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of, verdict_on
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
@@ -129,5 +129,4 @@ def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
 def _simulated(values: Values, motion: tuple[Trajectory, int]) -> Run:
     simulation = Simulation(values, motion=motion)
     record = simulation.run()
-    verdict = verdict_of(judged_motion(record, simulation.map, values, simulation.map))
-    return Run(record.law, evaluate(record, simulation.map), verdict)
+    return Run(record.law, evaluate(record, simulation.map), verdict_on(record, simulation.map, values))

@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.pictures import label, legend_above
+from straightcomp_ros.analysis.pictures import label, legend_above, plot_error
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.style import BLACK, BLUE, VERMILION
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
@@ -123,7 +123,7 @@ def sliding_mode_stroke(machine: Machine) -> PaperFigure:
 def _stroke_drawn(title: str, record: StrokeRecord, guide: StraightnessMap) -> Figure:
     """Error over slider position, by direction, and over time."""
     figure, (over_x, over_time) = sheet(title, "a;b", size=(8.0, 7.0))
-    motion, metrics, error_um = record.motion, evaluate(record, guide), (record.r - record.y) * 1e6
+    motion, error_um = record.motion, (record.r - record.y) * 1e6
     for stroke in sorted(motion.strokes, key=lambda one: one.direction == "backward"):
         error = error_um[stroke.samples]
         name, colour = f"{stroke.direction}: {np.ptp(error):.2f} µm p-p", {"forward": BLACK, "backward": VERMILION}
@@ -131,16 +131,9 @@ def _stroke_drawn(title: str, record: StrokeRecord, guide: StraightnessMap) -> F
         over_x.plot(x_mm, error, color=colour[stroke.direction], linewidth=0.8, label=name, alpha=0.8)
     label(over_x, "Error r − y over the stroke (encoder)", "slider position x / mm", "error / µm")
 
-    def plot(name: str, values: np.ndarray, pp: float, rms: float, colour: str, width: float) -> None:
-        text = f"{name}: {pp * 1e6:.2f} µm p-p, {rms * 1e6:.3f} µm RMS"
-        over_time.plot(record.time[window], values[window], color=colour, linewidth=width, label=text)
-
-    window, truth = motion.window, record.true_error(guide)
-    plot("encoder", error_um, metrics.encoder_pp, metrics.encoder_rms, GREY, 0.6)
-    if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
-        plot("true", truth * 1e6, metrics.true_pp, metrics.true_rms, BLUE, 0.8)
+    plot_error(over_time, record, guide, evaluate(record, guide))
     label(over_time, "Error r − y over time, forward, pause and back", "time / s", "error / µm")
-    limit = 1.1 * float(np.abs(error_um[window]).max())
+    limit = 1.1 * float(np.abs(error_um[motion.window]).max())
     for axes in (over_x, over_time):
         axes.set_ylim(-limit, limit)
         legend_above(axes, columns=2)
