@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.straightness_statement import Statement, map_input, stated
+from straightcomp_ros.analysis.straightness_statement import POINTS, Statement, map_input, stated
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -35,8 +35,8 @@ _WHOLE_RUN = 0.25
 """Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
 _WIDEST = 3
 """Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
-_POINTS = 2000
-"""Points of the map for which its straightness is stated: the most that are taken as they are."""
+OUTLIERS = 6.0
+"""Robust standard deviations beyond which a reading, a point or a run is an outlier, unless another limit is chosen."""
 _FEWEST = 3
 """Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
@@ -77,7 +77,7 @@ class BuiltMap:
     @cached_property
     def statements(self) -> list[Statement]:
         """The straightness of the map, the mean of both directions, about each line, with its uncertainty."""
-        x = np.linspace(*self.straightness.span, _POINTS)
+        x = np.linspace(*self.straightness.span, POINTS)
         curve = (x, x, self.straightness.deviations(x))
         return stated("before", "forward", [curve], [map_input(self.straightness, seen=True)], repeats=False)
 

@@ -15,6 +15,7 @@ from straightcomp_ros.straightness.residual import (
     least_squares_residual,
     minimum_zone,
     peak_to_peak,
+    rms,
 )
 from straightcomp_ros.straightness.survey_table import Direction
 
@@ -125,8 +126,8 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap, map_of_guide: Ref
         residual_encoder_pp=peak_to_peak(residual_over(record.x, of_encoder, record)),
         uncompensated_pp=peak_to_peak(before),
         control_activity=float(np.abs(steps).sum()),
-        control_rms_step=_rms(steps),
-        resting_rms_step=_rms(np.array(resting)) if resting else None,
+        control_rms_step=rms(steps),
+        resting_rms_step=rms(np.array(resting)) if resting else None,
         samples=window.stop - window.start,
         duration=float(record.time[window.stop - 1] - record.time[window.start]),
     )
@@ -187,7 +188,7 @@ def standstill_figures(record: StrokeRecord, reference: ReferenceMap) -> list[St
         lasts = settled < rest.size
         standing = rest[settled:] if lasts else rest
         settling = settled * period if lasts else math.nan
-        found.append(StandstillFigures(settling, peak_to_peak(standing), _rms(standing), reversal))
+        found.append(StandstillFigures(settling, peak_to_peak(standing), rms(standing), reversal))
     return found
 
 
@@ -196,7 +197,7 @@ def _errors(encoder: Array, truth: Array | None, samples: slice | NDArray[np.int
     found: dict[str, Any] = {"true_pp": None, "true_rms": None}
     for name, error in (("encoder", encoder), ("true", truth)):
         if error is not None:
-            found |= {f"{name}_pp": peak_to_peak(error[samples]), f"{name}_rms": _rms(error[samples])}
+            found |= {f"{name}_pp": peak_to_peak(error[samples]), f"{name}_rms": rms(error[samples])}
     return found
 
 
@@ -229,10 +230,6 @@ def residual_over(x: Array, deviation: Array, record: StrokeRecord) -> Array:
     moving = record.motion.samples()
     speed = np.abs(np.gradient(x, record.time))
     return least_squares_residual(x[moving], deviation[moving], speed[moving])
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values * values)))
 
 
 _SPAN = 0.05

@@ -39,14 +39,14 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Array, group_means, whole_ways
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.residual import minimum_zones, zone_along
+from straightcomp_ros.straightness.residual import minimum_zones, rms, zone_along
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 from straightcomp_ros.straightness.survey_table import Direction
 
 COVERAGE_FACTOR = 2.0
 _COVERAGE = 0.9545
 """Of a normal distribution within ±2 standard deviations."""
-_PIECES, _POINTS = 200, 2000
+_PIECES, POINTS = 200, 2000
 """Pieces of x for which a stroke is averaged, and the points of a curve measured once that are taken as they are."""
 _DRAWS, _CURVES = 200, 1000
 """Of what is not in the curve, and of what is: the standard deviation of a contribution is then known to 5 and 2 %."""
@@ -222,7 +222,7 @@ def stated(
         if one.uncertainty is not None and one.points is None:
             changes = _readings(one.uncertainty, strokes, random)
         elif one.uncertainty is not None:
-            curve = strokes[0][1:] if not repeats and strokes[0][1].size <= _POINTS else _mean_curve(strokes)[:2]
+            curve = strokes[0][1:] if not repeats and strokes[0][1].size <= POINTS else _mean_curve(strokes)[:2]
             changes = _changes(one, one.uncertainty, *curve, random)
         shares = changes.std(axis=0) / math.sqrt(len(strokes) if one.points is None else 1)
         corrections = (-1.0 if one.seen else 1.0) * changes.mean(axis=0)
@@ -238,7 +238,7 @@ def map_input(straightness: StraightnessMap | None, seen: bool) -> Input:
     """By the standard deviation of the map, RMS over x."""
     if straightness is None:
         return Input("map", None, np.empty(0), seen)
-    deviation = float(np.sqrt(np.mean(straightness.noise.deviation**2)))
+    deviation = rms(straightness.noise.deviation)
     return Input("map", deviation, independent_points(straightness), seen)
 
 
@@ -246,7 +246,7 @@ def independent_points(straightness: StraightnessMap) -> Array:
     """The x in m at which errors of the map are independent, with a spline between: where smoothing made its standard
     deviation smaller by the factor f than that of a point of the survey, 1/f² times fewer than the survey's points."""
     noise, points = straightness.noise, straightness.report.x
-    left = min(1.0, float(np.sqrt(np.mean(noise.deviation**2))) / noise.point) ** 2 if noise.point else 1.0
+    left = min(1.0, rms(noise.deviation) / noise.point) ** 2 if noise.point else 1.0
     return np.linspace(*straightness.span, max(4, round(left * points.size)))
 
 

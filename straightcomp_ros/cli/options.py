@@ -88,7 +88,7 @@ def output_file(
     Raises:
         CommandFailed: exit code 2: it would replace a file, cannot be written, or has another ending.
     """
-    own = _attribute(option)
+    own = attribute(option)
     name = getattr(options, own)
     if not name:
         return None
@@ -118,7 +118,7 @@ def output_file(
     return path
 
 
-def _attribute(option: str) -> str:
+def attribute(option: str) -> str:
     """The name under which argparse keeps an option."""
     return option.strip("-").replace("-", "_")
 
@@ -128,7 +128,7 @@ def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
     those that a YAML file among them names."""
     from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
-    own = _attribute(without)
+    own = attribute(without)
     values = [value for name, value in vars(options).items() if name != own]
     values += [one for value in values if isinstance(value, list) for one in value]
     names = [str(value) for value in values if isinstance(value, (str, Path)) and str(value)]

@@ -23,7 +23,7 @@ from straightcomp_ros.analysis.record import MOVING, SPEED_SPAN, MetricsError, S
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.offline.starts import STARTS, offset
+from straightcomp_ros.offline.starts import COUNTS_APART, STARTS, offset
 from straightcomp_ros.parameters.declaration import ParameterError, under
 from straightcomp_ros.parameters.node_parameters import (
     STAGE,
@@ -50,8 +50,6 @@ ones are distributed exponentially (J. Pickands, Ann. Statist. 3 (1975) 119-131,
 _LATE = 0.01
 """Share of a drawn stroke's commands that are up to a period late. As many are no stall (`analysis.interruption`), and
 the p99 of their delay is as described (`late_commands`)."""
-_PITCH = 1.3
-"""Counts between the places from which drawn strokes start, as those of a published figure do."""
 _MODES = "stage.platform.modes."
 _SMOOTH = "1"
 """As much smoothing of the survey as its noise warrants, whatever the parameters say: no guide has the noise."""
@@ -158,7 +156,7 @@ def _strokes(
                 "noise": range_.sensor_noise * count * random.standard_normal(size),
                 "delays": own + late,
                 "plant": deviating(driver.plant, Factors(friction=friction)),
-                "offset": offset(number % STARTS, _PITCH * count),
+                "offset": offset(number % STARTS, COUNTS_APART * count),
             }
         cycle = scenario.cycle(law, stroke, **conditions)
         if cycle.current.size < size:

@@ -26,6 +26,8 @@ STARTS = 9
 """Of a published figure."""
 PITCH = 0.13e-6
 """Distance of neighbouring starts in m: not a multiple of the encoder's 0.1 µm, so each lies elsewhere in a count."""
+COUNTS_APART = 1.3
+"""The same in counts, for other encoders."""
 
 
 class Spread(NamedTuple):

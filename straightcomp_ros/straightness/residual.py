@@ -77,6 +77,11 @@ def zone_along(slopes: Array, x: Array, high: Array, low: Array) -> tuple[Array,
     return high[rows, top] - low[rows, bottom] + slopes * between, between
 
 
+def rms(values: Array) -> float:
+    """Root of the mean square, in the unit of ``values``; 0 without any."""
+    return float(np.sqrt(np.mean(values * values))) if values.size else 0.0
+
+
 def peak_to_peak(values: ArrayLike) -> float:
     """Largest minus smallest value, in the unit of ``values``."""
     return float(np.ptp(np.asarray(values, dtype=np.float64)))

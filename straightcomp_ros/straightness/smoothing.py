@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 
@@ -81,7 +82,7 @@ class MapNoise:
     @property
     def half_width(self) -> float:
         """Half width in m of the band that contains the guide with 95 %, RMS over x."""
-        return NORMAL_95 * float(np.sqrt(np.mean(self.deviation**2)))
+        return NORMAL_95 * rms(self.deviation)
 
     def band(self, x: Array) -> Array:
         """Standard deviation of the map in m at ``x`` in m."""

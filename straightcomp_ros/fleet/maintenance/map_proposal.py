@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judgement import IN_ORDER, WRONG_GUIDE
-from straightcomp_ros.analysis.map_building import BuiltMap, Choices, build
+from straightcomp_ros.analysis.map_building import OUTLIERS, BuiltMap, Choices, build
 from straightcomp_ros.analysis.record import whole
 from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
 from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, Array, on_one_grid
@@ -34,8 +34,6 @@ _RUNS = 5
 """Each way: ISO 230-2 asks for five."""
 _OFTEN = 3
 """Readings each way from which a place belongs to the whole strokes: one or two were of strokes that went farther."""
-_LIMIT = 6.0
-"""Robust standard deviations beyond which a run or point is rejected, as in `straightcomp map build`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
         f"in {_RUNS} groups each way, by their displacement sensor",
         "changes": f"map {old.name}, BLAKE2b {checksum}",
     }
-    built = build(Survey(tuple(runs), str(old)), old, Choices(step=1e-3 * BIN_MM, limit=_LIMIT), inputs)
+    built = build(Survey(tuple(runs), str(old)), old, Choices(step=1e-3 * BIN_MM, limit=OUTLIERS), inputs)
     made = built.provenance["made by"].replace("map build", "history map")
     built = replace(built, provenance={**built.provenance, "made by": made})
     at = built.straightness.report.x

@@ -19,7 +19,7 @@ from straightcomp_ros.control.margins import closed_loop, linearised, spectral_r
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
-from straightcomp_ros.tuning.design.gain_search import cheapest, prepared_stroke, shortened
+from straightcomp_ros.tuning.design.gain_search import SHORT, cheapest, prepared_stroke, shortened
 from straightcomp_ros.tuning.design.gains import (
     SEARCHED,
     Values,
@@ -208,7 +208,7 @@ def safe_law(scenario: Scenario, progress: Callable[[float], None] = lambda frac
         raise _safe_refusal(scenario, growth)
     worst = sorted(zip(growths(scenario, corners, gains), corners, strict=True), key=lambda one: -one[0])
     law = make_law(with_gains(scenario.controls[LAW], LAW, gains), stage)
-    stroke, runs = prepared_stroke(shortened(scenario, _SHORT)), []
+    stroke, runs = prepared_stroke(shortened(scenario, SHORT)), []
     ends = (1.0 / stage.uncertainty.friction, stage.uncertainty.friction)
     for (_, corner), friction in itertools.product(worst[:_WORST], ends):
         plant = deviating(corner.stage.plant, Factors(friction=friction))

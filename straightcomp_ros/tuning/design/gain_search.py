@@ -27,18 +27,19 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import sustained_oscillation, tolerated_amplitude
+from straightcomp_ros.analysis.metrics import RESTING
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import can_hold, make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back, reach
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario, Stroke
-from straightcomp_ros.offline.starts import offset
+from straightcomp_ros.offline.starts import COUNTS_APART, offset
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import deviating
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import map_of
-from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.residual import peak_to_peak, rms
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.tuning.design.gains import SEARCHED, SHAPES, Values, with_gains
 from straightcomp_ros.tuning.design.stability import STANDARD, Demands, StabilityCheck
@@ -47,7 +48,7 @@ _STARTS, _MORE_STARTS = 3, 9
 """Of the stage as described; more where the first ones leave errors that differ by more than ``UNEVEN``."""
 UNEVEN = 1.5
 """Largest over smallest p-p: on the shipped stage nine starts differ by 1.14."""
-_SHORT = 6.0
+SHORT = 6.0
 """s; of the strokes on the extreme machines."""
 _LONGEST = 20.0
 """s; of the strokes on the stage as described."""
@@ -62,10 +63,6 @@ _LEAST_STEPS = 4.0
 from which a noisier command costs more than it may gain."""
 _SILENT = 0.02
 """At rest, the RMS step of the current that is taken for silence, in units of the current that carries friction."""
-_PITCH = 1.3
-"""Distance of neighbouring starts in counts of the encoder: not a whole number, so each lies elsewhere in a count."""
-_RESTING = 0.2
-"""s after a stroke from which the command at rest is judged."""
 
 
 class RunFigures(NamedTuple):
@@ -96,7 +93,7 @@ class PreparedStroke:
         """
         late, count = np.full(self.target.size, round(delay * 1e9)), self.scenario.driver.plant.encoder.y_resolution
         # The stage's own count, so that an ideal encoder gets the same starts.
-        cycle = self.scenario.cycle(law, self.stroke, late, plant=plant, offset=offset(start, _PITCH * count))
+        cycle = self.scenario.cycle(law, self.stroke, late, plant=plant, offset=offset(start, COUNTS_APART * count))
         if cycle.current.size < late.size:
             return RunFigures(*(math.inf,) * 6)
         target, stamps = self.target[self.motion], self.stroke.stamps
@@ -105,16 +102,12 @@ class PreparedStroke:
         amplitude = sustained_oscillation(error, target, period).amplitude
         return RunFigures(
             pp=peak_to_peak(error),
-            rms=_rms(error),
-            work=_rms(np.diff(cycle.current[self.motion])),
-            rest_work=_rms(np.diff(cycle.current[self.rest])),
+            rms=rms(error),
+            work=rms(np.diff(cycle.current[self.motion])),
+            rest_work=rms(np.diff(cycle.current[self.rest])),
             oscillation=amplitude / tolerated_amplitude(error, count, peak_to_peak(target)),
             excursion=float(np.abs(cycle.true_y).max()),
         )
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values * values))) if values.size else 0.0
 
 
 def prepared_stroke(
@@ -144,7 +137,7 @@ def prepared_stroke(
     motion = motion_of(time, x)
     rest = slice(0, 0)
     if len(motion.strokes) > 1:
-        begin = motion.strokes[0].stop + math.ceil(_RESTING * 1e9 / scenario.description.period_ns)
+        begin = motion.strokes[0].stop + math.ceil(RESTING * 1e9 / scenario.description.period_ns)
         rest = slice(begin, max(begin, motion.strokes[1].start))
     return PreparedStroke(scenario, stroke, r, motion.window, rest)
 
@@ -194,7 +187,7 @@ class Judge:
         self.delay = self.stage.delay
         self._check = StabilityCheck(self.stage, demands)
         self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
-        self._short = prepared_stroke(shortened(scenario, _SHORT))
+        self._short = prepared_stroke(shortened(scenario, SHORT))
         self._extremes = extreme_machines(scenario)
         held, pull = can_hold(self.stage), abs(self.stage.negative_stiffness)
         carried = self.stage.friction.coulomb if held else pull * float(np.abs(self._stroke.target).max())

@@ -38,6 +38,7 @@ from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import CurrentPath, Recording
 from straightcomp_ros.model.compiled import compilable, compiled, compiled_for_threads
 from straightcomp_ros.model.plant import advance
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.tuning.identification.unknowns import BLOCK, Unknowns, block_covariance, sliding_start
 
 Array = NDArray[np.float64]
@@ -161,7 +162,7 @@ class Level:
 
     @property
     def rms(self) -> float:
-        return float(np.sqrt(np.mean(self.residuals**2)))
+        return rms(self.residuals)
 
 
 class Search:
@@ -295,7 +296,7 @@ def fit(
         pulls=np.array(
             [last.vector[unknowns.free] - other[unknowns.free] for other in (*neighbours, search.onward(last))]
         ),
-        rms_error_m=float(np.sqrt(np.mean(errors**2))),
+        rms_error_m=rms(errors),
     )
 
 

@@ -16,6 +16,7 @@ from straightcomp_ros.analysis.pictures import label, legend_above
 from straightcomp_ros.analysis.record import runs_of
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, sheet
 from straightcomp_ros.tuning.paper.machine import (
     AMPLITUDE,
@@ -148,14 +149,14 @@ def friction_curve(machine: Machine) -> PaperFigure:
         axes.legend(loc="lower right", fontsize=SMALL)
 
     deviation = friction - run.friction
-    rms, most = float(np.sqrt(np.mean(deviation**2))), np.abs(deviation).max()
+    most = np.abs(deviation).max()
     method = f"largest {most:.3f} N; moving cubic of {WINDOW * 1e3:g} ms, M and magnets known"
     sliding = float(np.median(np.abs(friction[np.abs(velocity) > SLIDING])))
     coulomb = f"the simulated machine has {plant.friction.coulomb:g} N Coulomb friction, and its viscous part"
     truth = hysteresis(run.velocity, run.friction, rising)
     bristles = f"in the truth {truth:.2f} N: the bristles bend before they slip"
     claims = (
-        Claim("Fig. 7: friction estimate, RMS deviation from the truth", rms, "N", method),
+        Claim("Fig. 7: friction estimate, RMS deviation from the truth", rms(deviation), "N", method),
         Claim("Fig. 7: friction while sliding, estimated (median)", sliding, "N", coulomb),
         Claim("Fig. 7: width of the hysteresis, estimated", hysteresis(velocity, friction, rising), "N", bristles),
     )

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.straightness_statement import independent_points
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline
@@ -202,7 +203,7 @@ def align(straightness: StraightnessMap, strokes: Sequence[Run], reach: float) -
     result = Alignment(
         middle=middle,
         lag=found.pop("lag", None),
-        before=float(np.sqrt(np.mean(before**2))),
+        before=rms(before),
         after=float(np.sqrt(variance)),
         changed=changed,
         ambiguous=another,

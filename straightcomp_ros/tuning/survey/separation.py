@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import MAP
 from straightcomp_ros.analysis.straightness_statement import Input, Statement, stated
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.smoothing import measured, point_noise
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
@@ -99,7 +100,7 @@ def separated(
         mean = repeatability(survey, x, np.array([run.deviation for run in survey.runs])).mean
         errors = operator * each
         s = np.sqrt(np.sum(errors**2, axis=1))
-        noise = None if None in noises else float(np.sqrt(np.mean(s**2)))
+        noise = None if None in noises else rms(s)
         source = Input("noise", noise, x, form=errors / (noise or 1.0))
         lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False)
         return Form(survey, mean, None if noise is None else s, lines)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.residual import least_squares_residual
+from straightcomp_ros.straightness.residual import least_squares_residual, rms
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid
 from straightcomp_ros.straightness.survey_table import SurveyError
@@ -90,6 +90,6 @@ def survey_check(straightness: StraightnessMap, check: Survey, noise: float) -> 
         span=(float(x[0]), float(x[-1])),
         difference=float(np.sqrt(np.sum(mean**2) / freedom)),
         allowed=float(np.sqrt(factor * variance)),
-        guide=float(np.sqrt(np.mean(guide**2))),
+        guide=rms(guide),
         opposite=bool(size > 0.0 and guide @ measured < _OPPOSITE * size),
     )

@@ -33,6 +33,7 @@ from straightcomp_ros.offline.scenario import Scenario, laws_of
 from straightcomp_ros.offline.workers import spread
 from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 from straightcomp_ros.straightness.feedforward import along
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.survey import Survey
 
 
@@ -93,9 +94,8 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         bounds["dither"] = dither_frequency(scenario.controls[name], stage)
         judged = JudgedMotion(time[window], stroke.true_x[window], y, r, current, r - y, count, **bounds)
         steps = np.diff(current)
-        rms, rms_step = (float(np.sqrt(np.mean(values * values))) for values in (judged.error, steps))
         activity = float(np.abs(steps).sum())
-        results.append(TrialResult(trial, name, judged.pp, rms, activity, rms_step, verdict_of(judged)))
+        results.append(TrialResult(trial, name, judged.pp, rms(judged.error), activity, rms(steps), verdict_of(judged)))
     return results
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cell.stop_signals import terminating
-from straightcomp_ros.cli.options import add_namespace
+from straightcomp_ros.cli.options import add_namespace, attribute
 from straightcomp_ros.cli.output import CommandFailed, Terminated, require_ros
 
 RUNNING, START, EMULATED = "running", "start", "start-emulated"
@@ -28,7 +28,7 @@ def add_graph_option(parser: argparse.ArgumentParser) -> None:
 def refuse_parameters_of_running(options: argparse.Namespace, *names: str) -> None:
     """Raise CommandFailed with exit code 2 if one of these options, which choose parameters, is given with --graph
     running."""
-    given = [name for name in names if getattr(options, name.strip("-").replace("-", "_"))]
+    given = [name for name in names if getattr(options, attribute(name))]
     if options.graph == RUNNING and given:
         raise CommandFailed(f"{given[0]}: not with --graph {RUNNING}, whose nodes have parameters", exit_code=2)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.map_building import BuiltMap, Choices, agreeing, build
+from straightcomp_ros.analysis.map_building import OUTLIERS, BuiltMap, Choices, agreeing, build
 from straightcomp_ros.bags import noting_warnings
 from straightcomp_ros.bags.fields import Field
 from straightcomp_ros.bags.folder import STORED
@@ -21,6 +21,7 @@ from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
+from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.survey import Survey, check_run, read_survey, write_survey
 from straightcomp_ros.straightness.survey_table import MARK, Direction, SurveyError
 from straightcomp_ros.tuning.survey.alignment import align
@@ -39,8 +40,6 @@ from straightcomp_ros.tuning.survey.separation import separated
 
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 PURPOSE = "set up"
-_OUTLIERS = 6.0
-"""Robust standard deviations beyond which a reading is a spike."""
 _OF_BAG = ("position", "sensor", "unit", "delay", "on_platform")
 _OF_CSV = ("x_column", "deviation_column")
 """Options that say how one kind of source is read, None where they are not given."""
@@ -55,7 +54,7 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--outliers",
         type=float,
-        default=_OUTLIERS,
+        default=OUTLIERS,
         metavar="K",
         help="robust standard deviations (default: %(default)g)",
     )
@@ -382,7 +381,7 @@ def _reverse(options: argparse.Namespace) -> None:
         for one in lines:
             figures[f"{name}_{one.line}_um"] = one.value * 1e6
             figures[f"{name}_{one.line}_U_um"] = None if one.unknown else one.expanded_uncertainty * 1e6
-        figures[f"{name}_standard_uncertainty_um"] = None if s is None else float(np.sqrt(np.mean(s**2))) * 1e6
+        figures[f"{name}_standard_uncertainty_um"] = None if s is None else rms(s) * 1e6
     kept = [f"{name}: {text}" for name, text in normal.facts.items()]
     write_survey(output, found.guide.survey, [*kept, f"separated by: {how}, guide of {names}"])
     if edge is not None:
@@ -430,9 +429,9 @@ def _align(options: argparse.Namespace) -> None:
     for source in map(Path, options.sources):
         read = _read(source, options)
         if isinstance(read, Series):
-            passages = recognise(read, options.step * 1e-3, _OUTLIERS)[0]
+            passages = recognise(read, options.step * 1e-3, OUTLIERS)[0]
             read = Survey(tuple(one.run for one in passages), str(source))
-        kept, rejected, _ = agreeing(read, _OUTLIERS)
+        kept, rejected, _ = agreeing(read, OUTLIERS)
         strokes += kept
         for name in rejected:
             notes.print(f"{source}: run {name} is rejected: it differs from the others")
