@@ -326,9 +326,16 @@ def alarms_of(levels: DayLevels) -> list[tuple[str, int]]:
     for day in range(min((change.found for change in changes), default=len(levels.day)), len(levels.day)):
         standing = any(change.found <= day and (change.ended is None or day < change.ended) for change in changes)
         before = due
-        due = {one.cause for one in advice_of(levels.until(day + 1)) if one.due} if standing else set()
+        due = {one.cause for one in advice_of(_until(levels, day + 1)) if one.due} if standing else set()
         alarms += [(cause, day) for cause in sorted(due - before)]
     return alarms
+
+
+def _until(levels: DayLevels, count: int) -> DayLevels:
+    """The first ``count`` entries: what was known then."""
+    columns, profiles = ({name: one[:count] for name, one in of.items()} for of in (levels.columns, levels.profiles))
+    settings = {name: one[:count] for name, one in levels.settings.items()}
+    return DayLevels(levels.day[:count], columns, levels.x, profiles, settings)
 
 
 def judged(alarms: list[tuple[str, int]], cause: str) -> tuple[int | None, int]:

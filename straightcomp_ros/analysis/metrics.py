@@ -201,7 +201,7 @@ def _errors(encoder: Array, truth: Array | None, samples: slice | NDArray[np.int
     return found
 
 
-def about_lines(x: Array, deviation: Array, weights: Array | None = None) -> dict[str, float]:
+def about_lines(x: Array, deviation: Array, weights: Array) -> dict[str, float]:
     """The straightness of ``deviation`` (n,) over ``x`` (n,) about each of :data:`LINES`, by its name, all in m;
     ``weights`` (n,) as for :func:`~straightcomp_ros.straightness.residual.least_squares_residual`."""
     residuals = least_squares_residual(x, deviation, weights), end_point_residual(x, deviation)

@@ -48,7 +48,7 @@ def _hub(options: argparse.Namespace) -> None:
     """Be a bus between processes of this computer, where the kernel has no CAN: programs that use python-can join it
     with interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all
     links once. SIGINT, SIGTERM or SIGHUP ends it; it then prints its counters."""
-    from straightcomp_ros.cell.stop_signals import terminating
+    from straightcomp_ros.cell.stop_signals import noting_stop
     from straightcomp_ros.hardware.can.hub import Faults, Hub
     from straightcomp_ros.timing import realtime
 
@@ -58,10 +58,8 @@ def _hub(options: argparse.Namespace) -> None:
     except ValueError as error:
         raise CommandFailed(str(error), exit_code=2) from error
     hub = Hub(options.socket, faults)
-    stopping: list[int] = []
+    stopping = noting_stop()
     cutting: list[int] = []
-    for number in (signal.SIGINT, *terminating()):
-        signal.signal(number, lambda number, _: stopping.append(number))
     signal.signal(signal.SIGUSR1, lambda number, _: cutting.append(number))
 
     def stopped() -> bool:
@@ -69,7 +67,7 @@ def _hub(options: argparse.Namespace) -> None:
         if cutting:
             cutting.pop()
             hub.cut()
-        return bool(stopping)
+        return stopping()
 
     for refusal in realtime.apply(realtime.RealtimeParameters(priority=options.priority)):
         print(f"hub: {refusal}", file=sys.stderr)

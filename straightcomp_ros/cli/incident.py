@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from shlex import quote
 
-from straightcomp_ros.cli.options import add_force, add_json, output_file
+from straightcomp_ros.cli.options import add_force, add_json, output_file, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.parameters.output_files import write_whole
 
@@ -69,12 +69,9 @@ def _open(options: argparse.Namespace) -> None:
     from straightcomp_ros.offline.incident import BAG, DOCTOR, IncidentError, incident_page, judged, summary, unpack
 
     file = Path(options.file)
-    folder = Path(options.output) if options.output else file.with_suffix("")
     if not file.is_file():
         raise CommandFailed(f"{file}: is no file", exit_code=2)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CommandFailed(f"{folder}: is not empty; name another folder with -o", exit_code=2)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = output_folder("--output", options.output or str(file.with_suffix("")), empty=True)
     try:
         details = unpack(file, folder)
     except IncidentError as error:

@@ -1,13 +1,12 @@
 """Emulates the DSP board on the CAN bus, as the simulated machine of the driver's parameters. It uses no ROS."""
 
 import dataclasses
-import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from straightcomp_ros.cell.stop_signals import terminating
+from straightcomp_ros.cell.stop_signals import noting_stop
 from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
@@ -134,16 +133,14 @@ def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = F
         SurveyError: the guide's file cannot be used.
         HardwareError: the hub's socket cannot be made, or the firmware's program cannot be started or has ended.
     """
-    stopping: list[int] = []
-    for number in (signal.SIGINT, *terminating()):
-        signal.signal(number, lambda number, _: stopping.append(number))
+    stopping = noting_stop()
     if parameters.can.firmware:
-        return _run_firmware(parameters, lambda: bool(stopping), own_hub)
+        return _run_firmware(parameters, stopping, own_hub)
     emulator = Emulator(parameters, drift, own_hub=own_hub)
     _schedule(parameters.realtime)
     print("ready", flush=True)
     try:
-        emulator.loop.run(lambda: bool(stopping), idle=lambda: None)
+        emulator.loop.run(stopping, idle=lambda: None)
     finally:
         emulator.close()
     return 0

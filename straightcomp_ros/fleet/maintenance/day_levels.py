@@ -91,12 +91,6 @@ class DayLevels:
         found: date = self.day[place].astype("datetime64[D]").item()
         return found
 
-    def until(self, count: int) -> DayLevels:
-        """The first ``count`` entries: what was known then."""
-        columns, profiles = ({name: one[:count] for name, one in of.items()} for of in (self.columns, self.profiles))
-        settings = {name: one[:count] for name, one in self.settings.items()}
-        return DayLevels(self.day[:count], columns, self.x, profiles, settings)
-
     @cached_property
     def shifts(self) -> Array:
         """Change (n, m) in µm of the guide's profiles since their baseline, smooth and without its parabola; NaN

@@ -94,7 +94,7 @@ def _add(options: argparse.Namespace) -> None:
                 bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
                 if row.reason is not None:
                     refused.add(row.location)
-                    notes.print(f"refused: {row.reason}", soft_wrap=True, highlight=False)
+                    notes.print(f"refused: {row.reason}")
                 if row.checksum is None:
                     growing.retry(row)
             if not options.follow:
@@ -104,10 +104,10 @@ def _add(options: argparse.Namespace) -> None:
         print_json({"store": options.store, **asdict(tally)})
     else:
         counts = f"added {tally.added}, known and unchanged {tally.known}, refused {tally.refused}"
-        console.print(f"{options.store}: bags {counts}; strokes added {tally.strokes}", soft_wrap=True)
+        console.print(f"{options.store}: bags {counts}; strokes added {tally.strokes}")
     before = [reason for bag in sorted(named - refused) if (reason := store.row(bag).get("reason"))]
     for reason in before:
-        notes.print(f"refused before, and unchanged: {reason}", soft_wrap=True, highlight=False)
+        notes.print(f"refused before, and unchanged: {reason}")
     why = f'straightcomp history query {shlex.quote(options.store)} "SELECT location, reason FROM refused"'
     if before or (tally.refused and (named & refused or not tally.added + tally.known)):
         raise CommandFailed(f"bags refused: {tally.refused + len(before)}; the reasons: {why}")
@@ -180,14 +180,14 @@ def _advise(options: argparse.Namespace) -> None:
         if options.json:
             continue
         if days <= BASELINE:
-            notes.print(f"{stage}: days with strokes: {days}; allowed: > {BASELINE}, the baseline", soft_wrap=True)
+            notes.print(f"{stage}: days with strokes: {days}; allowed: > {BASELINE}, the baseline")
             continue
         due = sum(one.due for one in advice)
         matters, style = (f"matters: {due}", "yellow") if due else ("nothing to do", "green")
-        console.print(f"{stage}, {days} days until {levels.date(-1)}: {matters}", style=style, highlight=False)
+        console.print(f"{stage}, {days} days until {levels.date(-1)}: {matters}", style=style)
         for one in advice:
             what = one.remedy if one.due else "nothing: it is back where it was"
-            console.print(f"  found {one.found}: {one.text}\n    → {what}", soft_wrap=True, highlight=False)
+            console.print(f"  found {one.found}: {one.text}\n    → {what}")
     if folder is not None:
         files = _written(folder, ".json", {stage: json_text(one) for stage, one in contents.items()}, options.force)
         if not options.json:
@@ -216,7 +216,7 @@ def _report(options: argparse.Namespace) -> None:
     files = _written(folder, ".html", pages, options.force)
     if not options.json:
         for stage, file in files.items():
-            console.print(f"{stage}: {file}", soft_wrap=True, highlight=False)
+            console.print(f"{stage}: {file}")
         print_written(*files.values(), then="open it in a browser")
     else:
         print_json({"reports": {stage: str(file) for stage, file in files.items()}})
