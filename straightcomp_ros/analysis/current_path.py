@@ -25,16 +25,20 @@ from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters, shipped_wire
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.declaration import from_mapping, under
 
 
 def readback_lag(bag: Path) -> int:
-    """Samples; 0 where the bag does not say it. BagError if it cannot be read, ParameterError if its parameters, or the
-    DBC file that they name, cannot be used here."""
+    """Samples; 0 where the bag does not say it. BagError if it cannot be read, ParameterError if the meaning of the
+    board's signals is refused; its DBC file is not read."""
     driver = recorded_parameters(bag, read_attachments(bag)).get("driver", {})
-    on_can = driver.get("hardware") == "can"
-    return int(node_parameters("driver", {"driver": driver}).readback_lag) if on_can else 0
+    if driver.get("hardware") != "can":
+        return 0
+    if not driver.get("can.dbc"):
+        return shipped_wire(bool(driver.get("can.fd", CanParameters.fd))).readback_lag
+    return from_mapping(WireParameters, under("can.wire.", driver)).readback_lag
 
 
 def advanced(current: Array, lag: int) -> Array:

@@ -78,11 +78,6 @@ class DriverNodeParameters:
         return self.can if self.hardware == "can" else self.simulated
 
     @property
-    def readback_lag(self) -> int:
-        """Samples by which the measured current is older than the readings that it comes with."""
-        return self.can.make_wire().readback_lag if self.hardware == "can" else 0
-
-    @property
     def plant(self) -> PlantParameters:
         """The simulated machine."""
         return true_plant(self.stage, self.simulated.truth)

@@ -12,6 +12,7 @@ from straightcomp_ros.analysis import current_path as path_module
 from straightcomp_ros.analysis.current_path import Recording, current_path, read_recording
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.parameters.yaml_text import dump_yaml
 
 DRIVE = DriveParameters()
 PERIOD, RATE = 5e-4, 2.0 * math.pi * 500.0
@@ -79,11 +80,11 @@ def test_a_current_that_no_amplifier_explains_is_interpolated():
     np.testing.assert_allclose(path.before[:-1] + path.after[:-1], noise[:-1] + noise[1:])
 
 
-def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0)):
+def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0), parameters=""):
     """A bag of encoder and command at 2 kHz."""
     numbers = {ENCODER: lambda k: (0.0, y[k], math.nan, current[k]), COMMAND: lambda k: (0.01,)}
     kept = ((stream, k) for k in range(len(y)) if k not in lost for stream in streams)
-    return bag_of_rows(bag, ((stream, 10**9 + 500_000 * k, numbers[stream](k)) for stream, k in kept))
+    return bag_of_rows(bag, ((stream, 10**9 + 500_000 * k, numbers[stream](k)) for stream, k in kept), parameters)
 
 
 MOVING = 1e-5 * np.sin(np.arange(5000) / 100.0)
@@ -122,6 +123,31 @@ def test_of_a_long_stretch_those_samples_are_used_in_which_the_platform_moves_wh
     # The current is the number of the sample.
     recording = read_recording(written(tmp_path / "bag", y, np.arange(y.size)))
     assert len(recording.y) == 2000 and recording.current[0] == pytest.approx(4000, abs=20)
+
+
+NAMES = {"x.message": "Axes", "x.signal": "X", "y.signal": "Y", "current.signal": "Coil"}
+
+
+@pytest.mark.parametrize(
+    ("board", "lag"),
+    [
+        ({}, 0),
+        ({"can.fd": False}, 1),
+        (NAMES, 0),
+        (NAMES | {"current.message": "Coils"}, 1),
+        (NAMES | {"current.message": "Platform", "y.message": "Platform"}, 0),
+    ],
+)
+def test_a_current_in_a_message_of_its_own_belongs_to_the_sample_before_whether_the_dbc_file_is_there_or_not(
+    tmp_path, board, lag
+):
+    its_own = {"can.dbc": "nowhere.dbc", **{f"can.wire.{name}": value for name, value in board.items()}}
+    driver = {"ros__parameters": {"hardware": "can", **(its_own if "x.signal" in board else board)}}
+    # The current is the number of the sample.
+    bag = written(tmp_path / "bag", MOVING, np.arange(MOVING.size), parameters=dump_yaml({"driver": driver}))
+    recording = read_recording(bag)
+    (first,) = np.flatnonzero(recording.y[0] == MOVING)
+    assert (recording.current - np.arange(first, first + recording.y.size) == lag).all()
 
 
 def test_one_command_that_never_came_does_not_cost_the_path_of_a_quiet_current():

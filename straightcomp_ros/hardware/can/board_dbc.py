@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.hardware.can.can_parameters import ProtectionParameters, WireParameters
+from straightcomp_ros.hardware.can.can_parameters import READINGS, ProtectionParameters, WireParameters
 from straightcomp_ros.hardware.can.dbc_file import (
     Dbc,
     DbcError,
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 
 OF_BOARD = ("x", "y", "current", "counter", "good", "amplifier", "fault", "referenced")
 OF_HOST = ("command", "enable", "reset", "echo")
-READINGS = ("x", "y", "good")
-"""What a sample is not complete without, as far as the board has it."""
 _NEEDED = ("x", "y", "amplifier", "command", "enable")
 _SWITCHES = ("good", "referenced", "enable", "reset")
 _PROTECTED = {
@@ -161,14 +159,6 @@ class Wire:
                 every = frames.period / self.sample.period if self.sample.period and frames.period else _USUAL_EVERY
                 frames.every = max(1, round(every))
         self._check_numbers()
-
-    @property
-    def readback_lag(self) -> int:
-        """Samples by which the measured current is older than the readings that it comes with.
-
-        A current in a message of its own comes after the sample that it belongs to.
-        """
-        return 0 if self.current is None or self.current in self.parts else 1
 
     @property
     def identifiers(self) -> list[int]:

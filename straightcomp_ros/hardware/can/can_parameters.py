@@ -12,6 +12,8 @@ from straightcomp_ros.parameters.declaration import RefusedParameter, group, par
 if TYPE_CHECKING:
     from straightcomp_ros.hardware.can.board_dbc import Wire
 
+READINGS = ("x", "y", "good")
+"""What a sample is not complete without, as far as the board has it."""
 SHIPPED_DBC = "config/straightcomp.dbc"
 _LOG_ENDINGS = (".log", ".blf")
 
@@ -125,6 +127,17 @@ class WireParameters:
     reset: SwitchParameters = group(SwitchParameters, '"Clear the fault" on CAN')
     echo: SignalParameters = group(SignalParameters, "Number of the answered sample on CAN")
     protection: ProtectedMessages = group(ProtectedMessages)
+
+    @property
+    def readback_lag(self) -> int:
+        """Samples by which the measured current is older than the readings that it comes with.
+
+        A current in a message of its own comes after the sample that it belongs to.
+        """
+        named = (getattr(self, role) for role in READINGS)
+        of_sample = {one.message or self.x.message for one in named if one.signal}
+        apart = (self.current.message or self.x.message) not in of_sample
+        return 1 if self.current.signal and apart else 0
 
 
 @dataclass(frozen=True)
