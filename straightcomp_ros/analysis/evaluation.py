@@ -26,6 +26,7 @@ from straightcomp_ros.bags.recorded_nodes import (
     noted_changes,
     recorded_parameters,
     reports_in,
+    topic_of_reports,
     unpacked_map,
 )
 from straightcomp_ros.bags.recovery import LOST_FILES, RECOVERY_METADATA, UNFINISHED_FILES
@@ -223,12 +224,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
     wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
-    diagnostics = Messages(DIAGNOSTICS)
     with opened(bag) as files:
+        names = topic_names(files)
+        encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), names, str(bag))
+        diagnostics = Messages(topic_of_reports(bag, names, encoder_topic or ENCODER.topic) or DIAGNOSTICS)
         streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
         streams |= _sensor(bag, files)
         attachments = attachments_of(files)
-        encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
         changed = {name: value for _, values in noted_changes(files) for name, value in values.items()}
         # What was recovered of a recording that was cut off ends where that does.

@@ -6,7 +6,7 @@ The values of parameters are not validated here: whoever runs a component with t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -134,10 +134,16 @@ def read_reports(bag: Path) -> dict[str, list[Report]]:
     with opened(bag) as files:
         names = topic_names(files)
         encoder = resolved(ENCODER.topic, names, str(bag))
-        # Bags of 0.1 have it in the nodes' namespace.
-        topic = resolved(DIAGNOSTICS.lstrip("/"), names, str(bag))
+        topic = topic_of_reports(bag, names, encoder)
         messages = messages_on(topic, files) if topic else Messages(DIAGNOSTICS)
     return reports_in(bag, messages, encoder)
+
+
+def topic_of_reports(bag: Path, names: Collection[str], encoder: str | None) -> str | None:
+    """The topic on which the nodes of a bag report, of its topics' full ``names``: bags of release 0.1 have it in the
+    nodes' namespace, which that of the ``encoder`` shows. BagError as of :func:`read_reports`."""
+    own = DIAGNOSTICS.lstrip("/") if encoder is None else f"{encoder.rpartition('/')[0]}{DIAGNOSTICS}"
+    return resolved(DIAGNOSTICS, names, str(bag)) or resolved(own, names, str(bag))
 
 
 def reports_in(bag: Path, messages: Messages, encoder: str | None) -> dict[str, list[Report]]:
