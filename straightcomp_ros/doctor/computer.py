@@ -24,6 +24,7 @@ from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE,
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.cpus import left_behind
+from straightcomp_ros.timing.realtime import realtime_limit
 
 _LAST_FREE_DOMAIN, _LAST_DOMAIN = 101, 232
 """Ports of domains beyond the first are Linux's ephemeral ports; those beyond the second would be above 65535."""
@@ -163,12 +164,13 @@ def priority(ask: Callable[[], None] | None = None) -> Finding:
     return judged("real-time priority", not refused, detail, remedy)
 
 
-def throttling(file: Path = Path("/proc/sys/kernel/sched_rt_runtime_us")) -> Finding:
-    """Whether a node that spins at real-time priority leaves time to log in and stop it."""
-    runtime = _read(file) or "unknown"
+def throttling(folder: Path = Path("/proc/sys/kernel"), release: str | None = None) -> Finding:
+    """Whether a node that spins at real-time priority leaves time to log in and stop it; ``release`` None is the
+    running kernel's."""
+    limit, runtime = realtime_limit(folder, release), _read(folder / "sched_rt_runtime_us")
     remedy = "Switch it on again: sudo sysctl kernel.sched_rt_runtime_us=950000."
-    detail = "off" if runtime == "-1" else f"{runtime} µs of each period"
-    return judged("real-time throttling", runtime != "-1", detail, remedy)
+    detail = f"{limit.replace('/', ' of each ')} µs" if limit else "off" if runtime else "unknown"
+    return judged("real-time throttling", bool(limit) or not runtime, detail, remedy)
 
 
 def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:

@@ -19,6 +19,7 @@ FAST = {"cpu0__cpufreq__scaling_governor": "performance\n"}
 MIXED = {**FAST, "cpu1__cpufreq__scaling_governor": "powersave\n"}
 DOWN = {"can0__type": "280\n", "can0__operstate": "down\n"}
 IDLE = {"stat": "cpu 1 2 3 4 5 6 7 8 0 0\ncpu0 1\n", "loadavg": "0.90 0.50 0.20 1/300 4711\n"}
+UNLIMITED = {"sched_rt_runtime_us": "-1\n", "sched_rt_period_us": "1000000\n"}
 DYNAMIC = "#1 SMP PREEMPT_DYNAMIC Debian 6.12.57-1"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
@@ -160,8 +161,11 @@ def given(check, *arguments, **files):
         (given(computer.locked_memory, resource.RLIM_INFINITY, FILE, file="CapEff:\t0\n"), "ok", "unlimited"),
         (given(computer.priority, refused), "warn", "rtprio"),
         (given(computer.priority, lambda: None), "ok", "permitted"),
-        (given(computer.throttling, FILE, file="-1\n"), "warn", "sysctl"),
-        (given(computer.throttling, FILE, file="950000\n"), "ok", "950000"),
+        (given(computer.throttling, FOLDER, "6.11.0", **UNLIMITED), "warn", "sysctl"),
+        # The kernel's server for normal programs takes the limit's place.
+        (given(computer.throttling, FOLDER, "6.12.57", **UNLIMITED), "ok", "950000"),
+        (given(computer.throttling, FOLDER, "6.11.0", **UNLIMITED | {"sched_rt_runtime_us": "700000"}), "ok", "700000"),
+        (given(computer.throttling, FOLDER), "ok", "unknown"),
         (given(computer.kernel, FILE, DYNAMIC, file="1\n"), "ok", "PREEMPT_RT"),
         (given(computer.kernel, FILE, "#1 SMP PREEMPT_RT Debian 6.12.57-1"), "ok", "PREEMPT_RT"),
         (given(computer.kernel, FILE, DYNAMIC), "warn", "no PREEMPT_RT"),
