@@ -19,7 +19,7 @@ from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.runtime.guarded_node import Refused
-from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, WorkerThread, awaited, sendings
+from straightcomp_ros.runtime.loops import Loop, MessageLoop, PeriodicLoop, WorkerThread, awaited, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
@@ -83,7 +83,7 @@ class ControllerComponent:
         self.loop: Loop = (
             PeriodicLoop(period_ns, lambda wake_ns: self._cycle())
             if parameters.trigger == "timer"
-            else LockedLoop(period_ns, self._wait_in_lockstep if lockstep else self._wait, self._cycle)
+            else MessageLoop(period_ns, self._wait_in_lockstep if lockstep else self._wait, self._cycle)
         )
         streams.follow(self._cycle)
         if not lockstep:

@@ -30,7 +30,7 @@ from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
 from straightcomp_ros.runtime.guarded_node import TICK_S, ThrottledWarning
-from straightcomp_ros.runtime.loops import LockedLoop, Loop, PeriodicLoop, from_monotonic, now_ns
+from straightcomp_ros.runtime.loops import Loop, MessageLoop, PeriodicLoop, from_monotonic, now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
@@ -112,11 +112,11 @@ class DriverComponent:
         self.loop: Loop
         if parameters.lockstep:
             self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.stage.drive.delay, self._publish)
-            self.loop = LockedLoop(period_ns, self._queue.wait, partial(self._answer, self._lockstep))
+            self.loop = MessageLoop(period_ns, self._queue.wait, partial(self._answer, self._lockstep))
         elif self._hardware.newest_arrival_ns is None:
             self.loop = PeriodicLoop(period_ns, self._cycle, punctual=True)
         else:
-            self.loop = LockedLoop(period_ns, self._wait, self._follow)
+            self.loop = MessageLoop(period_ns, self._wait, self._follow)
         machine = parameters.hardware
         if machine == "can":
             machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"

@@ -11,7 +11,7 @@ from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.runtime.guarded_node import Refused
-from straightcomp_ros.runtime.loops import LockedLoop, awaited
+from straightcomp_ros.runtime.loops import MessageLoop, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
@@ -53,7 +53,7 @@ class FeedforwardComponent:
         self._centred = False
         self._gaps = StampGaps()
         self._queue = node.streams.batches(ENCODER)
-        self.loop = LockedLoop(_BATCH_NS, self._queue.wait, self._cycle)
+        self.loop = MessageLoop(_BATCH_NS, self._queue.wait, self._cycle)
         node.streams.follow(self._cycle)
         node.offer(Trigger, "~/reload_map", self._on_reload_map, ParameterError, SurveyError, OSError)
         node.offer(SetBool, "~/center", self._on_center)

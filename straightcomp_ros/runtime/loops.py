@@ -26,8 +26,6 @@ _EARLIER_NS = 50
 _MOST_AWAKE_NS, _NAP_S = 2_000_000, 0.0001
 """A loop that is always late sleeps after each 2 ms: at a real-time priority it would keep those from running who send
 its messages."""
-_GAIN = 0.02
-"""Of the phase-locked loop."""
 _SWITCH_INTERVAL_S = 1e-4
 """Longest wait of the loop for the interpreter lock while the worker thread computes. Python's default of 5 ms is ten
 sampling periods."""
@@ -56,14 +54,13 @@ class Loop(ABC):
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
-        self._due_ns = 0
         self.missed = MissedPeriods(period_ns)
         self._lateness = Histogram()
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
         """Loop until ``stopped()``; ``idle`` is called every ``idle_every_ns``, for work that can wait: see
         :data:`IDLE_EVERY_NS`."""
-        self._due_ns = next_ns = time.monotonic_ns()
+        next_ns = time.monotonic_ns()
         enough_ns = self._period_ns // 2
         while not stopped():
             now_ns, left_ns = self.turn()
@@ -95,7 +92,7 @@ class PeriodicLoop(Loop):
     def __init__(self, period_ns: int, cycle: Callable[[int], object], punctual: bool = False) -> None:
         super().__init__(period_ns)
         self._most_early_ns = period_ns // 8 if punctual else 0
-        self._early_ns = self._slept_ns = self._woken_late_ns = 0
+        self._due_ns = self._early_ns = self._slept_ns = self._woken_late_ns = 0
         self._cycle = cycle
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
@@ -103,6 +100,7 @@ class PeriodicLoop(Loop):
         if sys.platform == "linux":
             # To save power, Linux wakes a normal thread up to 50 µs late: a tenth of our period.
             ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
+        self._due_ns = time.monotonic_ns()
         super().run(stopped, idle, idle_every_ns)
 
     def turn(self) -> tuple[int, int]:
@@ -138,33 +136,24 @@ class PeriodicLoop(Loop):
         self._early_ns = min(max(0, self._early_ns + step_ns), self._most_early_ns)
 
 
-class LockedLoop(Loop):
-    """A loop with the frequency and the phase of a stream: a cycle begins when a message arrives.
-
-    A first-order phase-locked loop predicts each arrival from those before; its error shows how steadily messages
-    arrive. Without messages the loop only does its idle work.
+class MessageLoop(Loop):
+    """A cycle begins when a message arrives; without messages the loop only does its idle work.
 
     ``wait(timeout_ns)`` returns when a message has arrived, or after that time. ``cycle`` returns the number of
     messages found, where those sent together count as one, and the age of the newest in ns, by which it was late.
 
     Attributes:
         missed: messages without a cycle of their own, because a cycle found a later one too.
-        phase_error_ns: how much later than predicted the newest message arrived.
     """
 
     def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
         super().__init__(period_ns)
         self._wait, self._cycle = wait, cycle
-        self.phase_error_ns = 0.0
-
-    def report(self) -> dict[str, object]:
-        """See :class:`Loop`."""
-        return {**super().report(), "phase_error_us": self.phase_error_ns * 1e-3}
 
     def turn(self) -> tuple[int, int]:
         """See :class:`Loop`."""
         self._wait(IDLE_EVERY_NS)
-        now_ns = time.monotonic_ns()
+        woken_ns = time.monotonic_ns()
         count, age_ns = self._cycle()
         if count:
             self._lateness.record(age_ns)
@@ -172,18 +161,9 @@ class LockedLoop(Loop):
                 self.missed.count(count - 1)
                 # At a real-time priority a loop that never waits would keep the middleware's threads from running.
                 os.sched_yield()
-            self._due_ns = self._follow(now_ns - age_ns, self._due_ns) + self._period_ns
         now_ns = time.monotonic_ns()
-        # Without a message no cycle is due: the idle work has the whole period.
-        return now_ns, self._due_ns - now_ns if count else self._period_ns
-
-    def _follow(self, arrival_ns: int, due_ns: int) -> int:
-        """The corrected time at which the message received at ``arrival_ns`` was due."""
-        error_ns = arrival_ns - due_ns
-        if abs(error_ns) > self._period_ns:
-            due_ns, error_ns = arrival_ns, 0  # restart: messages were lost, or their source restarted
-        self.phase_error_ns = float(error_ns)
-        return due_ns + round(_GAIN * error_ns)
+        # The next message is due a period after the last one; without one the idle work has the whole period.
+        return now_ns, woken_ns - age_ns + self._period_ns - now_ns if count else self._period_ns
 
 
 def sendings(sent_ns: Sequence[int], apart_ns: int) -> int:
