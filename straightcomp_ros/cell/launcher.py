@@ -15,7 +15,6 @@ import select
 import signal
 import subprocess
 import sys
-import sysconfig
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -49,7 +48,8 @@ def ros_available() -> bool:
 
 
 def executable_command(executable: str) -> list[str]:
-    """Command that starts an executable of this package, e.g. ``driver_node``; LaunchError if there is none."""
+    """Command that starts an executable of this package, e.g. ``driver_node``; LaunchError if the sourced installation
+    lacks it."""
     for prefix in map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))):
         if (prefix / "share/ament_index/resource_index/packages" / PACKAGE).exists():
             installed = prefix / "lib" / PACKAGE / executable
@@ -57,12 +57,7 @@ def executable_command(executable: str) -> list[str]:
                 return [str(installed)]
             remedy = f"colcon build --packages-select {PACKAGE}, then source the workspace again"
             raise LaunchError(f"executable '{executable}' is missing in {installed.parent}; remedy: {remedy}")
-    if importlib.util.find_spec(f"{PACKAGE}.nodes.{executable}"):
-        return program(f"from {PACKAGE}.nodes.{executable} import main; raise SystemExit(main())")
-    script = Path(sysconfig.get_path("scripts")) / executable
-    if os.access(script, os.X_OK):
-        return [str(script)]
-    raise LaunchError(f"executable '{executable}' is missing in {script.parent}; remedy: make setup")
+    return program(f"from {PACKAGE}.nodes.{executable} import main; raise SystemExit(main())")
 
 
 def verb_command(verb: str, *arguments: str) -> list[str]:
