@@ -159,13 +159,13 @@ def docs(folder: Path) -> str:
 
 def shown_board(**other: Any) -> tuple[Board, dict[str, list[tuple[int, float]]]]:
     """A board of the live view without samples, and those of the bag by series; ``other`` than the usual state."""
-    board = Board({name: Series(SLOT_S, scale) for name, (*_, scale) in SHOWN.items()})
+    board = Board({name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()})
     streams = {ENCODER if stream is POSITION else stream for stream, *_ in SHOWN.values()}
     columns, samples = read_streams(BAG, {one.topic: one.layout for one in streams}), {}
-    for name, (stream, column, sign, _) in SHOWN.items():
+    for name, (stream, column, _) in SHOWN.items():
         found = columns[ENCODER.topic if stream is POSITION else stream.topic]
         each = slice(None, None, POSITION_EVERY if stream is POSITION else 1)
-        stamps, values = found.stamp[each].tolist(), (sign * found.columns[column][each]).tolist()
+        stamps, values = found.stamp[each].tolist(), found.columns[column][each].tolist()
         samples[name] = list(zip(stamps, values, strict=True))
     node = {"state": "active", "rate_hz": "2000.0", "overruns": "0", "lost": "0", "late_p99_us": "81"}
     state: dict[str, Any] = {

@@ -29,14 +29,14 @@ _LATENCIES, _SUMMARY_EVERY = 40_000, 20
 """Latencies whose distribution is shown: of 20 s at 2 kHz; and of how many fetches one counts them anew."""
 SHOWN = {
     # Deviation of the guide by the map: the negative of the reference.
-    "deviation": (REFERENCE, "r", -1.0, 1e6),
-    "y": (POSITION, "y", 1.0, 1e6),
-    "error": (CONTROLLER_STATE, "error", 1.0, 1e6),
-    "sigma": (CONTROLLER_STATE, "sliding_variable", 1.0, 1e3),
-    "latency": (DRIVER_STATE, "command_latency", 1.0, 1e6),
-    "x": (POSITION, "x", 1.0, 1e3),
+    "deviation": (REFERENCE, "r", -1e6),
+    "y": (POSITION, "y", 1e6),
+    "error": (CONTROLLER_STATE, "error", 1e6),
+    "sigma": (CONTROLLER_STATE, "sliding_variable", 1e3),
+    "latency": (DRIVER_STATE, "command_latency", 1e6),
+    "x": (POSITION, "x", 1e3),
 }
-"""Series: stream, column, sign and scale, for µm, mm/s, µs, mm."""
+"""Series: stream, column, factor for µm, mm/s, µs or mm."""
 _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
 """Name in the diagnostics, by name on the page."""
 
@@ -61,7 +61,7 @@ class ViewNode(Runnable):
         self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime = node, Future(), realtime
         self._graph = GraphClient(node, RECORDED, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
-        self._board = Board({name: Series(SLOT_S, scale) for name, (*_, scale) in SHOWN.items()})
+        self._board = Board({name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()})
         self._driver = RemoteParameters(node, ("driver",))
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
         self._distribution: dict[str, object] = {}
@@ -83,9 +83,9 @@ class ViewNode(Runnable):
         if self.done.done():
             return
         fetched = self._graph.fetch()
-        for name, (stream, column, sign, _) in SHOWN.items():
+        for name, (stream, column, _) in SHOWN.items():
             place = stream.layout.columns.index(column)
-            self._board.add(name, [(stamp_ns, sign * numbers[place]) for stamp_ns, numbers, _ in fetched[stream]])
+            self._board.add(name, [(stamp_ns, numbers[place]) for stamp_ns, numbers, _ in fetched[stream]])
         place = DRIVER_STATE.layout.columns.index("command_latency")
         self._latencies.extend(n[place] for _, n, _ in fetched[DRIVER_STATE] if math.isfinite(n[place]))
         if self._fetches % _SUMMARY_EVERY == 0:

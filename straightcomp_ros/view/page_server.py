@@ -48,7 +48,7 @@ class ActionRefused(Exception):
 class Series:
     """One quantity in slots of ``slot`` s, each with the least and the greatest value: no peak is lost.
 
-    ``scale`` is the shown unit per SI unit, e.g. 1e6 for µm. The last 20 s are kept.
+    ``scale`` is the shown unit per SI unit, e.g. 1e6 for µm, with the sign. The last 20 s are kept.
     """
 
     def __init__(self, slot: float, scale: float) -> None:
@@ -62,15 +62,16 @@ class Series:
             number = stamp_ns // self._slot_ns
             if number != self._number:
                 self._close(number)
-            if math.isfinite(value):
-                self._low, self._high = min(self._low, value), max(self._high, value)
+            shown = value * self._scale
+            if math.isfinite(shown):
+                self._low, self._high = min(self._low, shown), max(self._high, shown)
 
     def _close(self, number: int) -> None:
         if number < self._number:
             # The source was started anew.
             self._slots.clear()
         elif self._low <= self._high:
-            values = (float(f"{value * self._scale:.7g}") for value in (self._low, self._high))
+            values = (float(f"{value:.7g}") for value in (self._low, self._high))
             self._slots.append([self._number, self._number * self._slot_ns * 1e-9, *values])
         self._number, self._low, self._high = number, math.inf, -math.inf
 

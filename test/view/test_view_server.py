@@ -164,6 +164,12 @@ def test_a_place_some_metres_along_the_guide_is_shown_to_a_micrometre():
     assert series.after(-1) == [[0, 0.0, 2345.678, 2345.697]]
 
 
+def test_the_least_value_of_a_slot_comes_first_under_a_negative_factor_too():
+    series = Series(0.02, -1e3)
+    series.add([(k * MS, k * 1e-3) for k in range(25)])
+    assert series.after(-1) == [[0, 0.0, -19.0, 0.0]]
+
+
 def test_a_source_that_starts_anew_is_sent_from_its_start():
     board = Board({"x": Series(0.02, 1.0)})
     seen = {}
