@@ -119,10 +119,8 @@ class GuardedNode(Node):
         """Have timers in common with another node of this process: each timer of the executor takes its turns."""
         self._steady_timers = other.steady_timers
 
-    def create_timer(self, period: float, callback: Callable[[], object], *more: Any, **options: Any) -> Any:
-        """A timer on the steady clock, with a resolution of :data:`TICK_S`; a faster one is the executor's own."""
-        if period < TICK_S:
-            return super().create_timer(period, callback, *more, **options)
+    def create_timer(self, period: float, callback: Callable[[], object]) -> SteadyTimer:
+        """A timer on the steady clock, with a resolution of :data:`TICK_S`."""
         timer = self.steady_timers.add(period, callback)
         self.own_timers.append(timer)
         return timer

@@ -13,7 +13,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 from rclpy.duration import Duration
@@ -350,8 +350,6 @@ class Streams:
 
     def __init__(self, node: Any, shared: IntraProcess | None = None, place: int = 0) -> None:
         self._node, self._shared, self._place = node, shared, place
-        # rclpy takes some 50 µs to resolve a name.
-        self._full_name: Callable[[str], str] = cache(node.resolve_topic_name)
         self._memory: list[MemoryQueue] = []
         self._unspun: Node | None = None
 
@@ -428,7 +426,7 @@ class Streams:
         if not self._shared:
             return lambda: False
         shared, found = self._shared, [False]
-        count = publisher_count(self._node, self._full_name(stream.topic))
+        count = publisher_count(self._node, self._node.resolve_topic_name(stream.topic))
 
         def look() -> None:
             found[0] = count() > sum(topic == stream.topic for _, topic, _ in shared.publishers)

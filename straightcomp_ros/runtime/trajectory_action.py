@@ -32,8 +32,6 @@ try:
 except ImportError:
     FollowJointTrajectory = None
 
-ACTION = "follow_joint_trajectory"
-
 
 def read_by_stamp(message: bytes, joint: str) -> Trajectory:
     """The trajectory of ``joint`` in a JointTrajectory, from now on: by its stamp it may begin later. ValueError if it
@@ -68,7 +66,7 @@ class TrajectoryAction:
             self._server = ActionServer(
                 node,
                 FollowJointTrajectory,
-                f"~/{ACTION}",
+                "~/follow_joint_trajectory",
                 self._unused,
                 handle_accepted_callback=self._take,
                 cancel_callback=self._cancel,
