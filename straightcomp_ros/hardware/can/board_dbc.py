@@ -99,7 +99,6 @@ class Wire:
         commands: all frames of the host, in the order of sending: those with the current last.
         command: those with the current.
         command_modulus: as ``part_modulus``, of the frames of a command.
-        status: frames with the amplifier's state.
         current: frames with the measured current; None for a board without.
         heartbeat: None for a board without.
         sample_modulus: of the count in each sample's own frames, by which samples are numbered; 0 without one.
@@ -134,8 +133,8 @@ class Wire:
             for roles, order, kind in ((OF_BOARD, OF_BOARD, Report), (OF_HOST, OF_HOST[::-1], Command))
         )
         self.homes = {role: of_board[names[role]] for role in OF_BOARD if role in names}
-        self.sample, self.status = self.homes["x"], self.homes["amplifier"]
-        self.current, self.counting = self.homes.get("current"), self.homes.get("counter")
+        self.sample, self.current = self.homes["x"], self.homes.get("current")
+        self.counting = self.homes.get("counter")
         self.reports: Mapping[int, Frames] = {
             of_board[name].identifier: of_board[name] for name in protections if name in of_board
         }

@@ -24,8 +24,6 @@ _BITS = {
     "is_fd": hub.FD,
     "bitrate_switch": hub.BIT_RATE_SWITCH,
 }
-_KINDS = [{name: bool(flags & bit) for name, bit in _BITS.items()} for flags in range(256)]
-"""python-can's arguments for each combination of flags."""
 
 
 class HubBus(can.BusABC):
@@ -113,4 +111,5 @@ def frame_of(message: can.Message) -> Frame:
 def message_of(frame: Frame) -> can.Message:
     stamp_ns, identifier, flags, data = frame
     own, extended = identifier & ~EXTENDED_ID, bool(identifier & EXTENDED_ID)
-    return can.Message(stamp_ns * 1e-9, own, is_extended_id=extended, data=data, **_KINDS[flags])
+    kinds = {name: bool(flags & bit) for name, bit in _BITS.items()}
+    return can.Message(stamp_ns * 1e-9, own, is_extended_id=extended, data=data, **kinds)

@@ -247,7 +247,7 @@ def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_w
 
 
 def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
-    foreign.unreceived = {foreign.wire.status.identifier}
+    foreign.unreceived = {foreign.wire.homes["amplifier"].identifier}
     foreign.run(0.14)
     assert foreign.host.state is State.ON
     foreign.run(0.03)

@@ -41,7 +41,8 @@ def edited(tmp_path):
 def test_another_boards_file_gives_identifiers_lengths_and_kinds_of_frames():
     wire = foreign()
     assert (wire.sample.identifier, wire.sample.size, wire.sample.fd) == (0x120, 16, True)
-    assert (wire.status.identifier, wire.status.size, wire.status.fd, wire.status.every) == (0x321, 8, False, 10)
+    status = wire.homes["amplifier"]
+    assert (status.identifier, status.size, status.fd, status.every) == (0x321, 8, False, 10)
     # Bit 31 marks an identifier of 29 bits.
     assert (wire.command.identifier, wire.command.size, wire.command.fd) == (0x98FF0201, 8, False)
     assert wire.heartbeat is None and wire.counting is None
@@ -62,7 +63,8 @@ def test_physical_values_of_another_board_are_in_si_units():
 
 def test_pages_of_a_multiplexed_status_take_turns_and_have_their_own_fields():
     wire = foreign()
-    found = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
+    status = wire.homes["amplifier"]
+    found = [status.unpack(status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
     assert [one.amplifier for one in found] == [State.ON, None, State.ON, None]
     assert [one.fault for one in found] == [None, 34, None, 34]
     assert wire.fault_words(34) == "SUPPLY" and wire.fault_words(99) == "fault 99"
@@ -70,14 +72,14 @@ def test_pages_of_a_multiplexed_status_take_turns_and_have_their_own_fields():
 
 
 def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_so():
-    wire = foreign()
-    off = wire.status.pack(REPORT._replace(amplifier=State.OFF), 0)
-    assert wire.status.unpack(off).amplifier is State.OFF
+    status = foreign().homes["amplifier"]
+    off = status.pack(REPORT._replace(amplifier=State.OFF), 0)
+    assert status.unpack(off).amplifier is State.OFF
     # Now READY, the other of the two, is "on" and ENABLED none: what has no meaning is refused.
-    strict = foreign(**{"wire/amplifier/off_value": 0, "wire/amplifier/on_value": 1})
-    assert strict.status.unpack(strict.status.pack(REPORT, 0)).amplifier is State.ON
+    strict = foreign(**{"wire/amplifier/off_value": 0, "wire/amplifier/on_value": 1}).homes["amplifier"]
+    assert strict.unpack(strict.pack(REPORT, 0)).amplifier is State.ON
     with pytest.raises(ValueError, match="state"):
-        strict.status.unpack(wire.status.pack(REPORT, 0))
+        strict.unpack(status.pack(REPORT, 0))
 
 
 def test_a_reading_that_is_no_number_is_not_good(edited):
@@ -210,8 +212,8 @@ def test_a_frame_with_an_identifier_of_the_emulators_is_refused_where_a_stage_is
 
 
 def test_a_file_that_was_edited_is_read_again(edited):
-    assert foreign(dbc=edited(" 801 ", " 802 ")).status.identifier == 802
-    assert foreign(dbc=edited(" 801 ", " 803 ")).status.identifier == 803
+    assert foreign(dbc=edited(" 801 ", " 802 ")).homes["amplifier"].identifier == 802
+    assert foreign(dbc=edited(" 801 ", " 803 ")).homes["amplifier"].identifier == 803
 
 
 def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():

@@ -192,7 +192,7 @@ def test_a_status_whose_count_stands_still_is_counted_and_not_taken(tmp_path, to
     protection = replace(protection, status=replace(protection.status, alive="STATUS_CNT"))
     wire = replace(FOREIGN.wire, protection=protection)
     receiver = Receiver(replace(FOREIGN, dbc=str(tmp_path / "board.dbc"), wire=wire), SLOW_STAGE)
-    status, said = receiver.wire.status, Report(amplifier=State.ON, fault=0)
+    status, said = receiver.wire.homes["amplifier"], Report(amplifier=State.ON, fault=0)
     for turn in range(40):
         # Pages count together, or each by itself.
         alive = (turn if together else turn // len(status.pages)) % status.alive_modulus
