@@ -122,6 +122,10 @@ def _own_only(method: Callable[..., Any], subscriptions: Callable[[Any], Sequenc
     return guarded
 
 
+def _of_one(params: Any) -> list[int]:
+    return [params.SubscriptionId]
+
+
 class GuardedSession(InternalSession):
     """A client's session: every admitted client reads, operators call methods, none writes or changes nodes.
 
@@ -163,7 +167,10 @@ class GuardedSession(InternalSession):
     history_update = transfer_subscriptions = _denied
     delete_subscriptions = _own_only(InternalSession.delete_subscriptions, lambda numbers: numbers)
     set_publishing_mode = _own_only(InternalSession.set_publishing_mode, lambda params: params.SubscriptionIds)
-    republish = _own_only(InternalSession.republish, lambda params: [params.SubscriptionId])
+    republish = _own_only(InternalSession.republish, _of_one)
+    modify_monitored_items = _own_only(InternalSession.modify_monitored_items, _of_one)
+    set_monitoring_mode = _own_only(InternalSession.set_monitoring_mode, _of_one)
+    delete_monitored_items = _own_only(InternalSession.delete_monitored_items, _of_one)
 
     async def create_subscription(self, params: ua.CreateSubscriptionParameters, *rest: Any, **options: Any) -> Any:
         _refuse(ua.StatusCodes.BadTooManySubscriptions, len(self._own_subscriptions()) >= _MOST_SUBSCRIPTIONS)
@@ -184,10 +191,6 @@ class GuardedSession(InternalSession):
         too_many = items + len(params.ItemsToCreate) > _MOST_MONITORED_ITEMS
         _refuse(ua.StatusCodes.BadTooManyMonitoredItems, too_many)
         return await super().create_monitored_items(params)
-
-    async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
-        self.check_own(params.SubscriptionId)
-        return await super().delete_monitored_items(params)
 
     def _own_subscriptions(self) -> list[int]:
         every = self.subscription_service.subscriptions

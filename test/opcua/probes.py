@@ -175,6 +175,13 @@ async def around(url):
     results["end another's subscription"] = await outcome(
         made.uaclient.delete_subscriptions([subscription.subscription_id])
     )
+    of_another = {"SubscriptionId": subscription.subscription_id}
+    items = ua.DeleteMonitoredItemsParameters(**of_another, MonitoredItemIds=[1])
+    results["remove another's items"] = await outcome(made.uaclient.delete_monitored_items(items))
+    items = ua.SetMonitoringModeParameters(**of_another, MonitoringMode=ua.MonitoringMode.Disabled)
+    results["silence another's items"] = await outcome(made.uaclient.set_monitoring_mode(items))
+    items = ua.ModifyMonitoredItemsParameters(**of_another)
+    results["change another's items"] = await outcome(made.uaclient.modify_monitored_items(items))
     return results
 
 

@@ -146,7 +146,7 @@ def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
     results = probed("around", plain.url)
     assert results.pop("victim goes on") == "done"
     assert all(outcome != "done" for outcome in results.values()), results
-    assert len(results) == 3 and not plain.commands
+    assert len(results) == 6 and not plain.commands
 
 
 def test_a_client_changes_its_screen_as_often_as_it_likes_and_shows_no_more_than_is_allowed_at_once(plain):
