@@ -237,7 +237,7 @@ def multisine_injection(
     parameters: MultisineParameters, law: Law, stage: StageParameters
 ) -> tuple[Multisine, Injection]:
     """The multisine shaped for ``law`` on ``stage`` as described, and its injection; raises as `multisine`, and
-    ValueError for a law without a linearisation at rest."""
+    NotLinear for a law without a linearisation at rest."""
     made = multisine(parameters, stage.rate, lambda lines: loop_response(law, stage, lines, stage.friction.viscous))
     fade = max(1, round(_FADE * stage.rate))
     if made.currents.size < 2 * fade:

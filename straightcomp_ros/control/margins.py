@@ -67,6 +67,10 @@ Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+class NotLinear(ValueError):
+    """A law has no linearisation at rest, and so no linear margins or responses: verbs print it as a sentence."""
+
+
 class StateSpace(NamedTuple):
     """x⁺ = A x + B u, out = C x + D u: a (n, n), b (n, inputs), c (outputs, n), d (outputs, inputs)."""
 
@@ -201,7 +205,7 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     second input; otherwise none is measured.
 
     Raises:
-        ValueError: the law is not linear there.
+        NotLinear: the law is not linear there.
     """
     inputs, size = (2 if with_current else 1), len(flat(law.start(0.0)))
     for step in _STEPS:
@@ -212,7 +216,7 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
         kept = np.ix_([*looped, size], [*looped, *range(size, size + inputs)])
         if np.allclose(columns[kept], coarser[kept], rtol=_LINEAR_WITHIN, atol=0.0):
             return StateSpace(all_a[np.ix_(looped, looped)], all_b[looped], all_c[:, looped], columns[size:, size:])
-    raise ValueError(
+    raise NotLinear(
         "this law has no linearisation at rest: its slope there depends on the step; smc has one with a "
         "'control.smc.boundary_layer' above 0"
     )
@@ -269,7 +273,7 @@ def loop_margins(
     ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
 
     Raises:
-        ValueError: the law has no linearisation at rest.
+        NotLinear: the law has no linearisation at rest.
     """
     late, period = stage.delay if delay is None else delay, stage.period
     plant, linear = sampled_plant(stage, late), linearised(law, with_current=with_current)
@@ -372,7 +376,7 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     plant act as on the position.
 
     Raises:
-        ValueError: the law has no linearisation at rest.
+        NotLinear: the law has no linearisation at rest.
     """
     plant = sampled_plant(stage, damping=damping)
     z = np.exp(2j * math.pi * frequencies * stage.period)
@@ -403,7 +407,7 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
 
 
 def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
-    """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
+    """Each limit that the law misses, in words; NotLinear if the law has no linearisation at rest."""
     plant = sampled_plant(stage)
     laws = {state: make_law(one, stage) for state, one in states_of(control, stage).items()}
     for state, law in laws.items():

@@ -350,7 +350,7 @@ def measure_simulated(
         FrequencyResponseError: the excitation does not fit the rate.
         ExcitationEnded: the platform left the allowed travel.
         ParameterError, SurveyError: the parameters are refused.
-        ValueError: the law has no linearisation at rest.
+        NotLinear: the law has no linearisation at rest.
     """
     nodes = node_set(values)
     stage, control = nodes.controller.stage, nodes.controller.control
