@@ -12,8 +12,8 @@ TOPIC = f"/{DISPLACEMENT.topic}"
 def recorded_run(bag, values, see=SimulatedRun.add, sensor=None, layout=DISPLACEMENT.layout, **simulation):
     """Simulate, write the folder ``bag`` and return it; what was learned is saved where ``values`` name a file for it.
 
-    ``see(run, sample, truth, …)`` writes a sample; `X of a displacement sensor
-    in m, or None; ``simulation`` are further arguments of `Simulation`."""
+    ``see(run, sample, truth, …)`` writes a sample; ``sensor(sample, truth)`` is the reading of a displacement sensor
+    in m, or None, sent by ``layout``; ``simulation`` are further arguments of `Simulation`."""
     made = Simulation(values, **simulation)
     with SimulatedRun(bag, by_node(values), made.delay) as run:
         if sensor is not None:

@@ -74,8 +74,8 @@ _WITH_MOTION = 0.5
 """Least correlation of an error that friction makes with the direction of the reference. With 20 to 60 times the
 friction it was 0.63 and 0.71, with an offset that drifts at most 0.03."""
 _SAME_WAY = 0.9
-"""Mean product of the directions of platform and stage, either sign, from which their forces are not told apart: at
-most one sample in twenty then has one without the other."""
+"""Mean product of the directions of platform and stage, either sign, from which their forces are not distinguished:
+at most one sample in twenty then has one without the other."""
 _OF_A_MODE = 0.1
 """Relative distance from a mode within which a line is of it: a loop that a mode destabilises shifts it a little."""
 _STANDS, _STANDING = 0.4, 0.2
@@ -254,8 +254,8 @@ def _unexplained(x: Array, left: Array, shape: Array) -> float:
 
 def dragging(time: Array, y: Array, r: Array, current: Array, error: Array, strokes: Sequence[Stroke]) -> float:
     """Part of the ``current`` (n,) in A that opposes a cable's drag: it turns round with the travel of the stage, that
-    against friction with the platform's. 0 unless the two can be told apart, it outweighs the rest, and the ``error``
-    (n,) in m is made where the stage starts and stops, as that of an offset that drifts is not."""
+    against friction with the platform's. 0 unless the two can be distinguished, it outweighs the rest, and the
+    ``error`` (n,) in m is made where the stage starts and stops, as that of an offset that drifts is not."""
     period, ways = float(np.median(np.diff(time))), np.zeros(time.size)
     ends = np.zeros(time.size, dtype=bool)
     for one in strokes:
