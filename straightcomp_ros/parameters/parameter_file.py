@@ -29,6 +29,10 @@ _LEVELS = {"**": r"(/\w+)*", "*": r"/\w+"}
 """What stands for levels of a node's full name in a key of a parameter file, as for rcl."""
 
 
+class OtherNamespaceError(ParameterError):
+    """A parameter file is for nodes of other namespaces only."""
+
+
 def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     """Values of a ROS 2 parameter file for nodes in ``namespace``, by node and dotted name, with a key for each node of
     this package.
@@ -39,8 +43,8 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
     ROS itself declares on every node are left out.
 
     Raises:
-        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, names an unknown node, or
-            has sections for other namespaces only.
+        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
+        OtherNamespaceError: it has sections for other namespaces only.
     """
     source = f"parameter file {path}"
     try:
@@ -71,7 +75,7 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
                 _describe(values, {rest: value})
     if foreign and len(foreign) == len(sections):
         place = f"namespace {before}" if before else "no namespace"
-        raise ParameterError(
+        raise OtherNamespaceError(
             f"{source}: is for other nodes than those in {place}: {', '.join(foreign)}; allowed: {ALL_NODES}/NODE"
         )
     return values

@@ -3,7 +3,6 @@
 import os
 import tempfile
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -26,6 +25,7 @@ from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.parameters.parameter_file import (
     DEFAULT_FILE,
     DEFAULT_STAGE,
+    OtherNamespaceError,
     as_parameter_file,
     files_beside,
     read_parameter_file,
@@ -148,16 +148,21 @@ def _stage_files(context: LaunchContext) -> list[LaunchConfiguration | PathJoinS
 def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[str, object]:
     """Parameters of ``node`` by the arguments, whose values are known only now: an empty one leaves the parameter to
     the file or the default. A file in the folder of that which describes the stage is named, as a node alone would not
-    look there."""
+    look there. Raises OtherNamespaceError."""
     file, stage, namespace = (
         LaunchConfiguration(name).perform(context) for name in ("params_file", "stage", "namespace")
     )
-    describing = stage or file
     given: dict[str, object] = {}
-    # The node refuses a wrong file, and says why; or it is for nodes of other namespaces.
-    with suppress(ParameterError):
-        found = files_beside(describing, read_parameter_file(describing, namespace))
-        given = {f"{STAGE}.{name}": file for name, file in found.get(STAGE, {}).items()} | found.get(node, {})
+    for path in filter(None, (file, stage)):
+        try:
+            values = read_parameter_file(path, namespace)
+        except OtherNamespaceError:
+            raise  # The node would pass over such a file.
+        except ParameterError:
+            continue  # The node refuses it, and says why.
+        if path == (stage or file):
+            found = files_beside(path, values)
+            given = {f"{STAGE}.{name}": named for name, named in found.get(STAGE, {}).items()} | found.get(node, {})
     for argument in overrides:
         if value := LaunchConfiguration(argument).perform(context):
             parameter, kind, _ = OVERRIDES[argument]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from places import REPOSITORY
 
-from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.declaration import ParameterError, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, read_parameter_file
 
@@ -218,6 +218,14 @@ def test_a_survey_next_to_the_description_is_found_wherever_the_launch_is_starte
     for node in of_kind("Node", CELL, **{argument: str(stage)}, namespace=namespace):
         [*_, given] = node.kwargs["parameters"]
         assert given["stage.guide.file"].args == (str(stage.with_name("guide.csv")),)
+
+
+@pytest.mark.parametrize("composed", ["true", "false"])
+@pytest.mark.parametrize("argument", ["stage", "params_file"])
+def test_a_file_for_another_namespace_only_starts_no_node(stage, argument, composed):
+    stage.write_text(stage.read_text().replace("/**", "left/**"))
+    with pytest.raises(ParameterError, match=rf"{stage}: .*no namespace.*left/\*\*"):
+        entities(CELL, {argument: str(stage), "composed": composed})
 
 
 def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(stage):
