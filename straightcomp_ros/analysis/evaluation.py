@@ -223,15 +223,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    named = DISPLACEMENT.topic in (remap or {})
-    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, *([DISPLACEMENT] if named else []))
+    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
     with opened(bag) as files:
         names = topic_names(files)
         encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), names, str(bag))
         diagnostics = Messages(topic_of_reports(bag, names, encoder_topic or ENCODER.topic) or DIAGNOSTICS)
         streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
-        if not named:
-            streams |= _sensor(bag, files)
+        streams |= _sensor(bag, files)
         attachments = attachments_of(files)
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
         changed = {name: value for _, values in noted_changes(files) for name, value in values.items()}

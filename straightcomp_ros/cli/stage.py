@@ -24,7 +24,7 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written
 from straightcomp_ros.cli.results import show_findings, titled_table
-from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters
 from straightcomp_ros.parameters.declaration import Declaration, ParameterError, declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, ControllerNodeParameters, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
@@ -172,8 +172,9 @@ def _show(options: argparse.Namespace) -> None:
         return
     title = f"Stage '{stage.name}', law '{controller.control.law}'"
     table = titled_table(title, "what follows", "value", "unit", left=("unit",))
+    without = "there is no loop" if controller.control.law == OPEN_LOOP else "the law switches"
     for _, words, unit, value in figures:
-        table.add_row(words, "the law switches" if value is None else f"{value:.4g}", unit)
+        table.add_row(words, without if value is None else f"{value:.4g}", unit)
     console.print(table)
 
 

@@ -111,10 +111,12 @@ class Consequences:
             for data in (0.0, 5e6)
         )
         self.law_state, law = described_state(control, stage)
-        self.margins: Margins | None = None  # of a law that has a linearisation at rest, in this state
+        # Of a law that has a linearisation at rest, in this state, and closes the loop.
+        self.margins: Margins | None = None
         self.unstable_where = unstable_where(control, stage)  # in words
         with contextlib.suppress(ValueError):
-            self.margins = loop_margins(make_law(law, stage), stage)
+            if control.law != OPEN_LOOP:
+                self.margins = loop_margins(make_law(law, stage), stage)
 
 
 def stage_findings(controller: ControllerNodeParameters, tracking: FeedforwardParameters) -> Iterator[Finding]:

@@ -113,6 +113,9 @@ def locked(file: Path) -> Iterator[None]:
         # One that root has made is locked without writing; only NFS locks no such file.
         lock = os.open(file, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, _NEW)
     try:
+        with suppress(OSError):
+            # Others than its owner lock it too, whatever the umask was: it has no content.
+            os.fchmod(lock, os.fstat(lock).st_mode & 0o777 | 0o444)
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
     finally:

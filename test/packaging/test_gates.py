@@ -7,6 +7,7 @@ import sys
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from places import REPOSITORY
 
 
@@ -48,3 +49,9 @@ def test_the_manifest_is_one_that_ros_accepts_without_a_warning_and_in_the_order
     package.validate(warnings=warnings)
     assert not warnings and package.package_format == 3 and re.fullmatch(r"\d+\.\d+\.\d+", package.version)
     assert [export.content for export in package.exports if export.tagname == "build_type"] == ["ament_python"]
+
+
+def test_every_change_that_no_test_can_notice_is_one_of_a_line_of_the_source():
+    for entry in yaml.safe_load((REPOSITORY / "test/equivalent_mutants.yaml").read_text(encoding="utf-8")):
+        lines = map(str.strip, (REPOSITORY / entry["file"]).read_text(encoding="utf-8").splitlines())
+        assert entry["line"] in lines and entry["mutant"] != entry["line"], entry

@@ -73,8 +73,13 @@ def test_a_lock_that_may_not_be_written_is_waited_for_and_taken(tmp_path, monkey
     monkeypatch.chdir(tmp_path)
     tmp_path.chmod(0o755)
     lock, root = Path("lock"), os.geteuid() == 0
-    with locked(lock):
-        lock.chmod(0o444)
+    before = os.umask(0o077)
+    try:
+        with locked(lock):
+            assert stat.S_IMODE(lock.stat().st_mode) == 0o644
+    finally:
+        os.umask(before)
+    lock.chmod(0o444)
     if root:
         os.seteuid(4711)
     try:

@@ -166,14 +166,19 @@ def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, new, survey, printed):
 
 def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, new, printed, verb):
     assert new(tmp_path / "one").code == 0
-    code, found, _ = printed("stage", "show", tmp_path / "one" / "stage.yaml")
+    stage = tmp_path / "one" / "stage.yaml"
+    code, found, _ = printed("stage", "show", stage)
     # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/evidence/plant.md.
     assert code == 0 and found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
     assert found["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
     assert found["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
     assert found["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
     assert found["correction_um"] == pytest.approx(11.2, abs=0.1)
-    assert "dead time" in verb("stage", "show", tmp_path / "one" / "stage.yaml").out
+    assert found["phase_deg"] > 10.0
+    assert "dead time" in verb("stage", "show", stage).out
+    stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {control: {law: open_loop}}}\n")
+    found = printed("stage", "show", stage)[1]
+    assert (found["law"], found["phase_deg"], found["longest_delay_s"]) == ("open_loop", None, None)
 
 
 @pytest.mark.parametrize("back", [False, True])
