@@ -5,6 +5,7 @@ import gzip
 import itertools
 import os
 import re
+import sqlite3
 import struct
 import tempfile
 import threading
@@ -33,7 +34,8 @@ _SEND_TIMEOUT_S = 1.0
 _NO_FRAME = "its first frame cannot be read; allowed: a whole log of the kind that its ending says"
 _SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
 """A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
-_UNREADABLE = (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError)
+_OF_FORMATS = (BLFParseError, struct.error, zlib.error, sqlite3.Error)
+_UNREADABLE = (*_OF_FORMATS, ValueError, LookupError, ArithmeticError, TypeError, EOFError, OSError)
 _LINES = (".log", ".asc", ".trc", ".csv")
 """Endings of logs with a line for each frame."""
 _MARKED: dict[str, Callable[[TextIO], Any]] = {".log": can.CanutilsLogReader, ".trc": can.TRCReader}
@@ -45,7 +47,7 @@ _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (rb"timestamp,arbitration_id,", ".csv", "a CSV log of python-can"),
     (rb"LOGG", ".blf", "a BLF log of Vector"),
     (rb"MDF     |UnFinMF ", ".mf4", "a log in MDF"),
-    (rb"SQLite format 3", ".db", "a database of python-can"),
+    (rb"SQLite format 3", ".db", "a bag, which straightcomp replay reads, or a database of python-can"),
     (
         rb"\s*(\([-\d.: ]+\)\s+)?\S+\s+(([RT]X|[-BE]+)\s+)*[0-9A-Fa-f]{3,8}\s+\[ *\d+\]",
         "",
@@ -143,7 +145,8 @@ class FrameLog:
 
 
 class RecordedBus:
-    """The frames of a log in any format that python-can reads; with ``channel`` those of one of its buses.
+    """The frames of a log in any format that python-can reads; with ``channel`` those of one of its buses, named or
+    numbered as in the file.
 
     Iterating raises HardwareError if there is no such file, or its format is not known. A log that is damaged, as after
     a crash, ends with the last frame that can be read.
@@ -154,6 +157,7 @@ class RecordedBus:
 
     def __init__(self, file: Path, channel: str | None = None) -> None:
         self._file, self._channel = file, channel
+        self._ending = Path(file.name.lower().removesuffix(".gz")).suffix
 
     def __iter__(self) -> Iterator[can.Message]:
         number = 0
@@ -161,7 +165,10 @@ class RecordedBus:
             with self._reader() as reader:
                 cut = _is_cut(self._file)
                 for message in _all_but_the_last(reader) if cut and self._file.suffix.lower() in _LINES else reader:
+                    frame_of(message)  # raises for what is no frame: a time that is no number, an empty cell
                     number += 1
+                    if self._ending in (".asc", ".blf") and isinstance(message.channel, int):
+                        message.channel += 1  # python-can counts from 0, the file from 1
                     if self._channel in (None, str(message.channel)):
                         yield message
         except _UNREADABLE:
@@ -173,11 +180,10 @@ class RecordedBus:
         try:
             with self._file.open("rb") as opened:
                 _refuse_another_kind(self._file.suffix.lower(), opened.read(4096))
-            ending = Path(self._file.name.lower().removesuffix(".gz")).suffix
-            if ending == ".asc":
+            if self._ending == ".asc":
                 return can.ASCReader(_plain_asc(self._file))
-            if ending in _MARKED:
-                return _MARKED[ending](_opened(self._file, "rt", encoding="utf-8-sig"))
+            if self._ending in _MARKED:
+                return _MARKED[self._ending](_opened(self._file, "rt", encoding="utf-8-sig"))
             return can.LogReader(self._file)
         except NotImplementedError as error:
             raise HardwareError("MDF needs asammdf; install it by pip, or export the log as .blf or .asc") from error
@@ -235,14 +241,20 @@ def _opened(file: Path, mode: str, **options: str) -> Any:
 
 def _plain_asc(file: Path) -> TextIO:
     """The lines of an ASC log as python-can reads them: in UTF-8, without the date, which has the words of some
-    language, and with times from the beginning. "relative" ones count from the line before, whatever that holds."""
+    language, and with times from the beginning. "relative" ones count from the line before, whatever that holds.
+
+    An empty line ends the head: the reader ends it by dropping the first line that it does not know, perhaps a frame.
+    """
     plain = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
-    relative, now = False, Decimal(0)
+    relative, begun, now = False, False, Decimal(0)
     with _opened(file, "rb") as opened:
         for content in opened:
             line = decoded(content)
             relative = relative or re.match(r"\s*base\s+\w+\s+timestamps\s+relative", line, re.IGNORECASE) is not None
             timed = re.match(r"\s*(\d+\.\d+)(?=\s)", line)
+            if timed and not begun:
+                begun = True
+                plain.write("\n")
             if relative and timed:
                 now += Decimal(timed[1])
                 line = f"{now}{line[timed.end() :]}"

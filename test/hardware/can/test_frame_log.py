@@ -1,10 +1,14 @@
 """Recorded buses: what the driver's link writes, what a crash leaves of it, and a driver that is fed from it."""
 
 import gzip
+import io
 import itertools
 import shutil
+import sqlite3
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import can
@@ -131,10 +135,11 @@ def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monke
     assert frames[0].channel == "can7"
 
 
-def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, verb):
+@pytest.mark.parametrize("damage", ["(1700000001.0", "(nan) can0 701#05 R\n", "(1e300) can0 701#05 R\n"])
+def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, verb, damage):
     file = tmp_path / "bus.log"
     lines = "".join(f"({START_S + k * 1e-3:f}) can0 701#05 R\n" for k in range(50))
-    file.write_text(lines + "(1700000001.0")
+    file.write_text(lines + damage)
     with can.Bus(interface="virtual", channel=BUS["driver.can.channel"]) as listener:
         begin_s = time.time()
         printed = replayed(verb, file, "--speed", "2", "--json")
@@ -155,6 +160,41 @@ def asc(times, head):
 
 
 HALF_MS = [12 + 0.0005 * number for number in range(10)]
+COLUMNS = {"N": "1", "O": "0.5", "T": "DT", "I": "0181", "d": "Rx", "l": "2", "D": "11 22"}
+
+
+def trace(start="43000", without=""):
+    """A trace of PEAK with one frame, ``without`` one of its columns."""
+    names, cells = zip(*(pair for pair in COLUMNS.items() if pair[0] != without), strict=True)
+    return f";$FILEVERSION=2.1\n;$STARTTIME={start}\n;$COLUMNS={','.join(names)}\n {' '.join(cells)}\n".encode()
+
+
+def database(table, *row):
+    with TemporaryDirectory() as folder, closing(sqlite3.connect(Path(folder, "bus.db"))) as base:
+        base.execute(f"CREATE TABLE {table} ({', '.join(f'column{number}' for number in range(len(row)))})")
+        base.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", row)
+        base.commit()
+        return Path(folder, "bus.db").read_bytes()
+
+
+def two_buses(kind):
+    """A log of Vector with one frame on CAN 1 and then three on CAN 2."""
+    if kind == "asc":
+        text = asc(["0.0005", "0.0010", "0.0015", "0.0020"], "base hex  timestamps absolute")
+        first, second, rest = text.partition("0.0010")
+        return (first + second + rest.replace(" 1  181", " 2  181")).encode()
+    content = io.BytesIO()
+    content.close, writer = lambda: None, can.BLFWriter(content)
+    for number, bus in enumerate([1, 2, 2, 2]):
+        # python-can counts them from 0.
+        frame = can.Message(START_S + number * 1e-3, 0x181, is_extended_id=False, data=bytes(8), channel=bus - 1)
+        writer.on_message_received(frame)
+    writer.stop()
+    return content.getvalue()
+
+
+CSV_HEAD = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+OF_181 = (0x181, 0, 0, 0, 2, b"12")
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig"])
@@ -204,6 +244,21 @@ def test_an_asc_log_is_read_in_its_base_and_kind_of_times_whatever_the_language_
         ("a.log", lines_of([12, 12.1, 1.7e9]).encode(), {}, ["53.9 years", "frame 2"]),
         ("a.log", lines_of([12, 12.1, 12.2, 3612.2]).encode(), {}, ["1 h", "frame 3"]),
         ("a.log", lines_of([1.7e9, 12]).encode(), {}, ["-53.9 years", "frame 1"]),
+        *((f"a.{end}", two_buses(end), {}, ["on 1 and 2", "--channel"]) for end in ("asc", "blf")),
+        ("a.log", b"(nan) can0 181#11\n", {}, ["first frame"]),
+        ("a.log", b"(-inf) can0 181#11\n", {}, ["first frame"]),
+        ("a.csv", f"{CSV_HEAD}inf,0x181,0,0,0,2,MTI=\n".encode(), {}, ["first frame"]),
+        *(("a.trc", trace(without=column), {}, ["first frame"]) for column in "OTIdlD"),
+        ("a.trc", trace("4000000"), {}, ["first frame"]),
+        ("a.db", b"", {}, ["first frame"]),
+        ("a.db", database("messages", 12.5, *OF_181)[:5000], {}, ["first frame"]),
+        ("a.db", b"SQLite format 3\0" + bytes(5000), {}, ["first frame"]),
+        ("a.db", database("other", 12.5, *OF_181), {}, ["first frame"]),
+        ("a.db", database("messages", None, *OF_181), {}, ["first frame"]),
+        ("a.db", database("messages", "noon", *OF_181), {}, ["first frame"]),
+        ("a.db", database("messages", 12.5, None, *OF_181[1:]), {}, ["first frame"]),
+        ("a.db", database("messages", 12.5, *OF_181[:-1], "12"), {}, ["first frame"]),
+        ("a.db3", database("messages", 1, 1, 12, b"12"), {}, ["bag", "straightcomp replay"]),
     ],
 )
 def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path, verb, name, content, options, words):
@@ -222,6 +277,33 @@ def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, verb):
         assert printed.code == 0 and f'"sent": {frames}' in printed.out
         # A silence of a second is said, and kept.
         assert ("a silence of 1.2 s after frame 4" in " ".join(printed.err.split())) == (channel == "can1")
+
+
+@pytest.mark.parametrize("ending", [".asc", ".asc.gz", ".blf"])
+def test_a_bus_has_the_number_that_it_has_in_vectors_file(tmp_path, ending):
+    file = tmp_path / f"two{ending}"
+    content = two_buses(ending.split(".")[1])
+    file.write_bytes(gzip.compress(content) if ending.endswith(".gz") else content)
+    for bus, frames in (("0", 0), ("1", 1), ("2", 3), (None, 4)):
+        assert len(list(RecordedBus(file, bus))) == frames
+
+
+@pytest.mark.parametrize("base", ["", "base hex  timestamps absolute\n"])
+@pytest.mark.parametrize(
+    "head",
+    [
+        "",
+        "date Mon Mar 30 15:06:13.191 2026\n",
+        "// version 9.0.0\n",
+        "no internal events logged\n",
+        "internal events logged\n// version 9.0.0\n",
+        "Begin Triggerblock Mon Mar 30 15:06:13.191 2026\n   0.000000 Start of measurement\n",
+    ],
+)
+def test_an_asc_log_has_its_first_frame_whatever_its_head(tmp_path, base, head):
+    lines = asc(["0.000500", "0.001000", "0.001500"], "").partition("logged\n")[2]
+    (tmp_path / "bus.asc").write_text(base + head + lines)
+    assert [frame.timestamp for frame in RecordedBus(tmp_path / "bus.asc")] == pytest.approx([0.0005, 0.001, 0.0015])
 
 
 @pytest.mark.parametrize("ending", [".log", ".log.gz", ".trc", ".csv"])
