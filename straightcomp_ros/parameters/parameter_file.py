@@ -13,7 +13,7 @@ import yaml
 from straightcomp_ros.parameters.declaration import Declaration, ParameterError, belongs_to_ros, to_mapping
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, Values, by_node, node_parameters
 from straightcomp_ros.parameters.share import named_file, share_path
-from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml, node_sections
+from straightcomp_ros.parameters.yaml_text import PARAMETERS, bounded_bytes, dump_yaml, node_sections
 
 ALL_NODES = "/**"
 """Key of a parameter file for what holds for every node."""
@@ -121,7 +121,7 @@ def file_digests(values: Values) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in sorted(names):
         with suppress(OSError):
-            found[name] = hashlib.sha256(named_file(name).read_bytes()).hexdigest()
+            found[name] = hashlib.sha256(bounded_bytes(named_file(name))).hexdigest()
     return found
 
 

@@ -94,7 +94,9 @@ def _sections(tree: Mapping[Any, Any], above: str) -> Iterator[tuple[str, dict[s
 
 def bounded_bytes(path: Path, most_mb: int = 256) -> bytes:
     """The content of a file that a user names; OSError where it cannot be read, or does not end within ``most_mb`` MB:
-    a device has no end."""
+    a device has no end, and a pipe waits for its other end."""
+    if path.is_fifo():
+        raise OSError(errno.EINVAL, "is a pipe; name a file")
     content = _begin(path, (most_mb << 20) + 1)
     if len(content) > most_mb << 20:
         raise OSError(errno.EFBIG, f"is larger than {most_mb} MB")

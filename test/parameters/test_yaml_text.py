@@ -1,6 +1,7 @@
 """YAML of anyone: numbers, refusals, and what is written."""
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -55,7 +56,12 @@ def test_what_is_no_plain_yaml_of_a_usual_size_is_refused(text, words, tmp_path)
             load_yaml(source)
 
 
-def test_a_file_without_an_end_is_refused_and_aliases_of_a_usual_size_are_read():
+def test_a_file_without_an_end_is_refused_and_aliases_of_a_usual_size_are_read(tmp_path):
+    # To open it would wait for a writer.
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError) as refused:
+        bounded_bytes(tmp_path / "pipe")
+    assert "pipe" in refused.value.strerror
     with pytest.raises(YamlError, match="larger than"):
         load_yaml(Path("/dev/zero"))
     with pytest.raises(OSError, match="larger than 1 MB"):
