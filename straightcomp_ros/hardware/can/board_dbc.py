@@ -63,6 +63,7 @@ _FACTORS = {
 """By the SI unit of a field the units that a DBC file may have for it, with their factors."""
 _FIELDS = {"command": "current", "heartbeat": "state"}
 """The field of a report, a command or a heartbeat, where it is not called as the role."""
+_LEAST_FACTOR = 1e-12
 _LEAST_COUNTS = 4
 _USUAL_EVERY = 10
 """Samples between two of the slower frames, where the DBC file does not say it."""
@@ -339,8 +340,9 @@ class Wire:
         """From the file's unit of the role's signal to SI units, with the factor that the parameters give."""
         named, known = getattr(self.meaning, role), _FACTORS[UNITS[_FIELDS.get(role, role)]]
         factor: float = named.factor
-        if factor == 0.0:
-            raise RefusedParameter(f"wire.{role}.factor", "0.0 is not allowed; allowed: any other number")
+        if abs(factor) < _LEAST_FACTOR:
+            text = f"{factor} is not allowed; allowed: >= {_LEAST_FACTOR:g}, of either sign"
+            raise RefusedParameter(f"wire.{role}.factor", text)
         unit = named.unit or self._signals[role].unit or ""
         if unit not in known:
             text = f"{self._place(role)} is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"

@@ -7,7 +7,6 @@ highest, and bit 0 of each byte is the byte's lowest.
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import re
 import sys
@@ -53,6 +52,13 @@ _ABOUT = re.compile(r'(?:BA_\s+"([^"]*)"\s+(?:BO_|SG_)|VAL_|SIG_VALTYPE_|SG_MUL_
 _LONG_NAME = "SystemMessageLongSymbol"
 _READ = {"GenMsgCycleTime", "GenSigStartValue", "VFrameFormat", "SystemSignalLongSymbol", _LONG_NAME}
 """Attributes that mean something to the driver."""
+_MOST_BITS, _MOST_PAGES, _LONGEST_CYCLE_MS = 8 * _FD_SIZES[-1], 1 << 16, 1e9
+_LONG_NUMBER = re.compile(r"\b\d{1000,}|\b\d+\.?\d*[eE][-+]?\d{4,}")
+_BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
+_WORDS = re.compile(r'"(?:\\"|[^"])*"|//.*')
+"""Texts and comments in a statement."""
+_LEAST_FACTOR, _LARGEST_FACTOR = 1e-18, 1e18
+"""Beyond them a value in SI units may be 0 or infinite, or a factor be 0 in the 32 bits of a firmware's numbers."""
 
 
 class DbcError(ValueError):
@@ -116,7 +122,9 @@ class Dbc:
             identifiers = " and ".join(f"{int(number) & ~EXTENDED_ID:#x}" for number, _ in found)
             raise DbcError(f"message '{name}' is in {self.file} {len(found)} times, as {identifiers}; allowed: once")
         try:
-            database = cantools.database.load_string("\n".join(self._of(*found[0])), "dbc", strict=False)
+            statements = self._of(*found[0])
+            _refuse_sizes(statements)
+            database = cantools.database.load_string("\n".join(statements), "dbc", strict=False)
             assert isinstance(database, cantools.database.can.Database)
             (message,) = database.messages
         except (cantools.Error, ValueError, LookupError, TypeError, ArithmeticError, AssertionError) as error:
@@ -168,6 +176,27 @@ class Dbc:
         return identifier | EXTENDED_ID if extended else identifier
 
 
+def _refuse_sizes(statements: Iterable[str]) -> None:
+    """Raise ValueError for a number in the statements of a message that would fill the memory: cantools writes a letter
+    for each bit of a message, and a table for each page of a multiplexer."""
+    shown = 0
+    for text in statements:
+        plain = _WORDS.sub("", text)
+        keyword = plain.split(maxsplit=1)[0]
+        if number := _LONG_NUMBER.search(plain):
+            raise ValueError(f"{number[0]:.20}… in {keyword}; allowed: numbers of less than 1000 digits")
+        if keyword in ("BO_", "SG_"):
+            places = _BRACKETS.sub("", plain).partition(":")[2]
+            for size in map(int, re.findall(r"(?<!\w)\d+", places)):
+                if size > _MOST_BITS:
+                    raise ValueError(f"{size:.9g} in {keyword}; allowed for size, start and length: <= {_MOST_BITS}")
+        elif keyword == "SG_MUL_VAL_":
+            ranges = re.findall(r"(\d+)\s*\D(\d+)", plain.split(maxsplit=4)[-1])
+            shown += sum(max(0, int(last) - int(first)) for first, last in ranges)
+            if shown > _MOST_PAGES:
+                raise ValueError(f"more than {_MOST_PAGES} pages in {keyword}; allowed: no more in a message")
+
+
 def is_fd(message: Message) -> bool:
     """Whether the message is a frame of CAN FD: the file says so, or it is too long for another."""
     return message.is_fd or message.length > 8
@@ -183,10 +212,12 @@ def limits(signal: Signal, *, narrowed: bool = True) -> tuple[float, float]:
         least, largest = 0, 2**signal.length - 1
     if not narrowed or signal.minimum is None or signal.maximum is None or signal.minimum >= signal.maximum:
         return least, largest  # [0|0] says nothing
-    ends = sorted((end - signal.offset) / signal.scale for end in (signal.minimum, signal.maximum))
+    ends = sorted((float(end) - signal.offset) / signal.scale for end in (signal.minimum, signal.maximum))
     if signal.is_float:
         return max(least, ends[0]), min(largest, ends[1])
-    return max(least, round(ends[0])), min(largest, round(ends[1]))
+    # Of an end far beyond the bits, infinity perhaps, it counts that it is beyond.
+    lower, upper = (round(min(max(end, least - 1), largest + 1)) for end in ends)
+    return max(least, lower), min(largest, upper)
 
 
 def modulus(signal: Signal) -> int:
@@ -240,9 +271,16 @@ def refuse_signal(message: Message, signal: Signal) -> None:
         raise DbcError(f"{place} does not lie within the {message.length} bytes of its message")
     if signal.is_float and signal.length not in FLOATS:
         raise DbcError(f"{place} is a float of {signal.length} bits; allowed: 32 or 64")
-    numbers = (signal.scale, signal.offset, signal.minimum or 0, signal.maximum or 0)
-    if signal.scale == 0 or not all(map(math.isfinite, numbers)):
-        raise DbcError(f"{place} has a factor of {signal.scale}; allowed: finite numbers, and a factor other than 0")
+    for what, written, smallest, greatest in (
+        ("factor", signal.scale, _LEAST_FACTOR, _LARGEST_FACTOR),
+        ("offset", signal.offset, 0.0, _LARGEST_FACTOR),
+        ("minimum", signal.minimum or 0, 0.0, sys.float_info.max),
+        ("maximum", signal.maximum or 0, 0.0, sys.float_info.max),
+    ):
+        # A whole number may have more digits than a float holds.
+        number = float(str(written))
+        if not smallest <= abs(number) <= greatest:
+            raise DbcError(f"{place} has a {what} of {number:g}; allowed: {smallest:g} to {greatest:g}, of either sign")
     least, largest = limits(signal)
     if least > largest:
         held = sorted(raw * signal.scale + signal.offset for raw in limits(signal, narrowed=False))
@@ -269,8 +307,12 @@ def used_signals(message: Message, used: Sequence[Signal]) -> Message:
     """
     import cantools
 
-    if not isinstance(message.cycle_time, int | float | None):
-        raise DbcError(f"message '{message.name}' has a cycle time of {message.cycle_time!r}; allowed: a number of ms")
+    cycle = message.cycle_time
+    if not isinstance(cycle, int | float | None) or abs(cycle or 0) > _LONGEST_CYCLE_MS:
+        raise DbcError(
+            f"message '{message.name}' has a cycle time of {cycle!r:.20}; allowed: a number of ms, "
+            f"<= {_LONGEST_CYCLE_MS:g}"
+        )
     chosen = {signal.name: signal for signal in used}
     names = set(chosen)
     for signal in used:

@@ -106,6 +106,7 @@ foreign | wire.protection.command.alive | wire/protection/command/alive=SET_ECHO
 foreign | wire.protection.command.crc | wire/protection/command/crc=SET_ECHO | 'wire.echo.signal'
 foreign | wire.amplifier | wire/amplifier/on_value=3 | 'AMP_STATE' of message 'DSP_STATUS' has one value for two
 foreign | wire.x.factor | wire/x/factor=0.0 | 0.0 is not allowed
+foreign | wire.x.factor | wire/x/factor=-1e-320 | allowed: >= 1e-12
 foreign | wire.enable.message | wire/enable/message=DSP_STATUS wire/enable/signal=SUPPLY | message of the board already
 foreign | wire.counter.signal | wire/counter/message=DSP_STATUS | '' is not allowed with message
 foreign | wire.amplifier.fault_value | wire/amplifier/fault_value=-1 | -1 needs

@@ -4,6 +4,7 @@ import contextlib
 import io
 import shutil
 import subprocess
+import sys
 
 import cantools
 import pytest
@@ -256,6 +257,47 @@ REFUSED = {
     "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
     "a factor of 0": (with_line("(0.05,0)", "(0,0)"), "y.signal", "POS_Y"),
     "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), "y.signal", "inf"),
+    **{
+        f"{len(number)} digits for {what}": (
+            with_line("(0.05,0) [0|0]", kind.format(number)),
+            "y.signal",
+            f"POS_Y.*{what}",
+        )
+        for number in ("9" * 309, "9" * 900, "1e999")
+        for what, kind in (
+            *(("factor", "({},0) [0|0]"), ("offset", "(0.05,{}) [0|0]")),
+            *(("minimum", "(0.05,0) [-{}|5]"), ("maximum", "(0.05,0) [-5|{}]")),
+        )
+    },
+    **{
+        f"a factor of {factor} within {ends}": (
+            with_line("(0.05,0) [0|0]", f"({factor},0) {ends}"),
+            "y.signal",
+            "factor",
+        )
+        for factor in ("1e-307", "1e-320", "1e-30", "1e30", "1e307")
+        for ends in ("[0|0]", "[-100|100]")
+    },
+    "a message without end": (with_line("MEAS: 8", "MEAS: 4294967295"), "x.message", "BO_"),
+    **{
+        f"a signal at {place:.13}": (
+            with_line(" SG_ OK", f' SG_ F : {place}@1+ (1,0) [0|0] "" X\n SG_ OK'),
+            "x.message",
+            "SG_",
+        )
+        for place in ("0|9999999999", "9999999999|8", "0 // (\n | 9999999999", f"0|{'9' * 5000}")
+    },
+    **{
+        f"pages {ranges}": (f"{MULTIPLEXED}SG_MUL_VAL_ 288 I AMP {ranges};\n", "x.message", "SG_MUL_VAL_")
+        for ranges in ("0-4294967295", "1-1, 5 -99999999999", ",".join(["0-9999"] * 9))
+    },
+    **{
+        f"a cycle time of {cycle:.12}": (
+            f'{BOARD}BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_ "GenMsgCycleTime" BO_ 288 {cycle};\n',
+            *("", "cycle time|BA_"),
+        )
+        for cycle in ("1e999999999", "1e400", "9" * 400, "9" * 9999)
+    },
     "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", "x.message", "0x120 and 0x12c"),
     "a name of a signal twice": (with_line("SG_ OK", TWICE), "x.signal", "2"),
     "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), "x.signal", "POS_Y"),
@@ -362,11 +404,13 @@ def test_no_name_of_a_file_reaches_c(board, compiled, name):
     assert can.make_wire().source().isascii() and can.make_wire().source().count(" ") == 1
 
 
+DOUBLE = int(sys.float_info.max)
 SHAPES = {
     "negative factor and wide limits": with_line("(0.05,0) [0|0]", "(-0.05,0) [-2000|2000]"),
     "limits beyond the bits": BOARD.replace("[0|0]", "[-1e9|1e9]")
     .replace("[0|255]", "[0|1000]")
     .replace("[0|1]", "[-9|9]"),
+    "limits of the largest float": with_line("(0.05,0) [0|0]", f"(0.05,0) [-{DOUBLE}|{DOUBLE}]"),
     "an offset and a narrow range": with_line("(0.0001,0) [0|0]", "(-0.0001,3) [-1500|2500]"),
 }
 
