@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from straightcomp_ros.parameters.yaml_text import marked_encoding
+from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding
 
 Direction = Literal["forward", "backward"]
 
@@ -36,7 +36,7 @@ def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str
     try:
         if path.exists() and not path.is_file():
             raise SurveyError(f"survey {path}: is no file; name a text file")
-        content = path.read_bytes()
+        content = bounded_bytes(path)
     except OSError as error:
         raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
     marked = marked_encoding(content)
@@ -144,6 +144,8 @@ _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 """Excel's own first line, which names the delimiter."""
 _LONGEST_LINE = 100_000
 """Characters; the csv module reads cells of some more."""
+_LONGEST_NAME = 200
+"""Characters of a column's name that are read: its patterns take time by the square of its length."""
 _COMMENT = re.compile(r'\s*(#|"#[^"]*"[\s;,]*$)')
 """Also as a spreadsheet writes it that has it in a cell."""
 MARK = "encoder reference"
@@ -162,7 +164,7 @@ OTHER_KINDS = {
     "etalon": r"(?i)gridpoints\s*=",
     "linuxcnc": r"\A\s*[-+]?[\d.]+(?:\s+[-+]?[\d.]+){2}\s*$",
     "renishaw": r"(?i)run target data\s*:",
-    "api": r"(?i)position\s+\w+[\w\s]*avg error",
+    "api": r"(?i)position\s+\w[\w\s]{,200}avg error",
 }
 """What the text of a file has that `straightcomp map convert` makes a survey of, by the name of its format."""
 
@@ -173,7 +175,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     ``names`` has the file's own name, with its unit at the end, for the column of ``x`` or of ``deviation``.
 
     Raises:
-        SurveyError: the file is empty, lacks a column or has it twice, has a row of another length,
+        SurveyError: the file is empty, lacks a column or has one that counts twice, has a row of another length,
             a cell that is no finite number, or numbers with points and commas in one another's place.
     """
     lines = [(line, text) for line, text in every if not _COMMENT.match(text)]
@@ -202,6 +204,9 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
+    for name in ("run", "direction", TIME_COLUMN):
+        if header.count(name) > 1:
+            raise SurveyError(f"{header_line}: {name} is given twice; allowed: one column of this name")
     rows = _rows(path, lines[first:], delimiter, header)
     if runs:
         _check_columns_of_runs(header_line, header, deviation)
@@ -379,8 +384,10 @@ def _spelled(name: str) -> str:
 
 
 def _plain(cell: str) -> str:
-    """In lower case, with either micro sign as ``u``, and inches as ``in``."""
-    text = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u2212", "-")
+    """In lower case, with either micro sign as ``u``, and inches as ``in``; what is too long for a name ends with …"""
+    text = cell.strip().lower()
+    text = text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}…"
+    text = text.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u2212", "-")
     return _INCH.sub(lambda found: "uin" if found[1] else "in", text)
 
 

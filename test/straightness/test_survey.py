@@ -82,6 +82,10 @@ TURNS = THERE + THERE[-2::-1]
         ("position,deviation_um", ["0,1"], "line 1 position x_m,·x_mm,·x_um"),
         ("x_mm,deviation", ["0,1"], "column·'deviation'·carries·no·unit"),
         ("x_m,x_mm,deviation_um", ["0,0,1"], "given·twice,·as·x_m·(column·1)·and·x_mm"),
+        *(
+            (f"{name},x_mm,{name.title()},deviation_um", ["1,0,2,1"], f"line·1 {name}·is·given·twice")
+            for name in ("run", "direction", "time_s")
+        ),
         (HEADER, ["1,forward,ten,1"], "line 2 x_mm·'ten' a·number"),
         (HEADER, ["1,forward,10,"], "line 2 deviation_um·'' a·number"),
         (HEADER, ["1,forward,10,nan"], "line 2 deviation_um·'nan' finite"),
@@ -115,8 +119,12 @@ def test_a_fault_is_refused_with_its_place_and_what_is_allowed(read, header, row
         assert word.replace("·", " ") in str(caught.value)
 
 
-def test_a_file_that_is_missing_or_not_utf8_is_refused(tmp_path, read):
+def test_a_file_that_is_missing_without_end_or_not_utf8_is_refused(tmp_path, read):
     with pytest.raises(SurveyError, match=r"survey\.csv.*No such file"):
+        read_survey(tmp_path / "survey.csv")
+    with (tmp_path / "survey.csv").open("wb") as file:
+        file.truncate((256 << 20) + 1)
+    with pytest.raises(SurveyError, match=r"survey\.csv.*larger than"):
         read_survey(tmp_path / "survey.csv")
     with pytest.raises(SurveyError, match=r"survey\.csv.*not UTF-8"):
         read("x_mm,deviation_\x81m", encoding="latin-1")
@@ -207,7 +215,10 @@ def test_a_column_that_is_computed_of_runs_or_has_another_unit_is_no_run(read, b
 ROWS = [f"{x};{x % 30}" for x in range(0, 240, 10)]
 
 
-@pytest.mark.parametrize("name", ["Tilt (µm/m)", "Tilt µm/m", "Geradheit (0,1 µm)", "slope mm per m", "Pos"])
+LONG = f"{'a' * 197} um, squared"
+
+
+@pytest.mark.parametrize("name", ["Tilt (µm/m)", "Tilt µm/m", "Geradheit (0,1 µm)", "slope mm per m", "Pos", LONG])
 def test_a_column_of_another_unit_than_a_length_cannot_be_chosen(read, name):
     with pytest.raises(SurveyError, match=r"--deviation-column .* does not end with a unit"):
         read(f"x_mm;{name}", *ROWS, names={"deviation": name})
@@ -319,6 +330,10 @@ READ = {
     "separators after some rows": MM_UM.replace("\n40;", ";\n40;") + ";;\n;\n",
     "separators after the header": MM_UM.replace("um\n", "um;;\n"),
     "a row of units without the last": csv("Position;Straightness;Remark\nmm;µm", lambda v: german(v) + ";"),
+    **{
+        f"a line of {len(line)} {line[-1]!r} before the header": f"{line}\n{MM_UM}"
+        for line in ("_" * 100_000, "." * 100_000, "run 1" + " " * 90_000 + "-", "(" * 90_000 + ") um")
+    },
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
 }
 
