@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
 """Line between the types of a definition in encoding ``ros2idl``."""
+_LATEST_NS = (1 << 63) - 1
 _LONGEST_GAP_NS = 100_000_000
 """Time between two samples up to which their values are interpolated."""
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
@@ -81,16 +82,18 @@ def read_field(bag: Path, field: Field) -> FieldValues:
         stream = read_streams(bag, {messages.topic: layout})[messages.topic]
         return FieldValues(stream.stamp, stream.columns[column], True)
     types = _types_of(bag, messages)
-    stamp = np.array(messages.publish_time, np.int64)
-    values = np.empty(len(stamp))
+    stamp, values = np.empty(len(messages.data), np.int64), np.empty(len(messages.data))
     stamped = True
-    for place, data in enumerate(messages.data):
+    for place, (data, time_ns) in enumerate(zip(messages.data, messages.publish_time, strict=True)):
         where = f"bag {bag}: topic '{messages.topic}', message {place}"
         message = decoded(where, data, messages.type_name, types)
         values[place] = _value(where, message, field.path)
         stamped = hasattr(getattr(message, "header", None), "stamp")
         if stamped:
-            stamp[place] = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+            time_ns = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+        if abs(time_ns) > _LATEST_NS:
+            raise BagError(f"{where} is of {time_ns} ns since the epoch; allowed: <= {_LATEST_NS}")
+        stamp[place] = time_ns
     return FieldValues(stamp, values, stamped)
 
 

@@ -51,10 +51,16 @@ class SqliteInput:
     def topics(self) -> dict[int, Topic]:
         """Topics by id; their definitions where the file has them, which is since ROS 2 Iron."""
         found = list(self._query("SELECT id, name, type, serialization_format FROM topics"))
+        if not all(isinstance(text, str) for _, *texts in found for text in texts):
+            raise self.refused("a topic has no name, type or encoding")
         definitions = {}
         if any(self._query("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'")):
             described = self._query("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
-            definitions = {type_name: Definition(text, "", encoding) for type_name, text, encoding in described if text}
+            definitions = {
+                type_name: Definition(text, "", encoding)
+                for type_name, text, encoding in described
+                if text and isinstance(text, str | bytes)
+            }
         return {
             topic_id: Topic(name, type_name, described=definitions.get(type_name), encoding=encoding)
             for topic_id, name, type_name, encoding in found
@@ -161,7 +167,7 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
             return [file for _, file in sorted(zip(begun, found, strict=True))], []
         raise BagError(f"bag {bag}: the folder holds several recordings ({', '.join(sorted(files))}); give one file")
     # A recording that was killed between making its next file and writing to it leaves an empty one.
-    if len(found) > 1 and not found[-1].stat().st_size:
+    if len(found) > 1 and found[-1].exists() and not found[-1].stat().st_size:
         found.pop()
     if len(found) > 1 and split_number(found[0])[1] > 0:
         warnings.warn(f"bag {bag} begins with {found[0].name}: what was recorded before is not there", stacklevel=3)

@@ -128,7 +128,8 @@ def _readable(paths: Sequence[Path], result: Recovery) -> list[Path]:
                 found.append(path)
         except BagError as error:
             refused.append(error)
-            result.lose(path.name, path.stat().st_size, str(error))
+            # What a link that leads nowhere stands for has no size.
+            result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
     if not found:
         raise refused[0]
     return found

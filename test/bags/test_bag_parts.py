@@ -129,6 +129,12 @@ def test_several_recordings_in_a_folder_are_refused_by_their_names(tmp_path, nam
     assert [file.name for file in files] == names[:1]
 
 
+def test_a_link_that_leads_nowhere_is_a_file_of_its_bag(tmp_path):
+    folder = touched(tmp_path / "bag", "run_0.mcap")
+    (folder / "run_1.mcap").symlink_to("gone")
+    assert [file.name for file in found_files(folder)[0]] == ["run_0.mcap", "run_1.mcap"]
+
+
 @pytest.mark.parametrize("name", ["b_0.mcap.zstd", "b_0.db3.zstd", "b_0.mcap.lz4", "b_1.db3.zst"])
 @pytest.mark.parametrize("others", [(), ("b_7.mcap",)])
 def test_files_that_are_compressed_as_a_whole_are_named_with_what_unpacks_them(tmp_path, name, others):
@@ -186,6 +192,23 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
     with pytest.raises(BagError, match="no data, or no time"):
         list(file.blocks(["two"]))
     assert list(file.blocks(["three"])) == []
+
+
+@pytest.mark.parametrize("value", [None, 5, b"\xff"])
+@pytest.mark.parametrize("column", ["name", "type", "serialization_format"])
+def test_an_sqlite_topic_without_a_name_type_or_encoding_is_damage(tmp_path, column, value):
+    path = sqlite_bag(tmp_path / "bag.db3", {"one": "kind"}, [])
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"UPDATE topics SET {column} = ?", (value,))
+    connection.close()
+    with pytest.raises(BagError, match="no name, type or encoding"):
+        _ = SqliteInput(path).topics
+
+
+@pytest.mark.parametrize(("text", "known"), [("int8 x", True), (b"int8 x", True), (5, False), (None, False)])
+def test_an_sqlite_definition_that_is_no_text_is_none(tmp_path, text, known):
+    path = sqlite_bag(tmp_path / "bag.db3", {"one": "kind"}, [], [("kind", "ros2msg", text)])
+    assert [bool(topic.described) for topic in SqliteInput(path).topics.values()] == [known]
 
 
 @pytest.mark.parametrize("left", [True, False])

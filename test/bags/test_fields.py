@@ -70,6 +70,16 @@ def test_a_message_has_the_stamp_of_its_header_or_else_the_time_of_sending(tmp_p
     assert found.values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
+@pytest.mark.parametrize("time_ns", [1 << 63, (1 << 64) - 1])
+def test_a_time_of_sending_beyond_the_epochs_is_refused_where_no_header_has_another(tmp_path, time_ns):
+    for type_name, make in (("geometry_msgs/msg/PointStamped", point), ("std_msgs/msg/Float64", plain)):
+        data = bytes(STORE.serialize_cdr(make(1, header(START_NS)), type_name))
+        bag_of(tmp_path / make.__name__, "/probe", type_name, [(data, START_NS, time_ns)])
+    assert read_field(tmp_path / "point", Field("probe", "point.y")).stamp.tolist() == [START_NS]
+    with pytest.raises(BagError, match=f"'/probe', message 0.*{time_ns}"):
+        read_field(tmp_path / "plain", Field("probe", "data"))
+
+
 @pytest.mark.parametrize(("path", "first"), [("position[stage_x]", 1.0), ("position[2]", 2.0), ("effort[0]", 7.0)])
 def test_an_element_is_taken_by_its_number_or_by_the_name_of_its_joint(tmp_path, path, first):
     bag = written(tmp_path / "bag", "sensor_msgs/msg/JointState", joints)
